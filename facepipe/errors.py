@@ -1,0 +1,38 @@
+"""Errors of facepipe. Every message is one line: where, what, what was expected."""
+
+
+class FacepipeError(Exception):
+    """Base of all errors that a user can cause or mend.
+
+    :param where: the trail to the culprit, outermost first, like ``head.usda -> </Face/Head/jawOpen>``
+    :param what: what was found and what was expected, like ``51 offsets, expected 52``
+    """
+
+    def __init__(self, where: object, what: str) -> None:
+        self.where = str(where)
+        self.what = " ".join(what.split())
+        super().__init__(f"{self.where}: {self.what}")
+
+    def under(self, outer: object) -> "FacepipeError":
+        """The same error with `outer` put before its trail."""
+        return type(self)(f"{outer} -> {self.where}", self.what)
+
+
+class InputError(FacepipeError):
+    """A file or value given by the user can't be used."""
+
+
+class TopologyError(FacepipeError):
+    """Meshes, shapes or weights whose counts don't fit each other."""
+
+
+class SchemaError(FacepipeError):
+    """A stage that doesn't follow the stage convention."""
+
+
+class FitError(FacepipeError):
+    """A solver or fit that found no usable result."""
+
+
+class ExportError(FacepipeError):
+    """A face that a format can't hold, or a file that can't be written."""

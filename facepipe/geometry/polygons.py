@@ -1,0 +1,75 @@
+"""Polygon meshes as counts and indices: triangles, normals, components, borders."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+class Triangles(NamedTuple):
+    """A triangulation: corner numbers (t, 3) into the face-vertex list, and the face (t,) of every triangle."""
+
+    corners: IntArray
+    faces: IntArray
+
+
+def triangulate(face_vertex_counts: IntArray) -> Triangles:
+    """Fan triangulation of every polygon; faces with fewer than 3 corners give none.
+
+    Point indices are ``face_vertex_indices[triangulate(counts).corners]``.
+    """
+    counts = np.asarray(face_vertex_counts, dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else np.zeros(0, np.int64)
+    fans = np.maximum(counts - 2, 0)
+    faces = np.repeat(np.arange(len(counts)), fans)
+    step = np.arange(len(faces)) - np.repeat(np.cumsum(fans) - fans, fans)
+    first = starts[faces]
+    return Triangles(np.stack([first, first + step + 1, first + step + 2], axis=1), faces)
+
+
+def point_triangles(face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> IntArray:
+    """(t, 3) point indices of the fan triangulation."""
+    return np.asarray(face_vertex_indices)[triangulate(face_vertex_counts).corners]
+
+
+def point_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(n, 3) unit normals, area-weighted over the triangles at each point; (0, 1, 0) where there is none."""
+    edges_1 = points[triangles[:, 1]] - points[triangles[:, 0]]
+    edges_2 = points[triangles[:, 2]] - points[triangles[:, 0]]
+    areas = np.cross(edges_1, edges_2)
+    corners = triangles.ravel()
+    summed = np.stack(
+        [np.bincount(corners, np.repeat(areas[:, axis], 3), minlength=len(points)) for axis in range(3)], axis=1
+    )
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    flat = length[:, 0] < np.finfo(np.float64).tiny
+    summed[flat] = (0.0, 1.0, 0.0)
+    length[flat] = 1.0
+    return np.asarray(summed / length)
+
+
+def edges(face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> tuple[IntArray, IntArray]:
+    """Undirected edges (e, 2), lower point first, sorted, and the number of faces (e,) at each."""
+    counts = np.asarray(face_vertex_counts, dtype=np.int64)
+    indices = np.asarray(face_vertex_indices, dtype=np.int64)
+    ends = np.cumsum(counts)
+    following = np.arange(1, len(indices) + 1)
+    following[ends[counts > 0] - 1] = (ends - counts)[counts > 0]
+    pairs = np.sort(np.stack([indices, indices[following]], axis=1), axis=1)
+    unique, faces = np.unique(pairs, axis=0, return_counts=True)
+    return unique, faces
+
+
+def components(point_count: int, edge_pairs: IntArray) -> IntArray:
+    """(n,) component number of every point, connected through `edge_pairs` (e, 2)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ones = np.ones(len(edge_pairs), dtype=np.int8)
+    graph = coo_array((ones, (edge_pairs[:, 0], edge_pairs[:, 1])), shape=(point_count, point_count))
+    return np.asarray(connected_components(graph, directed=False)[1])

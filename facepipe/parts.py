@@ -1,0 +1,235 @@
+"""The parts of a face as plain numpy arrays: what importers make, the stage stores, and exporters read.
+
+Matrices are (4, 4) float64 in the column-vector convention (``world = M @ local``). Points and offsets are in stage
+units, rotations are quaternions ``x, y, z, w``. The stage (`facepipe.stage`) is the only place that turns them
+into USD values and back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def identity() -> FloatArray:
+    """A (4, 4) identity matrix."""
+    return np.eye(4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inbetween:
+    """An extra sculpt of a blendshape, reached at `weight` (0 < weight, not 1)."""
+
+    name: str
+    weight: float
+    offsets: FloatArray  # (k, 3), parallel to the blendshape's point_indices
+    normal_offsets: FloatArray | None = None  # (k, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blendshape:
+    """Sparse point offsets of one mesh; the same name on several meshes is one shape of the face."""
+
+    name: str
+    point_indices: IntArray  # (k,) int32, ascending, unique
+    offsets: FloatArray  # (k, 3)
+    normal_offsets: FloatArray | None = None  # (k, 3)
+    inbetweens: tuple[Inbetween, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skin:
+    """Skin weights of one mesh; influences beyond a point's own have weight 0 and index 0."""
+
+    joint_indices: IntArray  # (n, influences) int32, into Skeleton.joints
+    joint_weights: FloatArray  # (n, influences)
+    geom_bind_transform: FloatArray = field(default_factory=identity)  # mesh space -> skeleton space at bind time
+
+
+@dataclass(frozen=True, kw_only=True)
+class UvSet:
+    """Texture coordinates, v up as in USD. `indices` None: one value per point (n, 2)."""
+
+    name: str = "st"
+    values: FloatArray  # (u, 2)
+    indices: IntArray | None = None  # (face corners,) int32 into values: face-varying
+
+
+@dataclass(frozen=True, kw_only=True)
+class Landmarks:
+    """Named points of one scheme (``multipie68``)."""
+
+    indices: IntArray  # (l,) int32 point indices
+    names: tuple[str, ...] = ()  # empty, or one name per landmark
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialFaces:
+    """The faces of a mesh that use one material."""
+
+    material: str
+    faces: IntArray  # (m,) int32 face indices
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """One polygon mesh of a face."""
+
+    name: str
+    points: FloatArray  # (n, 3) mesh space
+    face_vertex_counts: IntArray  # (faces,) int32
+    face_vertex_indices: IntArray  # (corners,) int32
+    transform: FloatArray = field(default_factory=identity)  # mesh space -> world
+    normals: FloatArray | None = None  # (n, 3) per point, or (corners, 3) face-varying
+    uv_sets: tuple[UvSet, ...] = ()
+    colors: FloatArray | None = None  # (n, 3) display colour per point, linear 0..1
+    skin: Skin | None = None
+    blendshapes: tuple[Blendshape, ...] = ()
+    regions: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (n,) soft mask 0..1
+    point_subsets: Mapping[str, IntArray] = field(default_factory=dict)  # name -> point indices (hard regions)
+    landmarks: Mapping[str, Landmarks] = field(default_factory=dict)  # scheme -> landmarks
+    anchor: int | None = None  # a point on the neck border
+    material: str | None = None  # bound to the whole mesh
+    material_faces: tuple[MaterialFaces, ...] = ()  # stronger, face by face
+    double_sided: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """Joints parent first. A blendshape-only face has one with no joints."""
+
+    name: str = "Skeleton"
+    joints: tuple[str, ...] = ()  # paths: "root/neck/jaw"
+    bind_transforms: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # (j, 4, 4) world
+    rest_transforms: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # (j, 4, 4) local to parent
+    transform: FloatArray = field(default_factory=identity)  # skeleton space -> world
+
+    @property
+    def parents(self) -> IntArray:
+        """(j,) int32 index of each joint's parent, -1 for a root."""
+        index = {joint: i for i, joint in enumerate(self.joints)}
+        return np.array([_nearest(index, joint) for joint in self.joints], dtype=np.int32)
+
+
+def _nearest(index: Mapping[str, int], joint: str) -> int:
+    parent = joint.rpartition("/")[0]
+    while parent and parent not in index:
+        parent = parent.rpartition("/")[0]
+    return index.get(parent, -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Animation:
+    """Joint transforms and shape weights, one pose (`times` None) or T samples.
+
+    Joint transforms are local (relative to the parent joint, rest included). `coefficients` are the same motion as
+    bone coefficients relative to rest (DESIGN section 7) and win over the transforms where both are given.
+    """
+
+    name: str
+    times: FloatArray | None = None  # (T,) seconds, ascending; None: one static pose, T = 1
+    joints: tuple[str, ...] = ()
+    translations: FloatArray | None = None  # (T, j, 3)
+    rotations: FloatArray | None = None  # (T, j, 4) quaternions x y z w
+    scales: FloatArray | None = None  # (T, j, 3)
+    coefficients: FloatArray | None = None  # (T, j, 9): t (stage units), r (radians), s
+    shapes: tuple[str, ...] = ()
+    shape_weights: FloatArray | None = None  # (T, shapes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slider:
+    """A user control that adds ``gain * (value - default)`` to bone coefficient channels and shape weights."""
+
+    name: str
+    group: str = ""
+    default: float = 0.0
+    minimum: float = 0.0
+    maximum: float = 1.0
+    value: float | None = None  # current setting; None: the default
+    channels: tuple[tuple[str, str, float], ...] = ()  # (joint path, tx ty tz rx ry rz sx sy sz, gain)
+    shapes: tuple[tuple[str, float], ...] = ()  # (blendshape name, gain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoneLimits:
+    """Allowed bone coefficients, joints in skeleton order, channels tx ty tz rx ry rz sx sy sz."""
+
+    lower: FloatArray  # (j, 9)
+    upper: FloatArray  # (j, 9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """An image file, whole: name with extension and its bytes."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureInput:
+    """A material input read from a texture: ``texel[channels] * scale + bias``."""
+
+    texture: Texture
+    channels: Literal["rgb", "r", "g", "b", "a"] = "rgb"
+    uv_set: str = "st"
+    scale: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    bias: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    wrap_s: Literal["repeat", "mirror", "clamp"] = "repeat"
+    wrap_t: Literal["repeat", "mirror", "clamp"] = "repeat"
+
+
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """A UsdPreviewSurface in the metallic workflow; each input is a value or a texture. Colours are linear."""
+
+    name: str
+    diffuse_color: Color | TextureInput = (0.18, 0.18, 0.18)
+    emissive_color: Color | TextureInput = (0.0, 0.0, 0.0)
+    metallic: float | TextureInput = 0.0
+    roughness: float | TextureInput = 0.5
+    opacity: float | TextureInput = 1.0
+    opacity_threshold: float = 0.0  # above 0: alpha test instead of blending
+    occlusion: float | TextureInput = 1.0
+    normal: TextureInput | None = None  # tangent space, authored with scale 2 and bias -1
+    ior: float = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a stage was made, so that it can be made again."""
+
+    verb: str  # "import ict", "landmarks", "blend" ...
+    sources: tuple[str, ...] = ()  # paths, relative to the stage where they can be
+    digests: tuple[str, ...] = ()  # "sha256:..." per source
+    options: Mapping[str, object] = field(default_factory=dict)  # JSON values
+    version: str = ""  # facepipe version
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceParts:
+    """A whole face. Mesh names and joint paths are unique USD identifiers."""
+
+    name: str = "Face"
+    meters_per_unit: float = 0.01
+    up_axis: Literal["Y", "Z"] = "Y"
+    meshes: tuple[Mesh, ...] = ()
+    skeleton: Skeleton = field(default_factory=Skeleton)
+    animations: tuple[Animation, ...] = ()
+    sliders: tuple[Slider, ...] = ()
+    bone_limits: BoneLimits | None = None
+    materials: tuple[Material, ...] = ()
+    attach_joint: str | None = None  # path of the body joint that the root joints hang under
+    attribution: str = ""  # copyright and license line that stays with the face
+    recipe: Recipe | None = None

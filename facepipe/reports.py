@@ -1,0 +1,44 @@
+"""Reports: what a command or exporter did, as frozen dataclasses that serialise to JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Base of all reports."""
+
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> str:
+        """The report as JSON, keys sorted."""
+        return json.dumps(dataclasses.asdict(self), default=_plain, sort_keys=True, indent=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport(Report):
+    """What an exporter wrote, and what the format could not hold."""
+
+    path: Path
+    files: tuple[Path, ...] = ()  # everything written, the sidecars too
+    counts: Mapping[str, int] = field(default_factory=dict)  # joints, shapes, vertices ...
+    bytes: int = 0
+    seconds: float = 0.0
+    dropped: tuple[str, ...] = ()  # what the format can't hold, one line each
+    error_mm: float | None = None  # largest error that quantisation or fewer influences brings, where it does
+
+
+def _plain(value: object) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)
