@@ -1,0 +1,17 @@
+"""The rig: the one definition of what a rig parameter does to the points of a face."""
+
+from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
+from facepipe.rig.build import build
+from facepipe.rig.rig import Rig, Target
+from facepipe.rig.sliders import slide
+
+__all__ = [
+    "CHANNELS",
+    "Rig",
+    "Target",
+    "build",
+    "coefficient_matrices",
+    "matrix_coefficients",
+    "rest_coefficients",
+    "slide",
+]

@@ -1,0 +1,125 @@
+"""From the parts of a face to its rig."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from facepipe.errors import TopologyError
+from facepipe.parts import Blendshape, FaceParts, Mesh
+from facepipe.rig.activation import Curve, curves
+from facepipe.rig.rig import Rig, Target
+
+FloatArray = npt.NDArray[np.floating]
+
+_Sculpt = tuple[str, int, Curve, npt.NDArray[np.int64], FloatArray]
+
+
+def build(parts: FaceParts) -> Rig:
+    """The rig of a face.
+
+    :raises TopologyError: a singular bind transform, or indices and counts that don't fit
+    """
+    skeleton = parts.skeleton
+    offsets = np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in parts.meshes], dtype=np.int64)])
+    to_skeleton = _inverse(skeleton.transform, f"{parts.name} -> {skeleton.name}")
+    spaces = [mesh.skin.geom_bind_transform if mesh.skin else to_skeleton @ mesh.transform for mesh in parts.meshes]
+    shapes = tuple(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
+    points = [_transform(space, mesh.points) for space, mesh in zip(spaces, parts.meshes, strict=True)]
+    return Rig(
+        name=parts.name,
+        mesh_names=tuple(mesh.name for mesh in parts.meshes),
+        mesh_offsets=offsets,
+        points=np.concatenate(points) if points else np.zeros((0, 3)),
+        shapes=shapes,
+        targets=_targets(parts.meshes, offsets, spaces, shapes),
+        joints=skeleton.joints,
+        parents=skeleton.parents,
+        rest=np.asarray(skeleton.rest_transforms, dtype=np.float64),
+        inverse_bind=np.array(
+            [
+                _inverse(bind, f"{parts.name} -> {skeleton.name} -> {joint}")
+                for bind, joint in zip(skeleton.bind_transforms, skeleton.joints, strict=True)
+            ]
+        ).reshape(-1, 4, 4),
+        parent_world=np.asarray(skeleton.transform, dtype=np.float64),
+        influences=_influences(parts, offsets),
+    )
+
+
+def _transform(matrix: FloatArray, points: FloatArray) -> FloatArray:
+    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def _inverse(matrix: FloatArray, where: str) -> FloatArray:
+    try:
+        inverse = np.linalg.inv(np.asarray(matrix, dtype=np.float64))
+    except np.linalg.LinAlgError:
+        inverse = np.full((4, 4), np.nan)
+    if not np.isfinite(inverse).all():
+        raise TopologyError(where, "singular matrix, expected an invertible one")
+    return np.asarray(inverse)
+
+
+def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_array:
+    """(n, j + 1) weights; a mesh without skin follows the last column."""
+    joint_count = len(parts.skeleton.joints)
+    rows, columns, values = [], [], []
+    for mesh, start in zip(parts.meshes, offsets[:-1], strict=True):
+        numbers = np.arange(len(mesh.points)) + start
+        indices = mesh.skin.joint_indices if mesh.skin else np.full((len(numbers), 1), joint_count)
+        weights = mesh.skin.joint_weights if mesh.skin else np.ones((len(numbers), 1))
+        limit = joint_count if mesh.skin else joint_count + 1
+        if indices.size and not (indices.min() >= 0 and indices.max() < limit):
+            raise TopologyError(f"{parts.name} -> {mesh.name}", f"joint index outside 0..{joint_count - 1}")
+        rows.append(np.repeat(numbers, indices.shape[1]))
+        columns.append(np.asarray(indices, dtype=np.int64).ravel())
+        values.append(np.asarray(weights, dtype=np.float64).ravel())
+    shape = (int(offsets[-1]), joint_count + 1)
+    if not rows:
+        return sparse.csr_array(shape)
+    entries = (np.concatenate(rows), np.concatenate(columns))
+    matrix = sparse.csr_array((np.concatenate(values), entries), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _targets(
+    meshes: tuple[Mesh, ...],
+    offsets: npt.NDArray[np.int64],
+    spaces: list[FloatArray],
+    shapes: tuple[str, ...],
+) -> tuple[Target, ...]:
+    """Sculpts of all meshes; those of one name and one activation curve are one target."""
+    number = {name: i for i, name in enumerate(shapes)}
+    found: dict[tuple[str, Curve], list[_Sculpt]] = {}
+    for mesh, start, space in zip(meshes, offsets[:-1], spaces, strict=True):
+        for shape in mesh.blendshapes:
+            indices = np.asarray(shape.point_indices, dtype=np.int64)
+            if indices.size and not (indices.min() >= 0 and indices.max() < len(mesh.points)):
+                raise TopologyError(f"{mesh.name} -> {shape.name}", f"point index outside 0..{len(mesh.points) - 1}")
+            for name, curve, sculpt in _sculpts(shape):
+                if len(sculpt) != len(indices):
+                    raise TopologyError(f"{mesh.name} -> {name}", f"{len(sculpt)} offsets, expected {len(indices)}")
+                moved = np.asarray(sculpt, dtype=np.float64) @ space[:3, :3].T
+                found.setdefault((name, curve), []).append((name, number[shape.name], curve, indices + start, moved))
+    targets = [_merge(sculpts) for sculpts in found.values()]
+    return tuple(sorted(targets, key=lambda target: target.shape))
+
+
+def _sculpts(shape: Blendshape) -> list[tuple[str, Curve, FloatArray]]:
+    by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
+    main = [(shape.name, by_weight[1.0], shape.offsets)]
+    return main + [(f"{shape.name}_{one.name}", by_weight[one.weight], one.offsets) for one in shape.inbetweens]
+
+
+def _merge(sculpts: list[_Sculpt]) -> Target:
+    name, shape, curve = sculpts[0][:3]
+    return Target(
+        name=name,
+        shape=shape,
+        curve=curve,
+        point_indices=np.concatenate([indices for *_, indices, _ in sculpts]),
+        offsets=np.concatenate([offsets for *_, offsets in sculpts]),
+    )

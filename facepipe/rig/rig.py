@@ -1,0 +1,165 @@
+"""The rig of one face as flat arrays, and its evaluation.
+
+``point = sum_i w_i world_i inverse(bind_i) geomBind (point_0 + sum_k b_k delta_k)`` (DESIGN section 7): blendshapes
+first, then linear blend skinning, in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from facepipe.errors import InputError
+from facepipe.rig.activation import Curve
+from facepipe.rig.bone_coefficients import coefficient_matrices
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """One sculpt: a shape or one of its inbetweens, over all meshes that have it at that weight."""
+
+    name: str  # the shape's name, or <shape>_<inbetween>
+    shape: int  # index into Rig.shapes
+    curve: Curve  # shape weight -> activation
+    point_indices: IntArray  # (k,) into Rig.points, ascending
+    offsets: FloatArray  # (k, 3) in the space of Rig.points
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """Everything that moves the points of a face, meshes concatenated in stage order.
+
+    `points` are in skeleton space at bind time (geomBindTransform applied). The last column of `influences` stands
+    for the skeleton itself: meshes without skin follow it rigidly.
+    """
+
+    name: str
+    mesh_names: tuple[str, ...]
+    mesh_offsets: IntArray  # (meshes + 1,) first point of each mesh, and the count
+    points: FloatArray  # (n, 3)
+    shapes: tuple[str, ...]
+    targets: tuple[Target, ...]
+    joints: tuple[str, ...]  # paths, parent first
+    parents: IntArray  # (j,) -1 for a root
+    rest: FloatArray  # (j, 4, 4) local
+    inverse_bind: FloatArray  # (j, 4, 4)
+    parent_world: FloatArray  # (4, 4) skeleton space -> world, what roots hang under by default
+    influences: sparse.csr_array  # (n, j + 1) weights
+
+    @cached_property
+    def deltas(self) -> sparse.csr_array:
+        """(3 n, targets) point offsets of every target, rows x y z point by point."""
+        rows = [(3 * t.point_indices[:, None] + np.arange(3)).ravel() for t in self.targets]
+        columns = [np.full(3 * len(t.point_indices), i) for i, t in enumerate(self.targets)]
+        values = [t.offsets.ravel() for t in self.targets]
+        shape = (3 * len(self.points), len(self.targets))
+        if not self.targets:
+            return sparse.csr_array(shape)
+        entries = (np.concatenate(rows), np.concatenate(columns))
+        return sparse.csr_array((np.concatenate(values), entries), shape=shape)
+
+    def weight_vector(self, weights: Mapping[str, float] | None) -> FloatArray:
+        """(shapes,) weights by name; shapes not named are 0.
+
+        :raises InputError: a name that is no shape of this face, or a weight that is not finite
+        """
+        vector = np.zeros(len(self.shapes))
+        index = {name: i for i, name in enumerate(self.shapes)}
+        for name, weight in (weights or {}).items():
+            if name not in index:
+                raise InputError(self.name, f"no shape '{name}', expected one of {_some(self.shapes)}")
+            if not np.isfinite(weight):
+                raise InputError(f"{self.name} -> {name}", f"weight {weight}, expected a finite number")
+            vector[index[name]] = weight
+        return vector
+
+    def activations(self, weights: FloatArray) -> FloatArray:
+        """(targets,) activations of (shapes,) shape weights."""
+        return np.array([float(t.curve(weights[t.shape])) for t in self.targets])
+
+    def morph(self, weights: FloatArray) -> FloatArray:
+        """(n, 3) points of (shapes,) weights, in skeleton space at bind time, before skinning."""
+        if not self.targets:
+            return self.points.copy()
+        moved: FloatArray = self.deltas @ self.activations(weights)
+        return self.points + moved.reshape(-1, 3)
+
+    def joint_worlds(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
+        """(j, 4, 4) world matrices of (j, 4, 4) local ones."""
+        worlds = np.empty((len(self.joints), 4, 4))
+        root = self.parent_world if parent_world is None else np.asarray(parent_world, dtype=np.float64)
+        for i, parent in enumerate(self.parents):
+            worlds[i] = (root if parent < 0 else worlds[parent]) @ local[i]
+        return worlds
+
+    def skinning_matrices(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
+        """(j + 1, 4, 4) matrices from bind-time skeleton space to world, the skeleton's own last."""
+        root = self.parent_world if parent_world is None else np.asarray(parent_world, dtype=np.float64)
+        return np.concatenate([self.joint_worlds(local, root) @ self.inverse_bind, root[None]])
+
+    def skin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
+        """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
+        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3])
+
+    def evaluate(
+        self,
+        weights: Mapping[str, float] | FloatArray | None = None,
+        *,
+        coefficients: FloatArray | None = None,
+        joint_transforms: FloatArray | None = None,
+        parent_world: FloatArray | None = None,
+    ) -> FloatArray:
+        """(n, 3) world points in stage units.
+
+        :param weights: shape weights by name, or a (shapes,) vector in the order of `shapes`
+        :param coefficients: (j, 9) bone coefficients relative to rest
+        :param joint_transforms: (j, 4, 4) local joint transforms instead of coefficients
+        :param parent_world: (4, 4) what root joints hang under, a body's attach joint; default the skeleton's place
+        :raises InputError: wrong names, counts or non-finite values, or both coefficients and transforms
+        """
+        vector = weights if isinstance(weights, np.ndarray) else self.weight_vector(weights)
+        if vector.shape != (len(self.shapes),) or not np.isfinite(vector).all():
+            raise InputError(self.name, f"shape weights {vector.shape}, expected {len(self.shapes)} finite numbers")
+        local = self.local_transforms(coefficients, joint_transforms)
+        if parent_world is not None:
+            parent_world = self._checked(np.asarray(parent_world, dtype=np.float64), (4, 4), "parent matrix")
+        return self.skin(self.morph(vector), self.skinning_matrices(local, parent_world))
+
+    def local_transforms(
+        self, coefficients: FloatArray | None = None, joint_transforms: FloatArray | None = None
+    ) -> FloatArray:
+        """(j, 4, 4) local joint transforms: rest, or what coefficients or transforms say."""
+        if coefficients is not None and joint_transforms is not None:
+            raise InputError(self.name, "bone coefficients and joint transforms, expected only one of them")
+        if joint_transforms is not None:
+            return self._checked(joint_transforms, (len(self.joints), 4, 4), "joint transforms")
+        if coefficients is not None:
+            values = self._checked(coefficients, (len(self.joints), 9), "bone coefficients")
+            return np.asarray(self.rest @ coefficient_matrices(values))
+        return self.rest
+
+    def split(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Per-mesh views of concatenated points (n, ...)."""
+        bounds = self.mesh_offsets
+        return {name: points[bounds[i] : bounds[i + 1]] for i, name in enumerate(self.mesh_names)}
+
+    def _checked(self, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
+        array = np.asarray(values, dtype=np.float64)
+        if array.shape != shape:
+            raise InputError(self.name, f"{what} of shape {array.shape}, expected {shape}")
+        if not np.isfinite(array).all():
+            raise InputError(self.name, f"{what} hold NaN or infinity, expected finite numbers")
+        return array
+
+
+def _some(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:6]) + (f", ... ({len(names)} in all)" if len(names) > 6 else "") if names else "none"
