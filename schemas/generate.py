@@ -1,0 +1,52 @@
+"""Makes generatedSchema.usda and plugInfo.json from schema.usda: `python schemas/generate.py [--check]`.
+
+With --check nothing is written: the exit code says whether the committed files are up to date.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+FOLDER = Path(__file__).parent / "facepipe_schemas"
+FILES = ("generatedSchema.usda", "plugInfo.json")
+
+
+def generate(out: Path) -> None:
+    """Run usdGenSchema on schema.usda and write both files into `out`."""
+    command = [sys.executable, "-m", "pxr.Usd.usdGenSchema", str(FOLDER / "schema.usda"), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{FOLDER / 'schema.usda'}: usdGenSchema failed: {done.stderr.strip() or done.stdout.strip()}")
+    plug_info = out / "plugInfo.json"
+    plug_info.write_text(json.dumps(_codeless(plug_info.read_text()), indent=4, sort_keys=True) + "\n")
+
+
+def _codeless(text: str) -> dict[str, object]:
+    """The plugin description without the build system's placeholders: a resource plugin in its own folder."""
+    info: dict[str, object] = json.loads(re.sub(r"^#.*$", "", text, flags=re.MULTILINE))
+    for plugin in info["Plugins"]:  # type: ignore[attr-defined]
+        plugin.update(Type="resource", Root=".", LibraryPath="", ResourcePath=".")
+    return info
+
+
+def main() -> int:
+    """Write the files, or compare them."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        generate(out)
+        if "--check" in sys.argv[1:]:
+            stale = [name for name in FILES if (out / name).read_text() != (FOLDER / name).read_text()]
+            print(f"out of date: {', '.join(stale)}" if stale else "schemas are up to date")
+            return bool(stale)
+        for name in FILES:
+            (FOLDER / name).write_text((out / name).read_text())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
