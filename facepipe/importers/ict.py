@@ -1,0 +1,181 @@
+"""ICT-FaceKit (USC ICT, MIT license): a real head with 53 expressions and 100 identity modes.
+
+``points = neutral + sum_i w_i identity_i``, with w in standard deviations. The model states no unit; its numbers are
+close to centimetres, and are taken as such. The eyeLook shapes of the model move lids and occlusion, not the eyeballs.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.importers import ict_topology as topology
+from facepipe.importers.ict_model import IctModel, read_model
+from facepipe.importers.ict_regions import head_regions, whole_region
+from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, face_corners, material_faces, sparse_shape
+from facepipe.importers.wavefront import read_text
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Mesh
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to read an ICT-FaceKit model."""
+
+    identity: Path | None = field(
+        default=None,
+        metadata={
+            "help": 'JSON file of identity weights: {"identity003": 1.2, ...} or a list of up to 100 numbers',
+            "unit": "standard deviations",
+        },
+    )
+    identity_seed: int | None = field(
+        default=None,
+        metadata={"help": "draw all 100 identity weights from N(0, 1) with this seed", "range": (0, 2**63 - 1)},
+    )
+    arkit_names: bool = field(
+        default=True,
+        metadata={
+            "help": "sides in shape names as ARKit writes them: eyeBlink_L becomes eyeBlinkLeft. browInnerUp and "
+            "cheekPuff, one shape each in ARKit, stay split in Left and Right"
+        },
+    )
+    extras: bool = field(
+        default=False, metadata={"help": "also read the shapes beyond the 53: PupilDilate and cheekRaiser, by side"}
+    )
+    threshold: float = field(
+        default=2e-4,
+        metadata={
+            "help": "point offsets up to this length are dropped from shapes: six-digit OBJ files hold coordinates "
+            "over 10 to 1e-4, so that rounding alone gives offsets up to 1.7e-4",
+            "range": (0.0, 1.0),
+            "unit": "cm",
+        },
+    )
+
+
+def read(source: Path, options: Options) -> Imported:
+    """Read a FaceXModel folder, an ICT-FaceKit checkout or the packed .npz.
+
+    :raises InputError: a file, array or option that can't be used
+    :raises TopologyError: not the ICT-FaceKit topology
+    """
+    check_ranges(options)
+    weights = identity_weights(options)
+    model = read_model(source, weights, topology.EXPRESSIONS + (topology.EXTRAS if options.extras else ()))
+    materials, warnings = _materials(model)
+    sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
+    parts = FaceParts(
+        meters_per_unit=0.01,
+        up_axis="Y",
+        meshes=_meshes(source, model, options),
+        materials=materials,
+        attribution=topology.ATTRIBUTION,
+        recipe=import_recipe("ict", sources, options),
+    )
+    return Imported(parts=parts, warnings=model.warnings + warnings)
+
+
+def identity_weights(options: Options) -> dict[str, float]:
+    """Mode name -> weight in standard deviations, zeros left out.
+
+    :raises InputError: both a file and a seed, or a file that can't be used
+    """
+    if options.identity is not None and options.identity_seed is not None:
+        raise InputError("option identity_seed", "given together with identity, expected one of them")
+    if options.identity is not None:
+        weights = _weights_of_file(options.identity)
+    elif options.identity_seed is not None:
+        draws = np.random.Generator(np.random.PCG64(options.identity_seed)).standard_normal(topology.IDENTITY_MODES)
+        weights = {_mode(i): float(draw) for i, draw in enumerate(draws)}
+    else:
+        weights = {}
+    return {name: weight for name, weight in weights.items() if weight != 0}
+
+
+def shape_name(name: str, arkit_names: bool) -> str:
+    """The face's name of a model's shape: with `arkit_names` a side suffix ``_L`` / ``_R`` is written Left / Right."""
+    if arkit_names and name.endswith(("_L", "_R")):
+        return name[:-2] + ("Left" if name.endswith("_L") else "Right")
+    return name
+
+
+def _mode(number: int) -> str:
+    return f"identity{number:03d}"
+
+
+def _weights_of_file(path: Path) -> dict[str, float]:
+    try:
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"is not JSON ({error})") from error
+    if isinstance(content, list):
+        content = {_mode(i): value for i, value in enumerate(content)}
+    if not isinstance(content, Mapping):
+        raise InputError(path, "expected a JSON object or list of identity weights")
+    known = {_mode(i) for i in range(topology.IDENTITY_MODES)}
+    for name, value in content.items():
+        if name not in known:
+            raise InputError(f"{path} -> {name[:40]}", f"unknown mode, expected {_mode(0)}..{max(known)}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{path} -> {name}", f"weight is {str(value)[:40]}, expected a finite number")
+    return {name: float(value) for name, value in content.items()}
+
+
+def _materials(model: IctModel) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    unknown = [name for name in model.materials if name not in topology.MATERIALS]
+    used = tuple(material for name, material in topology.MATERIALS.items() if name in model.materials)
+    return used, ((f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ())
+
+
+def _meshes(source: Path, model: IctModel, options: Options) -> tuple[Mesh, ...]:
+    names = dict.fromkeys(part.mesh for part in topology.PARTS)
+    return tuple(_mesh(source, name, model, options) for name in names)
+
+
+def _mesh(source: Path, name: str, model: IctModel, options: Options) -> Mesh:
+    pieces = [part for part in topology.PARTS if part.mesh == name]
+    first, last = pieces[0].points[0], pieces[-1].points[1]
+    faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
+    corners = face_corners(model.face_vertex_counts, faces)
+    indices = model.face_vertex_indices[corners] - first
+    if indices.size and (indices.min() < 0 or indices.max() >= last - first):
+        raise TopologyError(f"{source} -> {name}", "its faces use points of other parts, expected a loose mesh")
+    head = name == "Head"
+    counts = model.face_vertex_counts[faces]
+    return Mesh(
+        name=name,
+        points=(model.neutral + model.identity)[first:last],
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        uv_sets=(compact_uvs(model.uvs, model.uv_indices[corners]),) if model.uv_indices is not None else (),
+        blendshapes=_blendshapes(model, slice(first, last), options),
+        regions=head_regions(model.neutral) if head else whole_region(pieces[0].region, last - first),
+        landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
+        anchor=back_of_border(model.neutral[first:last], counts, indices) if head else None,
+        material_faces=_material_faces(model, faces),
+    )
+
+
+def _blendshapes(model: IctModel, points: slice, options: Options) -> tuple[Blendshape, ...]:
+    shapes = (
+        sparse_shape(shape_name(name, options.arkit_names), offsets[points], options.threshold)
+        for name, offsets in model.shapes.items()
+    )
+    return tuple(shape for shape in shapes if shape is not None)
+
+
+def _material_faces(model: IctModel, faces: IntArray) -> tuple[MaterialFaces, ...]:
+    names = list(topology.MATERIALS)
+    number = np.array([names.index(name) if name in names else -1 for name in model.materials] + [-1])
+    return material_faces(names, number[model.face_material[faces]])

@@ -1,0 +1,59 @@
+"""Pieces of one large polygon mesh as meshes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.polygons import edges
+from facepipe.parts import Blendshape, MaterialFaces, UvSet
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def face_corners(face_vertex_counts: IntArray, faces: IntArray) -> IntArray:
+    """Corner numbers of `faces`, face after face."""
+    counts = np.asarray(face_vertex_counts, dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    picked = counts[faces]
+    within = np.arange(int(picked.sum())) - np.repeat(np.cumsum(picked) - picked, picked)
+    return np.asarray(np.repeat(starts[faces], picked) + within)
+
+
+def compact_uvs(values: FloatArray, indices: IntArray) -> UvSet:
+    """A face-varying UV set that holds only the values in use, in their order."""
+    used, compact = np.unique(indices, return_inverse=True)
+    return UvSet(values=np.asarray(values)[used], indices=compact.reshape(-1).astype(np.int32))
+
+
+def sparse_shape(name: str, offsets: FloatArray, threshold: float) -> Blendshape | None:
+    """The points that `offsets` (n, 3) move further than `threshold`; None where it moves none."""
+    moved = np.flatnonzero(np.linalg.norm(offsets, axis=1) > threshold)
+    if len(moved) == 0:
+        return None
+    return Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=np.asarray(offsets)[moved])
+
+
+def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:
+    """Faces by material; `face_material` (f,) indexes `names`, -1 for faces without."""
+    used = np.unique(face_material[face_material >= 0])
+    return tuple(
+        MaterialFaces(material=names[number], faces=np.flatnonzero(face_material == number).astype(np.int32))
+        for number in used
+    )
+
+
+def back_of_border(points: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> int | None:
+    """The point at the back of the open border, nearest to the middle in x; None for a closed mesh.
+
+    The face looks along +Z. On a head this is the nape end of the neck border: the anchor.
+    """
+    pairs, faces = edges(face_vertex_counts, face_vertex_indices)
+    border = np.unique(pairs[faces == 1])
+    if len(border) == 0:
+        return None
+    behind = border[points[border, 2] <= np.median(points[border, 2])]
+    return int(behind[np.argmin(np.abs(points[behind, 0]))])

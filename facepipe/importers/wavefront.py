@@ -1,0 +1,237 @@
+"""Wavefront OBJ geometry as arrays, with quads and the order of points as in the file.
+
+trimesh reads OBJ too, but triangulates, reorders and merges points, which breaks the correspondence between the
+files of a shape set. Numeric lines are converted in bulk; a line at fault is looked for only when that fails.
+Curves, points, lines and normals are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+MAX_BYTES = 1 << 30
+
+_CORNERS = {  # how corners are written -> (pattern, numbers a corner)
+    "point": (re.compile(r"(?:-?[0-9]+ )+"), 1),
+    "point/uv": (re.compile(r"(?:-?[0-9]+/-?[0-9]+/? )+"), 2),
+    "point/uv/normal": (re.compile(r"(?:-?[0-9]+/-?[0-9]+/-?[0-9]+ )+"), 3),
+    "point//normal": (re.compile(r"(?:-?[0-9]+//-?[0-9]+ )+"), 2),
+}
+_CORNER = re.compile(r"(-?[0-9]{1,18})(?:/(-?[0-9]{1,18})?(?:/(?:-?[0-9]{1,18})?)?)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obj:
+    """One OBJ file. Faces are n-gons; indices are 0-based."""
+
+    points: FloatArray  # (n, 3) float64
+    face_vertex_counts: IntArray  # (f,) int32
+    face_vertex_indices: IntArray  # (corners,) int32
+    uvs: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))  # (u, 2) float64
+    uv_indices: IntArray | None = None  # (corners,) int32; None where a corner of the file has none
+    colors: FloatArray | None = None  # (n, 3) the numbers after x y z, where every point has them
+    objects: tuple[str, ...] = ()  # names of `o` lines
+    face_object: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: before the first `o`
+    materials: tuple[str, ...] = ()  # names of `usemtl` lines
+    face_material: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: none
+    libraries: tuple[str, ...] = ()  # file names of `mtllib` lines
+
+
+@dataclass
+class _Lines:
+    """Line numbers (1-based) and the text after the keyword, by keyword."""
+
+    path: Path
+    numbers: dict[str, list[int]] = field(default_factory=dict)
+    texts: dict[str, list[str]] = field(default_factory=dict)
+
+    def of(self, keyword: str) -> tuple[list[int], list[str]]:
+        return self.numbers.get(keyword, []), self.texts.get(keyword, [])
+
+    def fail(self, number: int, what: str) -> NoReturn:
+        raise InputError(f"{self.path}:{number}", what)
+
+
+def read_obj(path: Path) -> Obj:
+    """Read `path`.
+
+    :raises InputError: not readable, not UTF-8 text, without points, or a line that can't be used (``file:line``)
+    """
+    lines = _split(path, read_text(path))
+    values = _numbers(lines, "v", 3)
+    if len(values) == 0:
+        raise InputError(path, "no points (v lines), expected a Wavefront OBJ")
+    counts, indices, uv_indices = _faces(lines)
+    uvs = _numbers(lines, "vt", 1)
+    indices = _resolved(lines, "v", counts, indices, len(values))
+    if uv_indices is not None:
+        uv_indices = _resolved(lines, "vt", counts, uv_indices, len(uvs))
+    objects, face_object = _groups(lines, "o")
+    materials, face_material = _groups(lines, "usemtl")
+    return Obj(
+        points=np.ascontiguousarray(values[:, :3]),
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        uvs=np.ascontiguousarray(np.pad(uvs, ((0, 0), (0, 1)))[:, :2]),
+        uv_indices=uv_indices,
+        colors=np.ascontiguousarray(values[:, -3:]) if values.shape[1] in (6, 7) else None,
+        objects=objects,
+        face_object=face_object,
+        materials=materials,
+        face_material=face_material,
+        libraries=tuple(dict.fromkeys(text.strip() for text in lines.of("mtllib")[1] if text.strip())),
+    )
+
+
+def read_text(path: Path) -> str:
+    """The UTF-8 text of `path`, line ends as ``\\n``.
+
+    :raises InputError: not readable, too large, or binary
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, f"larger than {MAX_BYTES} bytes")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    if b"\0" in data:
+        raise InputError(path, "is binary, expected text")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise InputError(f"{path}:{line}", f"byte 0x{data[error.start]:02x} is not UTF-8 text") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _split(path: Path, text: str) -> _Lines:
+    rows = text.split("\n")
+    if "\\\n" in text:
+        _join_continued(rows)
+    lines = _Lines(path)
+    for keyword in ("v", "vt", "f", "o", "usemtl", "mtllib"):
+        lines.numbers[keyword], lines.texts[keyword] = [], []
+    for number, row in enumerate(rows, 1):
+        words = row.split(None, 1)
+        if words and words[0] in lines.texts:
+            lines.numbers[words[0]].append(number)
+            lines.texts[words[0]].append(words[1].partition("#")[0] if len(words) > 1 else "")
+    return lines
+
+
+def _join_continued(rows: list[str]) -> None:
+    """Move continued lines up to where they start, leaving blank ones, so that line numbers stay true."""
+    start = -1
+    for i, row in enumerate(rows):
+        if start >= 0:
+            rows[start] += " " + row.removesuffix("\\")
+            rows[i] = ""
+        elif row.endswith("\\"):
+            start, rows[i] = i, row.removesuffix("\\")
+        if not row.endswith("\\"):
+            start = -1
+
+
+def _numbers(lines: _Lines, keyword: str, at_least: int) -> FloatArray:
+    """(lines, columns) float64 of `keyword`; columns that not every line has are cut off."""
+    numbers, texts = lines.of(keyword)
+    words = [text.split() for text in texts]
+    widths = list(map(len, words))
+    columns = min(widths, default=at_least)
+    if columns < at_least:
+        at = next(i for i, width in enumerate(widths) if width < at_least)
+        lines.fail(numbers[at], f"{widths[at]} numbers after {keyword}, expected {at_least} or more")
+    if max(widths, default=0) != columns:
+        words = [row[:columns] for row in words]
+    try:
+        values = np.array(list(map(float, chain.from_iterable(words))), dtype=np.float64).reshape(-1, columns)
+    except ValueError:
+        _find_bad_number(lines, numbers, words)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        lines.fail(numbers[int(np.argmin(finite))], "NaN or infinity, expected finite numbers")
+    return values
+
+
+def _find_bad_number(lines: _Lines, numbers: Sequence[int], words: Sequence[Sequence[str]]) -> NoReturn:
+    for number, row in zip(numbers, words, strict=True):
+        for word in row:
+            try:
+                float(word)
+            except ValueError:
+                lines.fail(number, f"{word[:40]!r}, expected a number")
+    raise AssertionError("no line is at fault")
+
+
+def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
+    """Corner counts, point numbers and UV numbers as written (1-based or negative)."""
+    numbers, texts = lines.of("f")
+    words = [text.split() for text in texts]
+    counts = np.array(list(map(len, words)), dtype=np.int32)
+    if len(counts) and counts.min() < 3:
+        at = int(np.argmin(counts))
+        lines.fail(numbers[at], f"{counts[at]} corners, expected 3 or more")
+    joined = " ".join(chain.from_iterable(words)) + " "
+    for style, (pattern, width) in _CORNERS.items():
+        if pattern.fullmatch(joined):
+            try:
+                flat = np.array(list(map(int, joined.replace("/", " ").split())), dtype=np.int64).reshape(-1, width)
+            except (OverflowError, ValueError):
+                break
+            return counts, flat[:, 0], flat[:, 1] if "/uv" in style else None
+    return counts, *_mixed_corners(lines, numbers, words)
+
+
+def _mixed_corners(
+    lines: _Lines, numbers: Sequence[int], words: Sequence[Sequence[str]]
+) -> tuple[IntArray, IntArray | None]:
+    points: list[int] = []
+    uvs: list[int] = []
+    for number, row in zip(numbers, words, strict=True):
+        for word in row:
+            match = _CORNER.fullmatch(word)
+            if not match:
+                lines.fail(number, f"corner {word[:40]!r}, expected point, point/uv or point/uv/normal")
+            points.append(int(match[1]))
+            if match[2]:
+                uvs.append(int(match[2]))
+    complete = len(uvs) == len(points) and bool(uvs)
+    return np.array(points, dtype=np.int64), np.array(uvs, dtype=np.int64) if complete else None
+
+
+def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, available: int) -> IntArray:
+    """0-based int32 indices; negative ones count back from the last `keyword` line before the face."""
+    face_lines = np.array(lines.of("f")[0], dtype=np.int64)
+    result = indices - 1
+    if len(indices) and indices.min() < 0:
+        before = np.searchsorted(np.array(lines.of(keyword)[0], dtype=np.int64), face_lines)
+        result = np.where(indices < 0, np.repeat(before, counts) + indices, result)
+    bad = (result < 0) | (result >= available) | (indices == 0)
+    if bad.any():
+        at = int(np.argmax(bad))
+        face = int(np.searchsorted(np.cumsum(counts), at, side="right"))
+        lines.fail(int(face_lines[face]), f"{keyword} index {indices[at]}, expected 1..{available}")
+    return result.astype(np.int32)
+
+
+def _groups(lines: _Lines, keyword: str) -> tuple[tuple[str, ...], IntArray]:
+    """Distinct names in order of appearance, and the number (f,) of the one in force at each face, -1 for none."""
+    numbers, texts = lines.of(keyword)
+    stripped = [text.strip() for text in texts]
+    index: dict[str, int] = {}
+    of_line = np.array([-1, *(index.setdefault(text, len(index)) for text in stripped)], dtype=np.int32)
+    face_lines = np.array(lines.of("f")[0], dtype=np.int64)
+    return tuple(index), of_line[np.searchsorted(np.array(numbers, dtype=np.int64), face_lines)]
