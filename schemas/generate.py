@@ -24,6 +24,24 @@ def generate(out: Path) -> None:
         raise SystemExit(f"{FOLDER / 'schema.usda'}: usdGenSchema failed: {done.stderr.strip() or done.stdout.strip()}")
     plug_info = out / "plugInfo.json"
     plug_info.write_text(json.dumps(_codeless(plug_info.read_text()), indent=4, sort_keys=True) + "\n")
+    _document(out / "generatedSchema.usda")
+
+
+def _document(generated: Path) -> None:
+    """Put the full documentation back: usdGenSchema keeps only first sentences, hosts show what is in this file."""
+    from pxr import Sdf
+
+    source, target = Sdf.Layer.FindOrOpen(str(FOLDER / "schema.usda")), Sdf.Layer.FindOrOpen(str(generated))
+    for prim in target.rootPrims:
+        written = source.GetPrimAtPath(prim.path)
+        prim.documentation = written.documentation
+        prim.ClearInfo("customData")
+        for attribute in prim.properties:
+            # a multiple-apply schema's properties gain the namespace and instance name in front
+            own = [one for one in written.properties if attribute.name.split(":")[-1] == one.name.split(":")[-1]]
+            attribute.documentation = own[0].documentation
+            attribute.ClearInfo("customData")
+    target.Save()
 
 
 def _codeless(text: str) -> dict[str, object]:

@@ -1,0 +1,86 @@
+"""A face authored from its parts."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from pxr import Usd, UsdGeom, UsdSkel
+
+from facepipe import __version__, tokens
+from facepipe.errors import InputError
+from facepipe.names import identifier, unique_identifiers
+from facepipe.parts import FaceParts
+from facepipe.stage.author_materials import author_materials, write_textures
+from facepipe.stage.author_mesh import author_mesh
+from facepipe.stage.author_skeleton import (
+    author_animation,
+    author_limits,
+    author_recipe,
+    author_skeleton,
+    author_slider,
+)
+from facepipe.stage.files import check_suffix, new_stage, save_layer
+
+
+def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
+    """Author a face and save it, atomically; textures go to ``<stem>_textures/`` beside it, or into the .usdz.
+
+    :raises InputError: a suffix that is not USD, a folder that can't be written, or NaN in the parts
+    """
+    target = Path(path)
+    check_suffix(target)
+    if target.suffix.lower() != ".usdz":
+        stage = author(parts, write_textures(parts, target))  # the stage keeps its layer alive
+        save_layer(stage.GetRootLayer(), target)
+        return
+    if not target.parent.is_dir():
+        raise InputError(target, "the folder does not exist")
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".facepipe-") as folder:
+        stage = author(parts, write_textures(parts, Path(folder) / target.name))
+        save_layer(stage.GetRootLayer(), target, beside=Path(folder))
+
+
+def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stage:
+    """A stage in memory that holds the face as its default prim.
+
+    :param textures: asset path by texture name, as `write_textures` gives; names themselves where not given
+    """
+    stage = new_stage(parts.meters_per_unit, parts.up_axis)
+    root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
+    prim = root.GetPrim()
+    stage.SetDefaultPrim(prim)
+    prim.ApplyAPI(tokens.FACE_API)
+    for name, value in (
+        (tokens.ATTRIBUTION, parts.attribution),
+        (tokens.ATTACH_JOINT, parts.attach_joint),
+        (tokens.VERSION, __version__),
+    ):
+        if value:
+            prim.GetAttribute(name).Set(value)
+    _author_below(stage, root, parts, textures or {})
+    for slider in parts.sliders:
+        author_slider(prim, slider)
+    if parts.recipe:
+        author_recipe(prim, parts.recipe)
+    return stage
+
+
+def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textures: dict[str, str]) -> None:
+    path = root.GetPath()
+    skeleton = author_skeleton(stage, path.AppendChild(identifier(parts.skeleton.name)), parts.skeleton)
+    if parts.bone_limits:
+        author_limits(skeleton.GetPrim(), parts.bone_limits)
+    scope = path.AppendChild(tokens.MATERIALS_SCOPE)
+    materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
+    names = unique_identifiers(mesh.name for mesh in parts.meshes)
+    for mesh, name in zip(parts.meshes, names, strict=True):
+        author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
+    if parts.animations:
+        folder = path.AppendChild(tokens.ANIMATIONS_SCOPE)
+        UsdGeom.Scope.Define(stage, folder)
+        for animation, name in zip(
+            parts.animations, unique_identifiers(one.name for one in parts.animations), strict=True
+        ):
+            author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)

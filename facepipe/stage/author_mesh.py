@@ -1,0 +1,139 @@
+"""Meshes authored from parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import InputError
+from facepipe.names import unique_identifiers
+from facepipe.parts import Blendshape, FloatArray, Mesh, Skin
+from facepipe.stage.values import to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
+
+
+def author_mesh(
+    stage: Usd.Stage,
+    path: Sdf.Path,
+    mesh: Mesh,
+    skeleton: UsdSkel.Skeleton,
+    joints: tuple[str, ...],
+    materials: Mapping[str, UsdShade.Material],
+) -> UsdGeom.Mesh:
+    """Define one mesh with its shapes, skin, regions and subsets.
+
+    :raises InputError: NaN or infinity in points or offsets, or an unknown material
+    """
+    prim = UsdGeom.Mesh.Define(stage, path)
+    _finite(mesh.points, path, "points")
+    prim.CreatePointsAttr(to_vec3f(mesh.points))
+    prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
+    prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(prim.GetPointsAttr().Get()) or [])
+    if mesh.double_sided:
+        prim.CreateDoubleSidedAttr(True)
+    if not np.array_equal(mesh.transform, np.eye(4)):
+        prim.AddTransformOp().Set(to_matrix(mesh.transform))
+    _author_primvars(prim, mesh)
+    _author_materials(prim, mesh, materials)
+    if mesh.skin or mesh.blendshapes:
+        binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
+        binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+        if mesh.skin and joints:
+            _author_skin(binding, mesh.skin, path)
+        if mesh.blendshapes:
+            _author_blendshapes(stage, binding, mesh.blendshapes)
+    for name, subset in zip(unique_identifiers(mesh.point_subsets), mesh.point_subsets.values(), strict=True):
+        UsdGeom.Subset.CreateGeomSubset(prim, name, UsdGeom.Tokens.point, to_ints(subset), "facepipeRegion")
+    author_landmarks(prim.GetPrim(), mesh)
+    return prim
+
+
+def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
+    """Write the landmarks and the anchor of `mesh` on a Mesh prim."""
+    for scheme, landmarks in mesh.landmarks.items():
+        prim.ApplyAPI(tokens.LANDMARKS_API, scheme)
+        prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:indices").Set(to_ints(landmarks.indices))
+        if landmarks.names:
+            prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Set(list(landmarks.names))
+    if mesh.anchor is not None:
+        prim.ApplyAPI(tokens.ANCHOR_API)
+        prim.GetAttribute(tokens.ANCHOR).Set(int(mesh.anchor))
+
+
+def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
+    api = UsdGeom.PrimvarsAPI(prim)
+    if mesh.normals is not None:
+        per_point = len(mesh.normals) == len(mesh.points)
+        prim.CreateNormalsAttr(to_vec3f(mesh.normals))
+        prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex if per_point else UsdGeom.Tokens.faceVarying)
+    for uv in mesh.uv_sets:
+        kind = UsdGeom.Tokens.vertex if uv.indices is None else UsdGeom.Tokens.faceVarying
+        primvar = api.CreatePrimvar(uv.name, Sdf.ValueTypeNames.TexCoord2fArray, kind)
+        primvar.Set(to_vec2f(uv.values))
+        if uv.indices is not None:
+            primvar.SetIndices(to_ints(uv.indices))
+    if mesh.colors is not None:
+        prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
+    for name, mask in mesh.regions.items():
+        prim.GetPrim().ApplyAPI(tokens.REGION_API, name)
+        region = api.CreatePrimvar(tokens.REGION_PRIMVAR + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex)
+        region.Set(to_floats(mask))
+
+
+def _author_materials(prim: UsdGeom.Mesh, mesh: Mesh, materials: Mapping[str, UsdShade.Material]) -> None:
+    def bind(target: Usd.Prim, name: str) -> None:
+        if name not in materials:
+            raise InputError(prim.GetPath(), f"no material '{name}'")
+        UsdShade.MaterialBindingAPI.Apply(target).Bind(materials[name])
+
+    if mesh.material:
+        bind(prim.GetPrim(), mesh.material)
+    if mesh.material_faces:
+        api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
+        names = unique_identifiers(one.material for one in mesh.material_faces)
+        for name, one in zip(names, mesh.material_faces, strict=True):
+            subset = api.CreateMaterialBindSubset(f"{name}_faces", to_ints(one.faces))
+            bind(subset.GetPrim(), one.material)
+        covered = sum(len(one.faces) for one in mesh.material_faces)
+        whole = covered == len(mesh.face_vertex_counts)
+        api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
+
+
+def _author_skin(binding: UsdSkel.BindingAPI, skin: Skin, path: Sdf.Path) -> None:
+    _finite(skin.joint_weights, path, "joint weights")
+    width = skin.joint_indices.shape[1]
+    binding.CreateJointIndicesPrimvar(False, width).Set(to_ints(skin.joint_indices))
+    binding.CreateJointWeightsPrimvar(False, width).Set(to_floats(skin.joint_weights))
+    binding.CreateGeomBindTransformAttr(to_matrix(skin.geom_bind_transform))
+
+
+def _author_blendshapes(stage: Usd.Stage, binding: UsdSkel.BindingAPI, shapes: tuple[Blendshape, ...]) -> None:
+    parent = binding.GetPrim().GetPath()
+    targets = []
+    for shape, name in zip(shapes, unique_identifiers(shape.name for shape in shapes), strict=True):
+        target = UsdSkel.BlendShape.Define(stage, parent.AppendChild(name))
+        targets.append(target.GetPath())
+        _finite(shape.offsets, target.GetPath(), "offsets")
+        target.CreatePointIndicesAttr(to_ints(shape.point_indices))
+        target.CreateOffsetsAttr(to_vec3f(shape.offsets))
+        if shape.normal_offsets is not None:
+            _finite(shape.normal_offsets, target.GetPath(), "normal offsets")
+            target.CreateNormalOffsetsAttr(to_vec3f(shape.normal_offsets))
+        for inbetween in shape.inbetweens:
+            _finite(inbetween.offsets, target.GetPath(), f"offsets of {inbetween.name}")
+            one = target.CreateInbetween(Tf.MakeValidIdentifier(inbetween.name))
+            one.SetWeight(float(inbetween.weight))
+            one.SetOffsets(to_vec3f(inbetween.offsets))
+            if inbetween.normal_offsets is not None:
+                one.CreateNormalOffsetsAttr(to_vec3f(inbetween.normal_offsets))
+    binding.CreateBlendShapesAttr([shape.name for shape in shapes])
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def _finite(values: FloatArray, path: Sdf.Path, what: str) -> None:
+    if not np.isfinite(values).all():
+        raise InputError(path, f"{what} hold NaN or infinity, expected finite numbers")

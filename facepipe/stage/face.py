@@ -1,0 +1,274 @@
+"""A face: the thin, typed view of a USD stage."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import InputError, SchemaError
+from facepipe.names import identifier
+from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
+from facepipe.rig import Rig, build, slide
+from facepipe.stage.author import author
+from facepipe.stage.files import derived_stage, open_stage, save_layer
+from facepipe.stage.read_materials import read_material
+from facepipe.stage.read_mesh import Binding, read_mesh
+from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
+
+_INSTANCES = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+
+
+class Face:
+    """One face on a stage. Arrays are read once, when first asked for; the stage is the truth.
+
+    Points of all meshes stand one after another in stage order wherever a function takes or gives `points`.
+    """
+
+    def __init__(self, stage: Usd.Stage, prim: Usd.Prim | None = None) -> None:
+        """:raises SchemaError: no face on the stage, or not exactly one Skeleton below it"""
+        self.stage = stage
+        self.prim = prim or _find(stage)
+        skeletons = [one for one in self._below() if one.IsA(UsdSkel.Skeleton)]
+        if len(skeletons) != 1:
+            raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
+        self._skeleton_prim = skeletons[0]
+
+    @classmethod
+    def from_parts(cls, parts: FaceParts) -> Face:
+        """A face authored on a stage in memory."""
+        return cls(author(parts))
+
+    @property
+    def where(self) -> str:
+        """The trail to the face for messages: file and prim path."""
+        file = self.stage.GetRootLayer().realPath
+        path = f"<{self.prim.GetPath()}>"
+        return f"{Path(file).name} -> {path}" if file else path
+
+    @property
+    def name(self) -> str:
+        """Name of the face prim."""
+        return str(self.prim.GetName())
+
+    @property
+    def meters_per_unit(self) -> float:
+        """Metres in one stage unit."""
+        return float(UsdGeom.GetStageMetersPerUnit(self.stage))
+
+    @property
+    def mm_per_unit(self) -> float:
+        """Millimetres in one stage unit."""
+        return self.meters_per_unit * 1000.0
+
+    @property
+    def up_axis(self) -> str:
+        """``Y`` or ``Z``."""
+        return str(UsdGeom.GetStageUpAxis(self.stage))
+
+    @cached_property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """The meshes in stage order, names unique.
+
+        :raises SchemaError, TopologyError: a mesh that doesn't follow the stage convention
+        """
+        prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
+        names = [one.GetName() for one in prims]
+        own = [
+            name if names.count(name) == 1 else identifier(str(prim.GetPath().MakeRelativePath(self.prim.GetPath())))
+            for name, prim in zip(names, prims, strict=True)
+        ]
+        bindings = self._bindings()
+        with self._trail():
+            materials = dict(self._material_names)
+            return tuple(
+                read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
+                for prim, name in zip(prims, own, strict=True)
+            )
+
+    @cached_property
+    def skeleton(self) -> Skeleton:
+        """The skeleton; without joints for a blendshape-only face."""
+        with self._trail():
+            return read_skeleton(self._skeleton_prim)
+
+    @cached_property
+    def animations(self) -> tuple[Animation, ...]:
+        """Poses and clips below the face."""
+        with self._trail():
+            return tuple(read_animation(one) for one in self._below() if one.IsA(UsdSkel.Animation))
+
+    @cached_property
+    def sliders(self) -> tuple[Slider, ...]:
+        """The face's sliders, by name."""
+        with self._trail():
+            return read_sliders(self.prim)
+
+    @cached_property
+    def materials(self) -> tuple[Material, ...]:
+        """Its UsdPreviewSurface materials, with their textures."""
+        with self._trail():
+            read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self._material_names.items())
+            return tuple(material for material in read if material is not None)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of its blendshapes, each once, in the order the meshes bring them."""
+        return tuple(dict.fromkeys(shape.name for mesh in self.meshes for shape in mesh.blendshapes))
+
+    @property
+    def attach_joint(self) -> str | None:
+        """Joint of a body skeleton that the root joints hang under."""
+        return str(self.prim.GetAttribute(tokens.ATTACH_JOINT).Get() or "") or None
+
+    def landmarks(self, scheme: str = "multipie68") -> tuple[Mesh, Landmarks]:
+        """The mesh that has landmarks of `scheme`, and these.
+
+        :raises SchemaError: no mesh has them
+        """
+        for mesh in self.meshes:
+            if scheme in mesh.landmarks:
+                return mesh, mesh.landmarks[scheme]
+        raise SchemaError(self.where, f"no landmarks of scheme '{scheme}'")
+
+    def parts(self) -> FaceParts:
+        """Everything the face holds, as arrays."""
+        with self._trail():
+            limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
+            recipe = read_recipe(self.prim)
+        return FaceParts(
+            name=self.name,
+            meters_per_unit=self.meters_per_unit,
+            up_axis="Z" if self.up_axis == "Z" else "Y",
+            meshes=self.meshes,
+            skeleton=self.skeleton,
+            animations=self.animations,
+            sliders=self.sliders,
+            bone_limits=limits,
+            materials=self.materials,
+            attach_joint=self.attach_joint,
+            attribution=str(self.prim.GetAttribute(tokens.ATTRIBUTION).Get() or ""),
+            recipe=recipe,
+        )
+
+    def rig(self) -> Rig:
+        """The rig: what moves the points."""
+        return self._rig
+
+    @cached_property
+    def _rig(self) -> Rig:
+        with self._trail():
+            return build(FaceParts(name=self.name, meshes=self.meshes, skeleton=self.skeleton))
+
+    @cached_property
+    def head_height(self) -> float:
+        """Height of the neutral's rest bounding box over all meshes, in stage units."""
+        points = self._rig.evaluate()
+        return float(np.ptp(points[:, 2 if self.up_axis == "Z" else 1])) if len(points) else 0.0
+
+    def evaluate(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        coefficients: FloatArray | None = None,
+        joint_transforms: FloatArray | None = None,
+        parent_world: FloatArray | None = None,
+        sliders: Mapping[str, float] | None = None,
+    ) -> FloatArray:
+        """(n, 3) world points in stage units, float64.
+
+        :param weights: shape weights by name
+        :param coefficients: (j, 9) bone coefficients relative to rest: stage units, radians, factors
+        :param joint_transforms: (j, 4, 4) local joint transforms, instead of coefficients
+        :param parent_world: (4, 4) world matrix of the body joint that the face hangs under
+        :param sliders: slider values by name, instead of coefficients; their shape weights add to `weights`
+        :raises InputError: unknown names, wrong counts or non-finite values
+        """
+        if sliders is not None:
+            if coefficients is not None or joint_transforms is not None:
+                raise InputError(self.where, "sliders and joint values, expected only one of them")
+            coefficients, driven = slide(self.sliders, self.skeleton.joints, sliders)
+            weights = {
+                name: driven.get(name, 0.0) + (weights or {}).get(name, 0.0) for name in {*driven, *(weights or {})}
+            }
+        return self._rig.evaluate(
+            weights, coefficients=coefficients, joint_transforms=joint_transforms, parent_world=parent_world
+        )
+
+    def split(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Per-mesh views of (n, ...) values of all points."""
+        return self._rig.split(points)
+
+    @contextlib.contextmanager
+    def deriving(self, path: str | os.PathLike[str], *, flatten: bool = False) -> Iterator[Face]:
+        """The same face over a new override layer, saved as `path` when the block ends well."""
+        with derived_stage(self.stage, path, flatten=flatten) as stage:
+            yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Save the stage as one standalone file, atomically."""
+        save_layer(self.stage.Flatten(), path)
+
+    def mesh_prim(self, name: str) -> Usd.Prim:
+        """The prim of the mesh called `name`.
+
+        :raises InputError: no such mesh
+        """
+        prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
+        for prim, mesh in zip(prims, self.meshes, strict=True):
+            if mesh.name == name:
+                return prim
+        raise InputError(self.where, f"no mesh '{name}'")
+
+    def _below(self) -> Iterator[Usd.Prim]:
+        return iter(Usd.PrimRange(self.prim, _INSTANCES))
+
+    @cached_property
+    def _material_names(self) -> dict[str, str]:
+        prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
+        names = [one.GetName() for one in prims]
+        return {
+            str(prim.GetPath()): name if names.count(name) == 1 else identifier(str(prim.GetPath()))
+            for prim, name in zip(prims, names, strict=True)
+        }
+
+    def _bindings(self) -> dict[str, Binding]:
+        cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
+        cache.Populate(root, _INSTANCES)
+        bound = cache.ComputeSkelBindings(root, _INSTANCES)
+        return {
+            str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
+            for binding in bound
+            for query in binding.GetSkinningTargets()
+        }
+
+    @contextlib.contextmanager
+    def _trail(self) -> Iterator[None]:
+        try:
+            yield
+        except (InputError, SchemaError) as error:
+            raise type(error)(f"{self.where.partition(' -> ')[0]} -> {error.where}", error.what) from None
+
+
+def _find(stage: Usd.Stage) -> Usd.Prim:
+    prims = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
+    for prim in prims + list(stage.Traverse()):
+        if tokens.FACE_API in prim.GetAppliedSchemas():
+            return prim
+    name = Path(stage.GetRootLayer().realPath or "stage").name
+    raise SchemaError(name, "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files")
+
+
+def open_face(path: str | os.PathLike[str]) -> Face:
+    """Open the face of a USD file.
+
+    :raises InputError: no such file, or no readable USD
+    :raises SchemaError: a stage without a face
+    """
+    return Face(open_stage(path))

@@ -1,0 +1,154 @@
+"""Stages from files and to files: opened with one-line errors, saved whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+import facepipe_schemas
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
+
+from facepipe.atomic import replacing
+from facepipe.errors import ExportError, InputError
+
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+
+
+@contextlib.contextmanager
+def quiet_diagnostics() -> Iterator[UsdUtils.CoalescingDiagnosticDelegate]:
+    """USD's warnings are collected in the block instead of printed."""
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield delegate
+    finally:
+        delegate.TakeUncoalescedDiagnostics()
+        del delegate
+
+
+def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stage:
+    """The stage of a file.
+
+    :param strict: composition errors (unresolved or recursive references, missing sublayers) are errors
+    :raises InputError: no such file, no USD file, damaged, or (strict) composed with errors
+    """
+    facepipe_schemas.register()
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(file, "no such file" if not file.exists() else "is a folder, expected a USD file")
+    if file.suffix.lower() not in SUFFIXES:
+        raise InputError(file, f"suffix '{file.suffix}', expected one of {' '.join(SUFFIXES)}")
+    with quiet_diagnostics():
+        try:
+            stage = Usd.Stage.Open(str(file))
+        except (Tf.ErrorException, RuntimeError) as error:
+            raise InputError(file, f"can't be read as USD: {_reason(error)}") from None
+        problems = stage.GetCompositionErrors() if strict else []
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise InputError(file, f"composition error: {problems[0]}{more}")
+    return stage
+
+
+def _reason(error: Exception) -> str:
+    """The messages of a USD error without its C++ trail."""
+    messages = re.findall(r" : '(.*)'\s*$", str(error), flags=re.MULTILINE)
+    return messages[0] if messages else (str(error).strip() or type(error).__name__)
+
+
+def check_suffix(path: Path) -> None:
+    """:raises InputError: `path` has no USD suffix"""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(path, f"suffix '{path.suffix}', expected one of {' '.join(SUFFIXES)}")
+
+
+def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path | None = None) -> None:
+    """Write a layer to `path` atomically; its asset paths are written as they are.
+
+    :param beside: folder that relative asset paths of a .usdz start from; default the folder of `path`
+    :raises InputError: a suffix that is not USD, or a folder that can't be written
+    :raises ExportError: a .usdz of a layer that refers to other layers
+    """
+    target = Path(path)
+    check_suffix(target)
+    with replacing(target) as temporary, quiet_diagnostics():
+        if target.suffix.lower() == ".usdz":
+            _package(layer, target, temporary, beside or target.parent)
+        elif not layer.Export(str(temporary)):
+            raise ExportError(target, "USD could not write the layer")
+    _forget(target)
+
+
+def _package(layer: Sdf.Layer, target: Path, temporary: Path, folder: Path) -> None:
+    """A .usdz of the layer and of the files it names, found from `folder`."""
+    for name in layer.GetCompositionAssetDependencies():
+        raise ExportError(target, f"a .usdz package can't hold the reference @{name}@; flatten first")
+    root = folder / f".{secrets.token_hex(4)}.usdc"
+    try:
+        layer.Export(str(root))
+        made = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(root)), str(temporary), f"{target.stem}.usdc")
+    finally:
+        root.unlink(missing_ok=True)
+    if not made:
+        raise ExportError(target, "USD could not make the .usdz package")
+
+
+def _forget(path: Path) -> None:
+    """USD keeps layers by path: what is open from `path` sees the new content."""
+    layer = Sdf.Layer.Find(str(path))
+    if layer is not None:
+        with quiet_diagnostics():
+            layer.Reload(force=True)
+
+
+def new_stage(meters_per_unit: float, up_axis: str, frames_per_second: float = 24.0) -> Usd.Stage:
+    """An empty stage in memory with its units authored."""
+    facepipe_schemas.register()
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if up_axis == "Z" else UsdGeom.Tokens.y)
+    stage.SetTimeCodesPerSecond(frames_per_second)
+    return stage
+
+
+@contextlib.contextmanager
+def derived_stage(source: Usd.Stage, path: str | os.PathLike[str], *, flatten: bool = False) -> Iterator[Usd.Stage]:
+    """A stage over `source` whose opinions go to a new layer, saved as `path` when the block ends well.
+
+    The new layer sublayers the source by a relative path and holds only what changed; with `flatten` one standalone
+    file is written.
+
+    :raises InputError: `path` is the source itself or can't be written, or the source is in memory only
+    """
+    target, base = Path(path).absolute(), source.GetRootLayer()
+    check_suffix(target)
+    if base.realPath and Path(base.realPath) == target.resolve():
+        raise InputError(path, "is the input itself, expected another output file")
+    if not base.realPath and not flatten:
+        raise InputError(path, "the source was never saved, expected one with a file to refer to (or flatten)")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths.append(base.identifier)
+    stage = Usd.Stage.Open(layer)
+    for key in ("metersPerUnit", "upAxis", "timeCodesPerSecond", "defaultPrim", "startTimeCode", "endTimeCode"):
+        if base.pseudoRoot.HasInfo(key):
+            stage.SetMetadata(key, base.pseudoRoot.GetInfo(key))
+    yield stage
+    if flatten or target.suffix.lower() == ".usdz":
+        save_layer(stage.Flatten(), target)
+        return
+    written = Sdf.Layer.CreateAnonymous(".usda")
+    written.TransferContent(layer)
+    written.subLayerPaths[0] = _relative(base.realPath, target.parent)
+    save_layer(written, target)
+
+
+def _relative(path: str, folder: Path) -> str:
+    try:
+        relative = os.path.relpath(path, folder.resolve())
+    except ValueError:  # another drive on Windows
+        return path
+    text = Path(relative).as_posix()
+    return text if text.startswith(".") else f"./{text}"

@@ -1,0 +1,210 @@
+"""Meshes of a stage as parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import SchemaError, TopologyError
+from facepipe.parts import Blendshape, Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.stage.read_blendshapes import read_blendshapes
+from facepipe.stage.values import floats, ints, matrix
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+class Binding(NamedTuple):
+    """What UsdSkel says of a bound mesh: its skinning query, and the joints of its skeleton."""
+
+    query: UsdSkel.SkinningQuery
+    joints: tuple[str, ...]
+
+
+def read_mesh(prim: Usd.Prim, name: str, binding: Binding | None, material_names: Mapping[str, str]) -> Mesh:
+    """One mesh.
+
+    :param material_names: name of a material by its prim path
+    :raises SchemaError, TopologyError: attributes that don't fit the mesh
+    """
+    mesh = UsdGeom.Mesh(prim)
+    points = floats(mesh.GetPointsAttr().Get(), 3)
+    counts, indices = ints(mesh.GetFaceVertexCountsAttr().Get()), ints(mesh.GetFaceVertexIndicesAttr().Get())
+    where = str(prim.GetPath())
+    if (counts.size and (counts.min() < 0 or counts.sum() != len(indices))) or (not counts.size and indices.size):
+        raise TopologyError(where, f"face counts ask for {counts.sum()} corners, got {len(indices)}")
+    if indices.size and not (indices.min() >= 0 and indices.max() < len(points)):
+        raise TopologyError(where, f"faceVertexIndices outside 0..{len(points) - 1}")
+    if not np.isfinite(points).all():
+        raise SchemaError(where, "points hold NaN or infinity, expected finite numbers")
+    whole, by_face = _materials(prim, material_names)
+    return Mesh(
+        name=name,
+        points=points,
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        transform=matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
+        normals=_normals(mesh, len(points), len(indices)),
+        uv_sets=_uv_sets(prim, len(points), len(indices)),
+        colors=_colors(prim, len(points)),
+        skin=_skin(where, len(points), binding) if binding else None,
+        blendshapes=_blendshapes(prim, len(points), binding),
+        regions=_regions(prim, len(points)),
+        point_subsets=_point_subsets(prim, len(points)),
+        landmarks=_landmarks(prim, len(points)),
+        anchor=_anchor(prim),
+        material=whole,
+        material_faces=by_face,
+        double_sided=bool(mesh.GetDoubleSidedAttr().Get()),
+    )
+
+
+def _normals(mesh: UsdGeom.Mesh, points: int, corners: int) -> FloatArray | None:
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
+    value = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else mesh.GetNormalsAttr().Get()
+    if not value:
+        return None
+    normals = floats(value, 3)
+    return normals if len(normals) in (points, corners) and np.isfinite(normals).all() else None
+
+
+def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
+    found = []
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
+        kind = str(primvar.GetTypeName())
+        if kind not in ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]"):
+            continue
+        values = floats(primvar.Get(), 2)
+        per_point = primvar.GetInterpolation() in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+        indices = ints(primvar.GetIndices()) if primvar.IsIndexed() else None
+        expected = points if per_point else corners
+        where = f"{prim.GetPath()}.{primvar.GetAttr().GetName()}"
+        if len(values if indices is None else indices) != expected:
+            raise TopologyError(where, f"{len(values if indices is None else indices)} values, expected {expected}")
+        if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
+            raise TopologyError(where, f"indices outside 0..{len(values) - 1}")
+        if per_point:
+            found.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
+        else:
+            corner = np.arange(corners, dtype=np.int32) if indices is None else indices
+            found.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
+    return tuple(found)
+
+
+def _colors(prim: Usd.Prim, points: int) -> FloatArray | None:
+    primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
+    value = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
+    colors = floats(value, 3)
+    if len(colors) == 1:
+        return np.repeat(colors, points, axis=0)
+    return colors if len(colors) == points and points else None
+
+
+def _skin(where: str, points: int, binding: Binding) -> Skin | None:
+    query, joints = binding
+    if not query.HasJointInfluences() or not joints:
+        return None
+    width = query.GetNumInfluencesPerComponent()
+    indices, weights = (
+        ints(query.GetJointIndicesPrimvar().ComputeFlattened()),
+        floats(query.GetJointWeightsPrimvar().ComputeFlattened()),
+    )
+    if len(indices) != len(weights):
+        raise TopologyError(where, f"{len(indices)} joint indices and {len(weights)} joint weights, expected as many")
+    indices, weights = indices.reshape(-1, width), weights.reshape(-1, width)
+    if query.IsRigidlyDeformed():
+        indices, weights = np.repeat(indices[:1], points, axis=0), np.repeat(weights[:1], points, axis=0)
+    if len(indices) != points:
+        raise TopologyError(where, f"joint influences of {len(indices)} points, expected {points}")
+    indices = _in_skeleton_order(where, indices, weights, query, joints)
+    return Skin(
+        joint_indices=indices,
+        joint_weights=weights,
+        geom_bind_transform=matrix(query.GetGeomBindTransform(Usd.TimeCode.Default())),
+    )
+
+
+def _in_skeleton_order(
+    where: str, indices: IntArray, weights: FloatArray, query: UsdSkel.SkinningQuery, joints: tuple[str, ...]
+) -> npt.NDArray[np.int32]:
+    """Indices into the skeleton's joints; those without weight are 0."""
+    order = query.GetJointOrder()
+    own = tuple(str(joint) for joint in order) if order else joints
+    used = weights != 0
+    if used.any() and not (indices[used].min() >= 0 and indices[used].max() < len(own)):
+        raise TopologyError(where, f"joint indices outside 0..{len(own) - 1}")
+    place = {joint: i for i, joint in enumerate(joints)}
+    missing = [joint for joint in own if joint not in place]
+    if missing:
+        raise SchemaError(f"{where}.skel:joints", f"'{missing[0]}' is no joint of the skeleton")
+    table = np.array([place[joint] for joint in own], dtype=np.int32)
+    return np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
+
+
+def _blendshapes(prim: Usd.Prim, points: int, binding: Binding | None) -> tuple[Blendshape, ...]:
+    if binding is None or not binding.query.HasBlendShapes():
+        return ()
+    return read_blendshapes(prim, points)
+
+
+def _regions(prim: Usd.Prim, points: int) -> dict[str, FloatArray]:
+    regions = {}
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
+        name = str(primvar.GetPrimvarName())
+        if name.startswith(tokens.REGION_PRIMVAR):
+            values = floats(primvar.ComputeFlattened())
+            if len(values) != points:
+                raise TopologyError(f"{prim.GetPath()}.primvars:{name}", f"{len(values)} values, expected {points}")
+            regions[name.removeprefix(tokens.REGION_PRIMVAR)] = values
+    return regions
+
+
+def _point_subsets(prim: Usd.Prim, points: int) -> dict[str, npt.NDArray[np.int32]]:
+    subsets = {}
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+        if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.point:
+            indices = ints(subset.GetIndicesAttr().Get())
+            if indices.size and not (indices.min() >= 0 and indices.max() < points):
+                raise TopologyError(str(subset.GetPath()), f"indices outside 0..{points - 1}")
+            subsets[subset.GetPrim().GetName()] = indices
+    return subsets
+
+
+def _landmarks(prim: Usd.Prim, points: int) -> dict[str, Landmarks]:
+    schemes = {}
+    for attribute in prim.GetPropertiesInNamespace(tokens.LANDMARKS_PREFIX.rstrip(":")):
+        name = attribute.GetName()
+        if name.endswith(":indices") and attribute.HasAuthoredValue():
+            scheme = name.removeprefix(tokens.LANDMARKS_PREFIX).removesuffix(":indices")
+            indices = ints(attribute.Get())
+            if indices.size and not (indices.min() >= 0 and indices.max() < points):
+                raise TopologyError(f"{prim.GetPath()}.{name}", f"indices outside 0..{points - 1}")
+            names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Get() or ()
+            schemes[scheme] = Landmarks(indices=indices, names=tuple(str(one) for one in names))
+    return schemes
+
+
+def _anchor(prim: Usd.Prim) -> int | None:
+    value = prim.GetAttribute(tokens.ANCHOR).Get()
+    return int(value) if value is not None and value >= 0 else None
+
+
+def _materials(prim: Usd.Prim, names: Mapping[str, str]) -> tuple[str | None, tuple[MaterialFaces, ...]]:
+    whole = names.get(_bound(prim))
+    by_face = []
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+        if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face:
+            material = names.get(_bound(subset.GetPrim()))
+            if material:
+                by_face.append(MaterialFaces(material=material, faces=ints(subset.GetIndicesAttr().Get())))
+    return whole, tuple(by_face)
+
+
+def _bound(prim: Usd.Prim) -> str:
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    return str(material.GetPath()) if material else ""

@@ -1,0 +1,84 @@
+"""Between Vt arrays and numpy: the only place that knows both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Vt
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def floats(value: Any, width: int | None = None) -> npt.NDArray[np.float32]:
+    """A Vt array of floats or vectors as (n,) or (n, width) float32; None gives an empty array."""
+    array = np.array(value if value is not None else [], dtype=np.float32)
+    return array.reshape(-1, width) if width else array.reshape(-1)
+
+
+def ints(value: Any) -> npt.NDArray[np.int32]:
+    """A Vt int array as (n,) int32; None gives an empty array."""
+    return np.array(value if value is not None else [], dtype=np.int32).reshape(-1)
+
+
+def matrix(value: Gf.Matrix4d) -> FloatArray:
+    """A Gf matrix (row vectors) as a (4, 4) float64 one in column vectors."""
+    return np.array(value, dtype=np.float64).T
+
+
+def matrices(value: Any) -> FloatArray:
+    """A Vt array of Gf matrices as (n, 4, 4) float64 in column vectors."""
+    array = np.array(value if value is not None else [], dtype=np.float64).reshape(-1, 4, 4)
+    return np.ascontiguousarray(array.transpose(0, 2, 1))
+
+
+def quaternions(value: Any) -> npt.NDArray[np.float32]:
+    """A Vt array of quaternions as (n, 4) float32, x y z w (as USD stores them in memory)."""
+    return np.array(value if value is not None else [], dtype=np.float32).reshape(-1, 4)
+
+
+def to_matrix(value: FloatArray) -> Gf.Matrix4d:
+    """A (4, 4) column-vector matrix as a Gf one."""
+    return Gf.Matrix4d(np.ascontiguousarray(np.asarray(value, dtype=np.float64).T))
+
+
+def to_matrices(value: FloatArray) -> Vt.Matrix4dArray:
+    """(n, 4, 4) column-vector matrices as a Vt array."""
+    return Vt.Matrix4dArray.FromNumpy(_ready(np.asarray(value).transpose(0, 2, 1), np.float64))
+
+
+def to_vec3f(value: FloatArray) -> Vt.Vec3fArray:
+    """(n, 3) as a Vt array."""
+    return Vt.Vec3fArray.FromNumpy(_ready(value, np.float32).reshape(-1, 3))
+
+
+def to_vec3h(value: FloatArray) -> Vt.Vec3hArray:
+    """(n, 3) as a Vt array of half precision."""
+    return Vt.Vec3hArray([Gf.Vec3h(*(float(x) for x in row)) for row in np.asarray(value).reshape(-1, 3)])
+
+
+def to_vec2f(value: FloatArray) -> Vt.Vec2fArray:
+    """(n, 2) as a Vt array."""
+    return Vt.Vec2fArray.FromNumpy(_ready(value, np.float32).reshape(-1, 2))
+
+
+def to_quatf(value: FloatArray) -> Vt.QuatfArray:
+    """(n, 4) quaternions x y z w as a Vt array."""
+    rows = np.asarray(value, dtype=np.float64).reshape(-1, 4)
+    return Vt.QuatfArray([Gf.Quatf(float(w), float(x), float(y), float(z)) for x, y, z, w in rows])
+
+
+def to_floats(value: FloatArray) -> Vt.FloatArray:
+    """(n,) as a Vt array."""
+    return Vt.FloatArray.FromNumpy(_ready(value, np.float32).reshape(-1))
+
+
+def to_ints(value: IntArray) -> Vt.IntArray:
+    """(n,) as a Vt array."""
+    return Vt.IntArray.FromNumpy(_ready(value, np.int32).reshape(-1))
+
+
+def _ready(value: Any, dtype: Any) -> Any:
+    return np.ascontiguousarray(value, dtype=dtype)

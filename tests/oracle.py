@@ -1,0 +1,62 @@
+"""UsdSkel itself as the judge of deformation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+
+from facepipe.stage import Face
+from facepipe.stage.author_skeleton import decompose
+from facepipe.stage.values import floats, matrix, to_quatf, to_vec3f, to_vec3h
+
+
+def bake(face: Face, weights: Mapping[str, float], joint_transforms: np.ndarray | None = None) -> np.ndarray:
+    """(n, 3) world points that `UsdSkel.BakeSkinning` gives; transforms are local, without shear."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(face.stage.Flatten())
+    stage = Usd.Stage.Open(layer)
+    skeleton = next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton))
+    animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("OraclePose"))
+    if weights:
+        animation.CreateBlendShapesAttr(list(weights))
+        animation.CreateBlendShapeWeightsAttr([float(weight) for weight in weights.values()])
+    local = face.skeleton.rest_transforms if joint_transforms is None else joint_transforms
+    if len(local):
+        translations, rotations, scales = decompose(local)
+        animation.CreateJointsAttr(list(face.skeleton.joints))
+        animation.CreateTranslationsAttr(to_vec3f(translations))
+        animation.CreateRotationsAttr(to_quatf(rotations))
+        animation.CreateScalesAttr(to_vec3h(scales))
+    UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    root = UsdSkel.Root(stage.GetPrimAtPath(face.prim.GetPath()))
+    assert UsdSkel.BakeSkinning(root, Gf.Interval.GetFullInterval())
+    meshes = [one for one in Usd.PrimRange(root.GetPrim()) if one.IsA(UsdGeom.Mesh)]
+    return np.concatenate([_world_points(mesh) for mesh in meshes])
+
+
+def _world_points(prim: Usd.Prim) -> np.ndarray:
+    time = Usd.TimeCode.EarliestTime()
+    points = floats(UsdGeom.Mesh(prim).GetPointsAttr().Get(time), 3).astype(np.float64)
+    world = matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def random_coefficients(rng: np.random.Generator, joints: int, translation: float, rotation: float = 0.6) -> np.ndarray:
+    """(j, 9) bone coefficients; scales 0.7 to 1.4, rounded to half as SkelAnimation stores them."""
+    values = np.concatenate(
+        [
+            rng.uniform(-translation, translation, (joints, 3)),
+            rng.uniform(-rotation, rotation, (joints, 3)),
+            rng.uniform(0.7, 1.4, (joints, 3)),
+        ],
+        axis=1,
+    )
+    values[:, 6:] = values[:, 6:].astype(np.float16)
+    return values
+
+
+def difference(face: Face, one: np.ndarray, other: np.ndarray) -> float:
+    """Largest distance between points, in head heights."""
+    return float(np.linalg.norm(one - other, axis=1).max() / face.head_height)

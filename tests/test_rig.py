@@ -1,0 +1,126 @@
+"""Bone coefficients, activation curves, skinning and sliders against UsdSkel and independent formulas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from faces import replace_mesh, tiny_face
+from hypothesis import given
+from hypothesis import strategies as st
+from oracle import bake, difference, random_coefficients
+from scipy.spatial.transform import Rotation
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.parts import Slider
+from facepipe.rig import build, coefficient_matrices, matrix_coefficients, rest_coefficients, slide
+from facepipe.rig.activation import curves
+from facepipe.stage import Face
+
+
+def test_coefficients_are_translation_rotation_z_x_y_scale() -> None:
+    rng = np.random.default_rng(1)
+    values = random_coefficients(rng, 50, 2.0, 3.0)
+    rx, ry, rz = values[:, 3:6].T
+    turn = Rotation.from_rotvec(np.outer(rz, [0, 0, 1]))
+    turn = turn * Rotation.from_rotvec(np.outer(rx, [1, 0, 0])) * Rotation.from_rotvec(np.outer(ry, [0, 1, 0]))
+    expected = turn.as_matrix() @ np.stack([np.diag(scale) for scale in values[:, 6:]])
+    result = coefficient_matrices(values)
+    np.testing.assert_allclose(result[:, :3, :3], expected, atol=1e-14)
+    np.testing.assert_array_equal(result[:, :3, 3], values[:, :3])
+    np.testing.assert_array_equal(result[:, 3], np.tile([0, 0, 0, 1.0], (50, 1)))
+
+
+@given(st.lists(st.floats(-3.2, 3.2), min_size=3, max_size=3), st.lists(st.floats(0.05, 4), min_size=3, max_size=3))
+def test_coefficients_come_back_from_their_matrix(angles: list[float], scales: list[float]) -> None:
+    matrix = coefficient_matrices(np.array([0.1, -2.0, 3.0, *angles, *scales]))
+    again = coefficient_matrices(matrix_coefficients(matrix))
+    np.testing.assert_allclose(again, matrix, atol=1e-7)
+
+
+def test_gimbal_and_mirror_come_back() -> None:
+    values = np.array([[0, 0, 0, np.pi / 2, 0.4, 0.3, 1, 2, 3], [1, 2, 3, 0.1, 0.2, 0.3, -1, 1, 1.5]])
+    matrix = coefficient_matrices(values)
+    np.testing.assert_allclose(coefficient_matrices(matrix_coefficients(matrix)), matrix, atol=1e-9)
+
+
+def test_activations_are_a_partition_between_sculpts() -> None:
+    by_weight = curves((0.3, 0.6))
+    assert sorted(by_weight) == [0.3, 0.6, 1.0]
+    for own, curve in by_weight.items():
+        assert float(curve(own)) == pytest.approx(1)
+        assert all(abs(float(curve(other))) < 1e-12 for other in (0.0, *by_weight) if other != own)
+
+
+@pytest.mark.parametrize("weight", [-0.4, 0.0, 0.2, 0.5, 0.77, 1.0, 1.3])
+def test_inbetweens_as_usdskel(weight: float) -> None:
+    face = Face.from_parts(tiny_face())
+    weights = {"jawOpen": weight, "mouthSmileLeft": 0.5}
+    assert difference(face, face.evaluate(weights), bake(face, weights)) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_poses_as_usdskel(seed: int) -> None:
+    face = Face.from_parts(tiny_face(seed))
+    coefficients = random_coefficients(np.random.default_rng(seed), 3, 0.5)
+    weights = {"jawOpen": 0.4, "mouthSmileLeft": -0.3}
+    local = face.rig().local_transforms(coefficients)
+    assert difference(face, face.evaluate(weights, coefficients=coefficients), bake(face, weights, local)) < 2e-6
+
+
+def test_placed_meshes_and_skeleton_as_usdskel() -> None:
+    rng = np.random.default_rng(3)
+    placed = [coefficient_matrices(random_coefficients(rng, 1, 2.0)[0]) for _ in range(4)]
+    parts = tiny_face()
+    head, teeth = parts.meshes
+    assert head.skin is not None
+    skin = replace(head.skin, geom_bind_transform=placed[0])
+    meshes = (replace_mesh(head, transform=placed[1], skin=skin), replace_mesh(teeth, transform=placed[2]))
+    face = Face.from_parts(replace(parts, meshes=meshes, skeleton=replace(parts.skeleton, transform=placed[3])))
+    coefficients = random_coefficients(rng, 3, 0.5)
+    local = face.rig().local_transforms(coefficients)
+    weights = {"jawOpen": 0.7}
+    assert difference(face, face.evaluate(weights, coefficients=coefficients), bake(face, weights, local)) < 2e-6
+
+
+def test_a_moved_body_joint_moves_the_whole_face() -> None:
+    face = Face.from_parts(tiny_face())
+    body = coefficient_matrices(random_coefficients(np.random.default_rng(0), 1, 3.0)[0])
+    at_rest, moved = face.evaluate({"jawOpen": 1}), face.evaluate({"jawOpen": 1}, parent_world=body)
+    np.testing.assert_allclose(moved, at_rest @ body[:3, :3].T + body[:3, 3], atol=1e-6)
+
+
+def test_sliders_add_up_and_clamp() -> None:
+    sliders = (
+        Slider(name="width", channels=(("a", "sx", 0.5), ("b", "tx", 2.0)), default=0.5),
+        Slider(name="open", shapes=(("jawOpen", 2.0),), minimum=-1, value=0.25),
+    )
+    coefficients, weights = slide(sliders, ("a", "b"), {"width": 7.0})
+    expected = rest_coefficients(2)
+    expected[0, 6], expected[1, 0] = 1.25, 1.0
+    np.testing.assert_allclose(coefficients, expected)
+    assert weights == {"jawOpen": 0.5}
+    with pytest.raises(InputError, match="no slider 'wdith'"):
+        slide(sliders, ("a", "b"), {"wdith": 1.0})
+
+
+def test_bad_values_are_refused() -> None:
+    face = Face.from_parts(tiny_face())
+    for bad in ({"nope": 1.0}, {"jawOpen": float("nan")}):
+        with pytest.raises(InputError):
+            face.evaluate(bad)
+    with pytest.raises(InputError, match=r"expected \(3, 9\)"):
+        face.evaluate(coefficients=np.zeros((2, 9)))
+    with pytest.raises(InputError, match="NaN"):
+        face.evaluate(joint_transforms=np.full((3, 4, 4), np.nan))
+    with pytest.raises(InputError, match="only one"):
+        face.evaluate(coefficients=rest_coefficients(3), sliders={})
+
+
+def test_a_singular_bind_is_refused() -> None:
+    parts = tiny_face()
+    bind = parts.skeleton.bind_transforms.copy()
+    bind[1, 0] = 0
+    with pytest.raises(TopologyError, match="root/jaw: singular"):
+        build(replace(parts, skeleton=replace(parts.skeleton, bind_transforms=bind)))
