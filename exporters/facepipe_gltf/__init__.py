@@ -1,1 +1,65 @@
-"""."""
+"""glTF 2.0 writer: a face as .glb, or as .gltf with its buffer and images beside."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Protocol
+
+from facepipe.atomic import write_bytes
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts
+from facepipe.reports import ExportReport
+from facepipe_gltf.document import Document, write
+from facepipe_gltf.options import Options
+
+__all__ = ["Document", "Options", "export", "save", "write"]
+
+
+class HasParts(Protocol):
+    """What the writer needs of a face; `facepipe.stage.Face` has it."""
+
+    def parts(self) -> FaceParts:
+        """The face as arrays."""
+
+
+def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:
+    """Write a face as glTF 2.0, to .glb or .gltf by the suffix of `path`.
+
+    :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights
+    :raises InputError: another suffix, a folder that does not exist, or a shape glob that matches nothing
+    """
+    start = time.perf_counter()
+    target = _target(path)
+    document = write(face.parts(), options or Options())
+    files = save(document, target)
+    return ExportReport(
+        path=target,
+        files=tuple(files),
+        counts=document.counts,
+        bytes=sum(file.stat().st_size for file in files),
+        seconds=time.perf_counter() - start,
+        warnings=document.warnings,
+        dropped=document.dropped,
+        error_mm=document.error_mm,
+    )
+
+
+def save(document: Document, path: str | os.PathLike[str]) -> list[Path]:
+    """Write a document; the paths of all files, the .glb or .gltf first."""
+    from facepipe_gltf.files import glb_bytes, write_gltf
+    from facepipe_gltf.packing import embedded, separate
+
+    target = _target(path)
+    if target.suffix.lower() == ".glb":
+        write_bytes(target, glb_bytes(*embedded(document)))
+        return [target]
+    return write_gltf(target, *separate(document, target))
+
+
+def _target(path: str | os.PathLike[str]) -> Path:
+    target = Path(path)
+    if target.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(target, f"suffix '{target.suffix}', expected .glb or .gltf")
+    return target

@@ -1,0 +1,173 @@
+"""Poses and animations as glTF animations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from facepipe.parts import Animation, FloatArray, IntArray, Skeleton
+from facepipe_gltf.buffers import Buffers
+from facepipe_gltf.joints import JointNodes, has_shear
+from facepipe_gltf.placement import accumulate
+from facepipe_gltf.sculpts import Sculpt
+from facepipe_gltf.space import Space, Trs, decompose, rotation_matrices
+
+Json = dict[str, Any]
+_SAME = 1e-7  # joints nearer to rest than this (metres, quaternion and scale units) get no channel
+
+
+@dataclass(frozen=True)
+class AnimationWriter:
+    """Writes animations for the joints and morph targets that are in the file."""
+
+    skeleton: Skeleton
+    space: Space
+    joints: JointNodes | None  # None: no joints in the file
+    targets: Mapping[int, Sequence[Sculpt]]  # mesh node -> its morph targets
+    buffers: Buffers
+    warnings: list[str]
+
+    def write(self, animation: Animation) -> Json | None:
+        """The glTF animation; None where nothing of it is in the file."""
+        times = np.zeros(1) if animation.times is None else np.asarray(animation.times, dtype=np.float64)
+        if len(times) and times[0] < 0:
+            self.warnings.append(f"{animation.name}: starts at {times[0]:g} s, moved to 0 s: glTF has no negative time")
+            times = times - times[0]
+        result: Json = {"name": animation.name, "channels": [], "samplers": []}
+        if self.joints is not None and animation.joints:
+            self._joint_channels(result, animation, times, self.joints)
+        for node, sculpts in self.targets.items():
+            self._weight_channel(result, animation, times, node, sculpts)
+        return result if result["channels"] else None
+
+    def _joint_channels(self, result: Json, animation: Animation, times: FloatArray, joints: JointNodes) -> None:
+        number = {joint: i for i, joint in enumerate(self.skeleton.joints)}
+        own = [i for i, joint in enumerate(animation.joints) if joint in number]
+        if len(own) < len(animation.joints):
+            missing = next(joint for joint in animation.joints if joint not in number)
+            self.warnings.append(f"{animation.name}: joint '{missing}' is not in the skeleton")
+        if not own:
+            return
+        used = np.array([number[animation.joints[i]] for i in own])
+        local = local_matrices(animation, self.skeleton, np.array(own), used)
+        nodes = joints.offsets[used] @ self.space.local(local, self.skeleton.parents[used] < 0)
+        trs = decompose(nodes)
+        self._report_shear(animation, used, nodes, trs, joints)
+        keyed = self.buffers.add(times.astype(np.float32), bounds=True)
+        changed = _changed(trs, joints.rest, used)
+        if not changed.any():
+            changed[0, 0] = True  # a pose at rest keeps its name
+        values = (trs.translation, continuous(trs.rotation), trs.scale)
+        for i, joint in enumerate(used):
+            for path, name in enumerate(("translation", "rotation", "scale")):
+                if changed[i, path]:
+                    _channel(result, self.buffers, keyed, values[path][:, i], joints.of_joint[joint], name)
+
+    def _report_shear(
+        self, animation: Animation, used: IntArray, local: FloatArray, trs: Trs, joints: JointNodes
+    ) -> None:
+        for i in np.flatnonzero(trs.sheared.any(axis=0)):
+            self.warnings.append(
+                f"{animation.name} -> {self.skeleton.joints[used[i]]}: sheared local transform, nearest TRS kept"
+            )
+        rest = joints.offsets @ self.space.local(
+            np.asarray(self.skeleton.rest_transforms, dtype=np.float64), self.skeleton.parents < 0
+        )
+        every = np.repeat(rest[None], len(local), axis=0)
+        every[:, used] = local
+        inherited = has_shear(accumulate(np.linalg.inv(joints.offsets) @ every, self.skeleton.parents)).any(axis=0)
+        if inherited.any():
+            example = self.skeleton.joints[int(np.argmax(inherited))]
+            self.warnings.append(
+                f"{animation.name} -> {example}: shear inherited from scaled parents; not every engine keeps it"
+            )
+
+    def _weight_channel(
+        self, result: Json, animation: Animation, times: FloatArray, node: int, sculpts: Sequence[Sculpt]
+    ) -> None:
+        column = {shape: i for i, shape in enumerate(animation.shapes)}
+        if animation.shape_weights is None or not any(one.shape in column for one in sculpts):
+            return
+        weights = np.asarray(animation.shape_weights, dtype=np.float64)
+        keys = key_times(times, weights, column, sculpts)
+        values = np.zeros((len(keys), len(sculpts)))
+        for i, one in enumerate(sculpts):
+            if one.shape in column:
+                values[:, i] = activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
+        keyed = self.buffers.add(keys.astype(np.float32), bounds=True)
+        _channel(result, self.buffers, keyed, values.ravel(), node, "weights")
+
+
+def local_matrices(animation: Animation, skeleton: Skeleton, own: IntArray, used: IntArray) -> FloatArray:
+    """(T, j, 4, 4) local matrices, in stage space, of the animation's joints `own`, the skeleton's joints `used`.
+
+    What the animation does not say stays at rest.
+    """
+    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
+    if animation.coefficients is not None:
+        from facepipe.rig.bone_coefficients import coefficient_matrices
+
+        return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, own]))
+    given = (animation.translations, animation.rotations, animation.scales)
+    count = max((len(array) for array in given if array is not None), default=1)
+    matrices = np.repeat(rest[None], count, axis=0)
+    if animation.rotations is not None or animation.scales is not None:
+        at_rest = decompose(rest)
+        rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, own]
+        scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, own]
+        matrices[..., :3, :3] = rotation_matrices(rotations) * np.asarray(scales, np.float64)[..., None, :]
+    if animation.translations is not None:
+        matrices[..., :3, 3] = np.asarray(animation.translations)[:, own]
+    return matrices
+
+
+def activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
+    """Activation of a morph target at its shape's `weights`: piecewise linear, the ends extended."""
+    x, y = np.array(sculpt.knots, dtype=np.float64).T
+    piece = np.clip(np.searchsorted(x, weights, side="right") - 1, 0, len(x) - 2)
+    slope = (y[piece + 1] - y[piece]) / (x[piece + 1] - x[piece])
+    return np.asarray(y[piece] + slope * (weights - x[piece]))
+
+
+def key_times(
+    times: FloatArray, weights: FloatArray, column: Mapping[str, int], sculpts: Sequence[Sculpt]
+) -> FloatArray:
+    """`times`, and those between them where a shape passes an inbetween: activations bend there."""
+    extra = [times]
+    for one in sculpts:
+        if one.is_inbetween and one.shape in column:
+            track = weights[:, column[one.shape]]
+            before, after = track[:-1], track[1:]
+            for knot, _ in one.knots[1:-1]:
+                crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
+                part = (knot - before[crossed]) / (after[crossed] - before[crossed])
+                extra.append(times[crossed] + part * np.diff(times)[crossed])
+    keys = np.concatenate(extra)
+    return keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
+
+
+def continuous(rotations: FloatArray) -> FloatArray:
+    """(T, j, 4) quaternions, signs chosen so that neighbouring keys lie on the same side."""
+    steps = np.where(np.einsum("tjk,tjk->tj", rotations[1:], rotations[:-1]) < 0, -1.0, 1.0)
+    signs = np.cumprod(np.concatenate([np.ones((1, rotations.shape[1])), steps]), axis=0)
+    return np.asarray(rotations * signs[..., None])
+
+
+def _changed(trs: Trs, rest: Trs, used: IntArray) -> FloatArray:
+    """(j, 3) which of translation, rotation and scale leave rest at any key."""
+    flipped = np.where((trs.rotation * rest.rotation[used]).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    differences = (
+        trs.translation - rest.translation[used],
+        trs.rotation * flipped - rest.rotation[used],
+        trs.scale - rest.scale[used],
+    )
+    return np.stack([(np.abs(one) > _SAME).any(axis=(0, 2)) for one in differences], axis=1)
+
+
+def _channel(result: Json, buffers: Buffers, keyed: int, values: FloatArray, node: int, path: str) -> None:
+    output = buffers.add(np.asarray(values).astype(np.float32))
+    result["channels"].append({"sampler": len(result["samplers"]), "target": {"node": node, "path": path}})
+    result["samplers"].append({"input": keyed, "output": output, "interpolation": "LINEAR"})

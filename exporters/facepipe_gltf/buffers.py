@@ -1,0 +1,167 @@
+"""The binary side of a glTF document: accessors, buffer views and the buffer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+Json = dict[str, Any]
+Use = Literal["vertex", "index", "plain"]
+
+_COMPONENT = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "L": 5125, "f": 5126}
+_TYPE = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_TARGET = {"vertex": 34962, "index": 34963}
+_ALIGNMENT = 4
+
+
+class _Key(NamedTuple):
+    """Accessors share a buffer view when they agree on these."""
+
+    use: str
+    stride: int
+    label: str
+
+
+@dataclass
+class _View:
+    chunks: list[bytes] = field(default_factory=list)
+    size: int = 0
+
+    def append(self, data: bytes) -> int:
+        """Add `data`, aligned; its offset in the view."""
+        offset = self.size
+        padding = -len(data) % _ALIGNMENT
+        self.chunks.append(data + bytes(padding))
+        self.size += len(data) + padding
+        return offset
+
+
+class Buffers:
+    """Collects arrays into few buffer views: one per use and stride, so that the JSON stays small.
+
+    MAT4 arrays are expected in the column-vector convention and stored column-major, as glTF wants them.
+    """
+
+    def __init__(self) -> None:
+        self.accessors: list[Json] = []
+        self.sparse_count = 0
+        self._views: dict[_Key, _View] = {}
+        self._index: dict[_Key, int] = {}
+        self._zeros: dict[tuple[int, int, str], int] = {}
+
+    def add(self, array: Array, use: Use = "plain", *, normalized: bool = False, bounds: bool = False) -> int:
+        """A dense accessor over all of `array`; its index."""
+        accessor = self._accessor(array, len(array), normalized)
+        if bounds:
+            accessor |= _bounds(array, len(array))
+        stride = _padded_row(array) if use == "vertex" else 0
+        data = _rows(array, stride) if stride else _little(array).tobytes()
+        accessor["bufferView"], offset = self._append(_Key(use, stride, ""), data)
+        if offset:
+            accessor["byteOffset"] = offset
+        return self._push(accessor)
+
+    def add_morph(self, rows: Array, values: Array, count: int, *, normalized: bool, bounds: bool) -> int:
+        """An accessor of `count` elements that are zero but at ascending `rows`; sparse where that is smaller."""
+        if not len(rows):
+            return self._zero(values, count, normalized, bounds)
+        indices = rows.astype(_index_type(int(rows[-1])))
+        if indices.nbytes + values.nbytes >= count * _padded_row(values):
+            dense = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+            dense[rows] = values
+            return self.add(dense, "vertex", normalized=normalized, bounds=bounds)
+        return self._add_sparse(indices, values, count, normalized, bounds)
+
+    def finish(self) -> tuple[list[Json], bytes]:
+        """The bufferViews, and the bytes of buffer 0."""
+        views: list[Json] = []
+        chunks: list[bytes] = []
+        offset = 0
+        for key, view in self._views.items():
+            entry: Json = {"buffer": 0, "byteOffset": offset, "byteLength": view.size}
+            if key.use in _TARGET:
+                entry["target"] = _TARGET[key.use]
+            if key.stride:
+                entry["byteStride"] = key.stride
+            views.append(entry)
+            chunks += view.chunks
+            offset += view.size
+        return views, b"".join(chunks)
+
+    def _zero(self, values: Array, count: int, normalized: bool, bounds: bool) -> int:
+        """One shared accessor of zeros per vertex count; stores one zero, since not every loader takes none."""
+        key = (count, int(bounds), values.dtype.char)
+        if key not in self._zeros:
+            one = np.zeros((1, *values.shape[1:]), dtype=values.dtype)
+            self._zeros[key] = self._add_sparse(np.zeros(1, np.uint8), one, count, normalized, bounds)
+        return self._zeros[key]
+
+    def _add_sparse(self, indices: Array, values: Array, count: int, normalized: bool, bounds: bool) -> int:
+        accessor = self._accessor(values, count, normalized)
+        if bounds:
+            accessor |= _bounds(values, count)
+        where: Json = {"componentType": _COMPONENT[indices.dtype.char]}
+        where["bufferView"], where["byteOffset"] = self._append(_Key("sparse", 0, ""), indices.tobytes())
+        what: Json = {}
+        what["bufferView"], what["byteOffset"] = self._append(_Key("sparse", 0, ""), _little(values).tobytes())
+        accessor["sparse"] = {"count": len(indices), "indices": where, "values": what}
+        self.sparse_count += 1
+        return self._push(accessor)
+
+    def _accessor(self, array: Array, count: int, normalized: bool) -> Json:
+        accessor: Json = {
+            "componentType": _COMPONENT[array.dtype.char],
+            "count": count,
+            "type": _TYPE[array.shape[1:]],
+        }
+        if normalized:
+            accessor["normalized"] = True
+        return accessor
+
+    def _append(self, key: _Key, data: bytes) -> tuple[int, int]:
+        if key not in self._views:
+            self._index[key] = len(self._views)
+            self._views[key] = _View()
+        return self._index[key], self._views[key].append(data)
+
+    def _push(self, accessor: Json) -> int:
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def _bounds(array: Array, count: int) -> Json:
+    """min and max, of the untouched zeros too where `array` is sparse."""
+    low, high = array.min(axis=0), array.max(axis=0)
+    if len(array) < count:
+        low, high = np.minimum(low, 0), np.maximum(high, 0)
+    return {"min": np.atleast_1d(low).tolist(), "max": np.atleast_1d(high).tolist()}
+
+
+def _padded_row(array: Array) -> int:
+    """Bytes of one element, rounded up to the alignment that vertex attributes need."""
+    size = array.dtype.itemsize * int(np.prod(array.shape[1:], dtype=np.int64))
+    return size + -size % _ALIGNMENT
+
+
+def _rows(array: Array, stride: int) -> bytes:
+    array = _little(array)
+    size = array.dtype.itemsize * int(np.prod(array.shape[1:], dtype=np.int64))
+    if size == stride:
+        return array.tobytes()
+    padded = np.zeros((len(array), stride), dtype=np.uint8)
+    padded[:, :size] = array.reshape(len(array), -1).view(np.uint8)
+    return padded.tobytes()
+
+
+def _little(array: Array) -> Array:
+    if array.shape[1:] == (4, 4):
+        array = array.transpose(0, 2, 1)
+    return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+
+
+def _index_type(largest: int) -> type[np.unsignedinteger[Any]]:
+    return np.uint8 if largest < 1 << 8 else np.uint16 if largest < 1 << 16 else np.uint32

@@ -1,0 +1,153 @@
+"""What must hold of a face before it is exported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import ExportError
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, TextureInput
+
+
+def check(parts: FaceParts) -> None:
+    """Finite numbers, counts that fit each other, indices in range.
+
+    :raises ExportError: naming the first array that is wrong
+    """
+    _finite(f"{parts.name} -> metersPerUnit", parts.meters_per_unit)
+    if not parts.meters_per_unit > 0:
+        raise ExportError(f"{parts.name} -> metersPerUnit", f"{parts.meters_per_unit:g}, expected above 0")
+    _skeleton(f"{parts.name} -> {parts.skeleton.name}", parts.skeleton)
+    for mesh in parts.meshes:
+        _mesh(f"{parts.name} -> {mesh.name}", mesh, len(parts.skeleton.joints))
+    for animation in parts.animations:
+        _animation(f"{parts.name} -> {animation.name}", animation)
+    for material in parts.materials:
+        for name, value in _constants(material):
+            _finite(f"{parts.name} -> {material.name} -> {name}", value)
+
+
+def _skeleton(where: str, skeleton: Skeleton) -> None:
+    _finite(f"{where} -> transform", skeleton.transform)
+    _invertible(f"{where} -> transform", skeleton.transform)
+    for name in ("bind_transforms", "rest_transforms"):
+        matrices = getattr(skeleton, name)
+        _shape(f"{where} -> {name}", matrices, (len(skeleton.joints), 4, 4))
+        _finite(f"{where} -> {name}", matrices)
+    for joint, bind in zip(skeleton.joints, skeleton.bind_transforms, strict=True):
+        _invertible(f"{where} -> {joint} -> bind transform", bind)
+    if (skeleton.parents >= np.arange(len(skeleton.joints))).any():
+        raise ExportError(where, "a joint comes before its parent, expected parents first")
+
+
+def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
+    count, corners = len(mesh.points), len(mesh.face_vertex_indices)
+    _shape(f"{where} -> points", mesh.points, (count, 3))
+    for name in ("points", "transform", "normals", "colors"):
+        if getattr(mesh, name) is not None:
+            _finite(f"{where} -> {name}", getattr(mesh, name))
+    _invertible(f"{where} -> transform", mesh.transform)
+    if int(np.sum(mesh.face_vertex_counts)) != corners:
+        what = f"{corners} indices, expected {int(np.sum(mesh.face_vertex_counts))}"
+        raise ExportError(f"{where} -> faceVertexIndices", what)
+    _indices(f"{where} -> faceVertexIndices", mesh.face_vertex_indices, count)
+    if mesh.normals is not None and len(mesh.normals) not in (count, corners):
+        raise ExportError(f"{where} -> normals", f"{len(mesh.normals)} values, expected {count} or {corners}")
+    if mesh.colors is not None:
+        _shape(f"{where} -> colors", mesh.colors, (count, 3))
+    for uv_set in mesh.uv_sets:
+        _finite(f"{where} -> {uv_set.name}", uv_set.values)
+        if uv_set.indices is None:
+            _shape(f"{where} -> {uv_set.name}", uv_set.values, (count, 2))
+        else:
+            _shape(f"{where} -> {uv_set.name} -> indices", uv_set.indices, (corners,))
+            _indices(f"{where} -> {uv_set.name} -> indices", uv_set.indices, len(uv_set.values))
+    for one in mesh.material_faces:
+        _indices(f"{where} -> {one.material} -> faces", one.faces, len(mesh.face_vertex_counts))
+    if mesh.skin is not None:
+        _skin(where, mesh, joint_count)
+    for shape in mesh.blendshapes:
+        _blendshape(f"{where} -> {shape.name}", shape, count)
+
+
+def _skin(where: str, mesh: Mesh, joint_count: int) -> None:
+    skin = mesh.skin
+    if skin is None:
+        return
+    width = np.shape(skin.joint_weights)[-1]
+    _shape(f"{where} -> jointWeights", skin.joint_weights, (len(mesh.points), width))
+    _shape(f"{where} -> jointIndices", skin.joint_indices, (len(mesh.points), width))
+    _finite(f"{where} -> jointWeights", skin.joint_weights)
+    _finite(f"{where} -> geomBindTransform", skin.geom_bind_transform)
+    _invertible(f"{where} -> geomBindTransform", skin.geom_bind_transform)
+    _indices(f"{where} -> jointIndices", skin.joint_indices, joint_count)
+
+
+def _blendshape(where: str, shape: Blendshape, count: int) -> None:
+    indices = np.asarray(shape.point_indices)
+    _indices(f"{where} -> pointIndices", indices, count)
+    if (np.diff(indices) <= 0).any():
+        raise ExportError(f"{where} -> pointIndices", "not ascending, expected each point once, in order")
+    sculpts: tuple[Blendshape | Inbetween, ...] = (shape, *shape.inbetweens)
+    for one in sculpts:
+        trail = where if one is shape else f"{where} -> {one.name}"
+        _shape(f"{trail} -> offsets", one.offsets, (len(indices), 3))
+        _finite(f"{trail} -> offsets", one.offsets)
+        if one.normal_offsets is not None:
+            _shape(f"{trail} -> normalOffsets", one.normal_offsets, (len(indices), 3))
+            _finite(f"{trail} -> normalOffsets", one.normal_offsets)
+    for inbetween in shape.inbetweens:
+        _finite(f"{where} -> {inbetween.name} -> weight", inbetween.weight)
+
+
+def _animation(where: str, animation: Animation) -> None:
+    count = 1 if animation.times is None else len(animation.times)
+    joints, shapes = len(animation.joints), len(animation.shapes)
+    widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3)}
+    widths |= {"coefficients": (joints, 9)}
+    for name, width in widths.items():
+        if getattr(animation, name) is not None:
+            _shape(f"{where} -> {name}", getattr(animation, name), (count, *width))
+            _finite(f"{where} -> {name}", getattr(animation, name))
+    if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
+        raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
+    if animation.shape_weights is not None:
+        _shape(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
+        _finite(f"{where} -> shape weights", animation.shape_weights)
+    if animation.times is not None:
+        _finite(f"{where} -> times", animation.times)
+        if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
+            raise ExportError(f"{where} -> times", "not ascending in float32, expected at least one time, each later")
+
+
+def _constants(material: Material) -> Iterator[tuple[str, Any]]:
+    for name, value in vars(material).items():
+        if isinstance(value, TextureInput):
+            yield name, (*value.scale, *value.bias)
+        elif isinstance(value, float | int | tuple):
+            yield name, value
+
+
+def _finite(where: str, values: Any) -> None:
+    if not np.isfinite(np.asarray(values, dtype=np.float64)).all():
+        raise ExportError(where, "NaN or infinity, expected finite numbers")
+
+
+def _invertible(where: str, matrix: Any) -> None:
+    linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
+    size = float(np.abs(linear).max())
+    if size == 0 or abs(np.linalg.det(linear / size)) < 1e-12:
+        raise ExportError(where, "singular matrix, expected an invertible one")
+
+
+def _shape(where: str, array: Any, expected: tuple[int, ...]) -> None:
+    if np.shape(array) != expected:
+        raise ExportError(where, f"array of shape {np.shape(array)}, expected {expected}")
+
+
+def _indices(where: str, indices: Any, count: int) -> None:
+    array = np.asarray(indices)
+    if array.size and (array.min() < 0 or array.max() >= count):
+        raise ExportError(where, f"index outside 0..{count - 1}")

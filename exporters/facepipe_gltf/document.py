@@ -1,0 +1,213 @@
+"""A face as a glTF document: the table of contents of the exporter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import facepipe
+from facepipe.parts import FaceParts, Mesh
+from facepipe_gltf.animations import AnimationWriter
+from facepipe_gltf.baking import Baked, bake, grids, quantisation_error
+from facepipe_gltf.buffers import Buffers
+from facepipe_gltf.checks import check
+from facepipe_gltf.encoding import Encoding, Grid
+from facepipe_gltf.joints import JointNodes, joint_nodes
+from facepipe_gltf.losses import dropped, skin_warnings
+from facepipe_gltf.materials import MaterialWriter
+from facepipe_gltf.options import Options
+from facepipe_gltf.primitives import PrimitiveWriter, by_material
+from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
+from facepipe_gltf.space import numbers, space_of
+from facepipe_gltf.textures import Image
+
+Json = dict[str, Any]
+_COUNTED = ("vertices", "triangles", "primitives", "targets")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """A glTF document that is not yet a file: the buffer and images have no place."""
+
+    json: Json  # images without uri or bufferView, the buffer without uri
+    binary: bytes
+    images: Sequence[Image]
+    counts: dict[str, int]
+    warnings: tuple[str, ...]
+    dropped: tuple[str, ...]
+    error_mm: float | None
+
+
+def write(parts: FaceParts, options: Options) -> Document:
+    """The glTF document of a face.
+
+    :raises ExportError: NaN or infinity, counts that don't fit, or skin weights that can't be normalised
+    :raises InputError: a shape glob that matches nothing
+    """
+    check(parts)
+    return _Writer(parts, options).document()
+
+
+@dataclass
+class _Writer:
+    parts: FaceParts
+    options: Options
+    nodes: list[Json] = field(default_factory=list)
+    meshes: list[Json] = field(default_factory=list)
+    targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
+    warnings: list[str] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
+
+    def document(self) -> Document:
+        parts, options = self.parts, self.options
+        self.space = space_of(parts)
+        self.buffers = Buffers()
+        self.materials = MaterialWriter(parts.materials)
+        shapes = [] if options.mode == "skin" else chosen_shapes(parts, options.shapes)
+        meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes if _has_faces(mesh)]
+        mesh_grids: list[Grid | None] = [*grids(meshes)] if options.quantize else [None] * len(meshes)
+        for baked, grid in zip(meshes, mesh_grids, strict=True):
+            self._mesh(baked, grid)
+        scene = list(range(len(self.nodes)))
+        joints, skins = self._skin(meshes, mesh_grids)
+        if joints is not None:
+            scene += joints.roots
+        animations = self._animations(joints) if options.animations else []
+        return self._assemble(scene, skins, animations, meshes, mesh_grids, shapes)
+
+    def _mesh(self, baked: Baked, grid: Grid | None) -> None:
+        """One mesh and the node that shows it, at the scene root."""
+        mesh = baked.mesh
+        writer = PrimitiveWriter(baked, Encoding(grid), self.buffers, len(self.parts.skeleton.joints))
+        primitives = []
+        for name, triangles in by_material(baked):
+            surface = self.materials.surface(name, mesh)
+            if mesh.colors is not None and not surface.colored:
+                self.warnings.append(f"{mesh.name}: display colours left out, material {name} decides")
+            primitives.append(
+                writer.write(triangles, surface.index, tangent_uv=surface.tangent_uv, colored=surface.colored)
+            )
+        entry: Json = {"name": mesh.name, "primitives": primitives, "extras": _mesh_extras(baked)}
+        if baked.sculpts:
+            entry["weights"] = [0.0] * len(baked.sculpts)
+            self.targets[len(self.nodes)] = baked.sculpts
+        node: Json = {"name": mesh.name, "mesh": len(self.meshes)}
+        if baked.influences is not None:
+            node["skin"] = 0
+        elif grid is not None:
+            node |= {"translation": numbers(grid.center), "scale": numbers([grid.half] * 3)}
+        self.meshes.append(entry)
+        self.nodes.append(node)
+        self.counts["vertices"] += writer.vertex_count
+        self.counts["triangles"] += writer.triangle_count
+        self.counts["primitives"] += len(primitives)
+        self.counts["targets"] += len(baked.sculpts)
+
+    def _skin(self, meshes: Sequence[Baked], mesh_grids: Sequence[Grid | None]) -> tuple[JointNodes | None, list[Json]]:
+        """The one skin that all skinned meshes share, and its nodes."""
+        skinned = [i for i, one in enumerate(meshes) if one.influences is not None]
+        if not skinned:
+            return None, []
+        skeleton = self.parts.skeleton
+        joints = joint_nodes(skeleton, self.space, len(self.nodes))
+        inverse_binds = self.space.inverse_binds(np.asarray(skeleton.bind_transforms, dtype=np.float64))
+        grid = mesh_grids[skinned[0]]
+        if grid is not None:  # not in the node: a skinned mesh's node has no transform
+            inverse_binds = inverse_binds @ grid.matrix
+        if self.parts.attach_joint is not None:
+            joints.nodes[joints.roots[0] - len(self.nodes)]["extras"] = {
+                "facepipe": {"attachJoint": self.parts.attach_joint}
+            }
+        self.nodes += joints.nodes
+        self.warnings += joints.warnings
+        accessor = self.buffers.add(inverse_binds.astype(np.float32))
+        return joints, [{"name": skeleton.name, "joints": joints.of_joint, "inverseBindMatrices": accessor}]
+
+    def _animations(self, joints: JointNodes | None) -> list[Json]:
+        writer = AnimationWriter(self.parts.skeleton, self.space, joints, self.targets, self.buffers, self.warnings)
+        written = [writer.write(animation) for animation in self.parts.animations]
+        for animation, result in zip(self.parts.animations, written, strict=True):
+            if result is None:
+                self.warnings.append(f"{animation.name}: left out, nothing that it moves is in the file")
+        return [result for result in written if result is not None]
+
+    def _assemble(
+        self,
+        scene: list[int],
+        skins: list[Json],
+        animations: list[Json],
+        meshes: Sequence[Baked],
+        mesh_grids: Sequence[Grid | None],
+        shapes: Sequence[str],
+    ) -> Document:
+        textures = self.materials.textures
+        views, binary = self.buffers.finish()
+        asset = {"version": "2.0", "generator": f"facepipe {facepipe.__version__}"}
+        if self.parts.attribution:
+            asset["copyright"] = self.parts.attribution
+        required = ["KHR_mesh_quantization"] if self.options.quantize and meshes else []
+        lists = {
+            "nodes": self.nodes,
+            "meshes": self.meshes,
+            "skins": skins,
+            "animations": animations,
+            "materials": self.materials.materials,
+            "textures": textures.textures,
+            "samplers": textures.samplers,
+            "images": [{"name": image.name, "mimeType": image.mime} for image in textures.images],
+            "accessors": self.buffers.accessors,
+            "bufferViews": views,
+            "buffers": [{"byteLength": len(binary)}] if binary else [],
+            "extensionsUsed": sorted([*self.materials.extensions, *required]),
+            "extensionsRequired": required,
+        }
+        scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
+        document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
+        document |= {key: value for key, value in lists.items() if value}
+        error = max(
+            (quantisation_error(one, grid) for one, grid in zip(meshes, mesh_grids, strict=True) if grid is not None),
+            default=None,
+        )
+        return Document(
+            json=document,
+            binary=binary,
+            images=textures.images,
+            counts=self._counts(skins, animations, shapes),
+            warnings=(*self.warnings, *skin_warnings(meshes), *textures.warnings),
+            dropped=dropped(self.parts, self.options),
+            error_mm=None if error is None else error * 1000,
+        )
+
+    def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
+        return self.counts | {
+            "meshes": len(self.meshes),
+            "shapes": len(shapes),
+            "joints": len(skins[0]["joints"]) if skins else 0,
+            "animations": len(animations),
+            "materials": len(self.materials.materials),
+            "images": len(self.materials.textures.images),
+            "sparse accessors": self.buffers.sparse_count,
+        }
+
+
+def _has_faces(mesh: Mesh) -> bool:
+    return bool((np.asarray(mesh.face_vertex_counts) >= 3).any())
+
+
+def _mesh_extras(baked: Baked) -> Json:
+    mesh = baked.mesh
+    own: Json = {"pointCount": len(mesh.points)} | extras(baked.sculpts)
+    if mesh.landmarks:
+        own["landmarks"] = {
+            scheme: {"points": np.asarray(one.indices).tolist(), "names": list(one.names)}
+            for scheme, one in mesh.landmarks.items()
+        }
+    if mesh.anchor is not None:
+        own["anchor"] = int(mesh.anchor)
+    result: Json = {"facepipe": own}
+    if baked.sculpts:
+        result["targetNames"] = [one.name for one in baked.sculpts]
+    return result

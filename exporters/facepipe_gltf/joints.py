@@ -1,0 +1,115 @@
+"""The skeleton as glTF nodes and a skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from facepipe.parts import FloatArray, Skeleton
+from facepipe_gltf.placement import accumulate
+from facepipe_gltf.space import Space, Trs, decompose, numbers
+
+Json = dict[str, Any]
+
+_INHERITED_SHEAR_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class JointNodes:
+    """The nodes of a skeleton.
+
+    A joint whose rest transform is sheared gets a node above it that takes the shear's rotation and scale: `offsets`
+    takes it off that joint's local matrices, and is the identity for all others.
+    """
+
+    nodes: list[Json]
+    roots: list[int]  # node indices at the top
+    of_joint: list[int]  # node index of each joint
+    offsets: FloatArray  # (j, 4, 4) inverse of the node above each joint that is no joint
+    rest: Trs  # of the joints' own nodes
+    warnings: list[str]
+
+
+def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
+    """Nodes numbered from `first`, joints in skeleton order, each at rest."""
+    parents = skeleton.parents
+    local = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), parents < 0)
+    sheared: list[int] = np.flatnonzero(decompose(local).sheared).tolist()
+    above = np.tile(np.eye(4), (len(local), 1, 1))
+    for joint in sheared:
+        above[joint] = _shear_parent(local[joint])
+    offsets = np.linalg.inv(above)
+    rest = decompose(offsets @ local)
+    names = node_names(skeleton.joints)
+    nodes = [_node(name, rest, i) for i, name in enumerate(names)]
+    top = list(range(first, first + len(nodes)))  # node that stands for each joint among its siblings
+    for joint in sheared:
+        top[joint] = first + len(nodes)
+        helper = _node(f"{names[joint]}_shear", decompose(above[joint][None]), 0)
+        nodes.append(helper | {"children": [first + joint]})
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(top[joint])
+    roots = [top[joint] for joint in np.flatnonzero(parents < 0)]
+    if len(roots) > 1:  # joints of one skin need a common root
+        nodes.append({"name": skeleton.name, "children": roots})
+        roots = [first + len(nodes) - 1]
+    warnings = _warnings(skeleton, sheared, rest, accumulate(local, parents))
+    return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
+
+
+def node_names(joints: tuple[str, ...]) -> list[str]:
+    """The last part of each joint's path, or all of it where that is not unique."""
+    leaves = [joint.rpartition("/")[2] for joint in joints]
+    pairs = zip(leaves, joints, strict=True)
+    return [leaf if leaves.count(leaf) == 1 else joint.replace("/", "_") for leaf, joint in pairs]
+
+
+def has_shear(worlds: FloatArray) -> FloatArray:
+    """(...,) whether the axes of (..., 4, 4) matrices are not at right angles."""
+    linear = worlds[..., :3, :3]
+    length = np.linalg.norm(linear, axis=-2, keepdims=True)
+    axes = linear / np.where(length == 0, 1.0, length)
+    gram = np.abs(np.swapaxes(axes, -1, -2) @ axes) * (1 - np.eye(3))
+    return np.asarray(gram.max(axis=(-1, -2)) > _INHERITED_SHEAR_TOLERANCE)
+
+
+def _shear_parent(local: FloatArray) -> FloatArray:
+    """T U S of ``local = T U S V``: what is left of it is the rotation V, so both are TRS."""
+    U, scale, Vt = np.linalg.svd(local[:3, :3])
+    if np.linalg.det(Vt) < 0:
+        U, Vt = -U, -Vt
+    parent = np.eye(4)
+    parent[:3, :3] = U * scale
+    parent[:3, 3] = local[:3, 3]
+    return parent
+
+
+def _node(name: str, trs: Trs, i: int) -> Json:
+    node: Json = {"name": name}
+    if trs.translation[i].any():
+        node["translation"] = numbers(trs.translation[i])
+    rotation = numbers(trs.rotation[i])
+    if rotation != [0.0, 0.0, 0.0, 1.0]:
+        node["rotation"] = rotation
+    scale = numbers(trs.scale[i])
+    if scale != [1.0, 1.0, 1.0]:
+        node["scale"] = scale
+    return node
+
+
+def _warnings(skeleton: Skeleton, sheared: list[int], rest: Trs, worlds: FloatArray) -> list[str]:
+    warnings = [
+        f"{skeleton.joints[joint]}: sheared rest transform, held by an extra node above the joint" for joint in sheared
+    ]
+    mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
+    warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
+    inherited = np.flatnonzero(has_shear(worlds))
+    if len(inherited):
+        example = skeleton.joints[inherited[0]]
+        warnings.append(
+            f"{example}: shear inherited from scaled parents ({len(inherited)} joints); not every engine keeps it"
+        )
+    return warnings

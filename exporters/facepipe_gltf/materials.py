@@ -1,0 +1,247 @@
+"""UsdPreviewSurface materials as glTF metallic-roughness materials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import ExportError
+from facepipe.parts import Material, Mesh, TextureInput
+from facepipe_gltf.channels import Channel, merged
+from facepipe_gltf.textures import Textures
+
+Json = dict[str, Any]
+_CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A material in the document, and what its primitives need."""
+
+    index: int
+    tangent_uv: int | None  # the UV set of its normal map
+    colored: bool  # COLOR_0 may multiply it
+
+
+class MaterialWriter:
+    """Converts the face's materials as meshes ask for them; one glTF material per material, UV layout and sidedness."""
+
+    def __init__(self, materials: Sequence[Material]) -> None:
+        self.textures = Textures()
+        self.materials: list[Json] = []
+        self.extensions: set[str] = set()
+        self._by_name = {material.name: material for material in materials}
+        self._surfaces: dict[tuple[str | None, tuple[str, ...], bool, bool], Surface] = {}
+
+    def surface(self, name: str | None, mesh: Mesh) -> Surface:
+        """The material `name` as `mesh` needs it; None is UsdPreviewSurface's default.
+
+        :raises ExportError: there is no such material
+        """
+        if name is not None and name not in self._by_name:
+            raise ExportError(f"{mesh.name} -> material {name}", "not among the face's materials")
+        uv_names = tuple(one.name for one in mesh.uv_sets)
+        key = (name, uv_names, mesh.double_sided, name is None and mesh.colors is not None)
+        if key not in self._surfaces:
+            self._surfaces[key] = self._convert(self._source(name, mesh), uv_names, mesh.double_sided)
+        return self._surfaces[key]
+
+    def _source(self, name: str | None, mesh: Mesh) -> Material:
+        if name is not None:
+            return self._by_name[name]
+        return Material(name="default", diffuse_color=(0.18,) * 3 if mesh.colors is None else (1.0, 1.0, 1.0))
+
+    def _convert(self, material: Material, uv_names: tuple[str, ...], double_sided: bool) -> Surface:
+        source = material if uv_names else self._untextured(material)
+        result: Json = {"name": material.name, "pbrMetallicRoughness": {}}
+        self._base_color(result, source, uv_names)
+        self._metallic_roughness(result["pbrMetallicRoughness"], source, uv_names)
+        self._normal(result, source, uv_names)
+        self._occlusion(result, source, uv_names)
+        self._emissive(result, source, uv_names)
+        if double_sided:
+            result["doubleSided"] = True
+        if source.ior != 1.5:
+            self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
+        self.materials.append(result)
+        return Surface(
+            index=len(self.materials) - 1,
+            tangent_uv=result["normalTexture"].get("texCoord", 0) if "normalTexture" in result else None,
+            colored=source.diffuse_color == (1.0, 1.0, 1.0),
+        )
+
+    def _base_color(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        pbr = result["pbrMetallicRoughness"]
+        diffuse, opacity = material.diffuse_color, material.opacity
+        factor = [1.0, 1.0, 1.0, 1.0]
+        if isinstance(diffuse, TextureInput):
+            factor[:3] = self._scale(material, "diffuseColor", diffuse, range(3))
+        else:
+            factor[:3] = self._clipped(material, "diffuseColor", diffuse)
+        if isinstance(opacity, TextureInput):
+            factor[3] = self._scale(material, "opacity", opacity, [_CHANNEL.get(opacity.channels, 0)])[0]
+        else:
+            factor[3] = self._clipped(material, "opacity", [opacity])[0]
+        image, source = self._base_image(material)
+        if image is not None and source is not None:
+            pbr["baseColorTexture"] = self.textures.info(image, source, uv_names)
+        if factor != [1.0, 1.0, 1.0, 1.0]:
+            pbr["baseColorFactor"] = factor
+        if material.opacity_threshold > 0 and (isinstance(opacity, TextureInput) or opacity < 1):
+            result |= {"alphaMode": "MASK", "alphaCutoff": material.opacity_threshold}
+        elif isinstance(opacity, TextureInput) or opacity < 1:
+            result["alphaMode"] = "BLEND"
+
+    def _base_image(self, material: Material) -> tuple[int | None, TextureInput | None]:
+        """The base colour image with opacity in its alpha channel, and the input that says how it is read."""
+        diffuse, opacity = material.diffuse_color, material.opacity
+        if isinstance(diffuse, TextureInput) and diffuse.channels != "rgb":
+            channels = [Channel(diffuse, _CHANNEL[diffuse.channels])] * 3
+        elif isinstance(diffuse, TextureInput):
+            channels = [Channel(diffuse, i) for i in range(3)]
+        else:
+            channels = [Channel(None, 0)] * 3
+        if not isinstance(opacity, TextureInput):
+            if not isinstance(diffuse, TextureInput):
+                return None, None
+            if diffuse.channels == "rgb":
+                return self.textures.whole(diffuse.texture), diffuse
+            return self._merge(material, "diffuse", channels), diffuse
+        same = isinstance(diffuse, TextureInput) and diffuse.channels == "rgb" and opacity.channels == "a"
+        if same and isinstance(diffuse, TextureInput) and diffuse.texture == opacity.texture:
+            return self.textures.whole(diffuse.texture), diffuse
+        if isinstance(diffuse, TextureInput) and not _same_reading(diffuse, opacity):
+            self.textures.warn(f"{material.name}: opacity texture left out, its UVs are not those of the diffuse one")
+            return self.textures.whole(diffuse.texture), diffuse
+        channels.append(Channel(opacity, _CHANNEL.get(opacity.channels, 0)))
+        return self._merge(material, "base", channels), diffuse if isinstance(diffuse, TextureInput) else opacity
+
+    def _metallic_roughness(self, pbr: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        metallic, roughness = material.metallic, material.roughness
+        factors = []
+        for name, value in (("metallic", metallic), ("roughness", roughness)):
+            if isinstance(value, TextureInput):
+                factors += self._scale(material, name, value, [_CHANNEL.get(value.channels, 0)])
+            else:
+                factors += self._clipped(material, name, [value])
+        pbr["metallicFactor"], pbr["roughnessFactor"] = factors
+        inputs = [one for one in (metallic, roughness) if isinstance(one, TextureInput)]
+        if not inputs:
+            return
+        if len(inputs) == 2 and not _same_reading(*inputs):
+            self.textures.warn(f"{material.name}: metallic texture left out, its UVs are not those of roughness")
+            inputs, metallic, pbr["metallicFactor"] = inputs[1:], 0.0, 0.0
+        if _is_packed(metallic, "b") and _is_packed(roughness, "g") and len({one.texture for one in inputs}) == 1:
+            image = self.textures.whole(inputs[0].texture)
+        else:
+            channels = [Channel(None, 0), _channel(roughness), _channel(metallic)]
+            image = self._merge(material, "metallicRoughness", channels)
+        if image is not None:
+            pbr["metallicRoughnessTexture"] = self.textures.info(image, inputs[0], uv_names)
+            return
+        if isinstance(metallic, TextureInput):
+            pbr["metallicFactor"] = 0.0
+        if isinstance(roughness, TextureInput):
+            pbr["roughnessFactor"] = 0.5
+
+    def _normal(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        normal = material.normal
+        if normal is None:
+            return
+        x, y = (normal.scale[axis] if normal.scale[axis] else 2.0 for axis in (0, 1))
+        if abs(x) == 1.0:  # unauthored scale: the texture is read as if it were authored with 2
+            x = y = 2.0
+        if y * x < 0:  # green points down
+            flipped = [Channel(normal, 0), Channel(normal, 1, inverted=True), Channel(normal, 2)]
+            image = self._merge(material, "normal", flipped)
+        else:
+            image = self.textures.whole(normal.texture)
+        if image is None:
+            return
+        result["normalTexture"] = self.textures.info(image, normal, uv_names)
+        if abs(x) != 2.0:
+            result["normalTexture"]["scale"] = abs(x) / 2
+
+    def _occlusion(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        occlusion = material.occlusion
+        if not isinstance(occlusion, TextureInput):
+            if occlusion != 1.0:
+                self.textures.warn(f"{material.name}: constant occlusion {occlusion:g} left out")
+            return
+        if occlusion.channels in ("r", "rgb"):
+            image = self.textures.whole(occlusion.texture)
+        else:
+            image = self._merge(material, "occlusion", [_channel(occlusion)] * 3)
+        if image is None:
+            return
+        result["occlusionTexture"] = self.textures.info(image, occlusion, uv_names)
+        channel = _CHANNEL.get(occlusion.channels, 0)
+        strength = occlusion.scale[channel]
+        if not np.isclose(occlusion.bias[channel], 1 - strength) or not 0 <= strength <= 1:
+            self.textures.warn(f"{material.name}: scale and bias of the occlusion texture left out")
+        elif strength != 1.0:
+            result["occlusionTexture"]["strength"] = strength
+
+    def _emissive(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        emissive = material.emissive_color
+        if isinstance(emissive, TextureInput):
+            image = self.textures.whole(emissive.texture)
+            if image is None:
+                return
+            result["emissiveTexture"] = self.textures.info(image, emissive, uv_names)
+            factor = [max(value, 0.0) for value in emissive.scale[:3]]
+            if any(emissive.bias[:3]):
+                self.textures.warn(f"{material.name}: bias of the emissiveColor texture left out")
+        else:
+            factor = [max(value, 0.0) for value in emissive]
+        strength = max(1.0, *factor)
+        if strength > 1.0:
+            self._extend(result, "KHR_materials_emissive_strength", {"emissiveStrength": strength})
+        if any(factor):
+            result["emissiveFactor"] = [value / strength for value in factor]
+
+    def _merge(self, material: Material, role: str, channels: Sequence[Channel]) -> int | None:
+        pixels = merged(channels, self.textures)
+        return None if pixels is None else self.textures.made(f"{material.name}_{role}", pixels)
+
+    def _scale(self, material: Material, name: str, source: TextureInput, channels: Sequence[int]) -> list[float]:
+        if any(source.bias[channel] for channel in channels):
+            self.textures.warn(f"{material.name}: bias of the {name} texture left out")
+        return self._clipped(material, name, [source.scale[channel] for channel in channels])
+
+    def _clipped(self, material: Material, name: str, values: Sequence[float]) -> list[float]:
+        clipped = [float(min(max(value, 0.0), 1.0)) for value in values]
+        if clipped != [float(value) for value in values]:
+            self.textures.warn(f"{material.name}: {name} {tuple(values)} clamped to 0..1")
+        return clipped
+
+    def _untextured(self, material: Material) -> Material:
+        """The material with its constants alone, for meshes without UVs."""
+        plain = vars(Material(name=material.name))
+        textured = {key: plain[key] for key, value in vars(material).items() if isinstance(value, TextureInput)}
+        if textured:
+            self.textures.warn(f"{material.name}: textures left out on a mesh without UVs")
+        return replace(material, **textured)
+
+    def _extend(self, result: Json, extension: str, values: Json) -> None:
+        self.extensions.add(extension)
+        result.setdefault("extensions", {})[extension] = values
+
+
+def _channel(value: float | TextureInput) -> Channel:
+    """A texture's channel, or white for a constant: its value is in the factor."""
+    if isinstance(value, TextureInput):
+        return Channel(value, _CHANNEL.get(value.channels, 0))
+    return Channel(None, 0)
+
+
+def _is_packed(value: float | TextureInput, channel: str) -> bool:
+    """Whether a value can be read from `channel` of a shared texture as it is; a constant 0 wipes the channel out."""
+    return value.channels == channel if isinstance(value, TextureInput) else value == 0.0
+
+
+def _same_reading(a: TextureInput, b: TextureInput) -> bool:
+    return (a.uv_set, a.wrap_s, a.wrap_t) == (b.uv_set, b.wrap_s, b.wrap_t)

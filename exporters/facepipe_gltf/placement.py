@@ -1,0 +1,105 @@
+"""Baking: the matrices that take the points of a mesh to glTF space, and what they do to offsets and normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from facepipe.geometry.polygons import point_normals
+from facepipe.parts import FloatArray, IntArray, Mesh, Skeleton
+from facepipe_gltf.influences import merge
+from facepipe_gltf.space import Space
+
+
+@dataclass(frozen=True)
+class Placement:
+    """One matrix for all points of a mesh (1, 4, 4), or one for each (n, 4, 4)."""
+
+    matrices: FloatArray
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the matrices turn the surface inside out."""
+        return bool(np.linalg.det(self.matrices[:, :3, :3]).sum() < 0)
+
+    def points(self, points: FloatArray) -> FloatArray:
+        """(n, 3) points in glTF space."""
+        return self.offsets(points) + self.matrices[:, :3, 3]
+
+    def offsets(self, offsets: FloatArray, rows: IntArray | None = None) -> FloatArray:
+        """(k, 3) offsets of the points `rows` in glTF space."""
+        return _apply(self._of(self.matrices[:, :3, :3], rows), offsets)
+
+    def normals(self, normals: FloatArray, rows: IntArray | None = None) -> FloatArray:
+        """(k, 3) unit normals at the points `rows` in glTF space; zero where they have no length."""
+        turned = _apply(self._of(self._cofactors, rows), normals)
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        return np.asarray(turned / np.where(length == 0, 1.0, length))
+
+    def normal_offsets(self, offsets: FloatArray, normals: FloatArray, rows: IntArray) -> FloatArray:
+        """(k, 3) offsets of unit normals; `normals` (k, 3) are those of the points `rows` in glTF space.
+
+        They follow the normals, and shrink as much as normalising shrinks those.
+        """
+        matrices = self._of(self._cofactors, rows)
+        source = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals)
+        source_length = np.linalg.norm(source, axis=1, keepdims=True)
+        return np.asarray(_apply(matrices, offsets) * source_length)
+
+    @cached_property
+    def _cofactors(self) -> FloatArray:
+        return np.asarray(np.swapaxes(np.linalg.inv(self.matrices[:, :3, :3]), -1, -2))
+
+    def _of(self, matrices: FloatArray, rows: IntArray | None) -> FloatArray:
+        return matrices if rows is None or len(matrices) == 1 else matrices[rows]
+
+
+def place(mesh: Mesh, skeleton: Skeleton, space: Space, skinned: bool) -> Placement:
+    """Where the vertices of a mesh go.
+
+    With a skin in the file they stay in bind pose; without one they are posed at rest. A mesh that has no skin goes
+    where its transform says.
+    """
+    if mesh.skin is None:
+        return Placement((space.world @ mesh.transform)[None])
+    bind = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
+    if skinned:
+        return Placement((space.skeleton @ bind)[None])
+    to_rest = rest_worlds(skeleton) @ np.linalg.inv(skeleton.bind_transforms)
+    if np.allclose(to_rest, np.eye(4), rtol=0, atol=1e-12):
+        return Placement((space.skeleton @ bind)[None])
+    joints, weights = merge(mesh.skin)
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    blended = np.zeros((len(joints), 4, 4))
+    for column in range(joints.shape[1]):
+        blended += to_rest[joints[:, column]] * weights[:, column, None, None]
+    return Placement(space.skeleton @ blended @ bind)
+
+
+def rest_worlds(skeleton: Skeleton) -> FloatArray:
+    """(j, 4, 4) joints at rest in skeleton space."""
+    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
+    return accumulate(rest, skeleton.parents)
+
+
+def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
+    """Local matrices (..., j, 4, 4) times those of all their parents; parents come first."""
+    worlds = np.array(local)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            worlds[..., joint, :, :] = worlds[..., parent, :, :] @ local[..., joint, :, :]
+    return worlds
+
+
+def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(n, 3) area-weighted unit normals of (n, 3) points in glTF space."""
+    return point_normals(points, triangles) if len(triangles) else np.tile([0.0, 1.0, 0.0], (len(points), 1))
+
+
+def _apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    vectors = np.asarray(vectors, dtype=np.float64)
+    if len(matrices) == 1:
+        return np.asarray(vectors @ matrices[0].T)
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

@@ -1,0 +1,93 @@
+"""Blendshapes and their inbetweens as morph targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+from facepipe.errors import ExportError, InputError
+from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh
+
+Json = dict[str, Any]
+Knots = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Sculpt:
+    """One morph target of a mesh: a shape, or one of its inbetweens."""
+
+    name: str
+    shape: str
+    weight: float  # shape weight at which it is fully active
+    knots: Knots  # activation over the shape's weight, piecewise linear, its ends extended
+    is_inbetween: bool
+    point_indices: IntArray
+    offsets: FloatArray
+    normal_offsets: FloatArray | None
+
+
+def chosen_shapes(parts: FaceParts, globs: str) -> list[str]:
+    """Names of the face's shapes that match one of the comma-separated globs, in stage order.
+
+    :raises InputError: a glob that matches none
+    """
+    names = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
+    patterns = [glob.strip() for glob in globs.split(",") if glob.strip()]
+    for pattern in patterns:
+        if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
+            some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none"
+            raise InputError(f"{parts.name} -> shapes", f"no shape matches '{pattern}', expected one of: {some}")
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+def sculpts_of(mesh: Mesh, shapes: Sequence[str]) -> list[Sculpt]:
+    """The morph targets of a mesh: its shapes in stage order, each followed by its inbetweens."""
+    sculpts = [sculpt for shape in mesh.blendshapes if shape.name in shapes for sculpt in _expand(mesh, shape)]
+    taken: set[str] = set()
+    for sculpt in sculpts:
+        if sculpt.name in taken:
+            raise ExportError(f"{mesh.name} -> {sculpt.name}", "two morph targets of this name, expected one")
+        taken.add(sculpt.name)
+    return sculpts
+
+
+def extras(sculpts: Sequence[Sculpt]) -> Json:
+    """What an engine needs to drive inbetweens: which shape and weight each stands for, and activation curves."""
+    inbetweens = {one.name: {"shape": one.shape, "weight": one.weight} for one in sculpts if one.is_inbetween}
+    curves = {one.name: [list(knot) for knot in one.knots] for one in sculpts if len(one.knots) > 2}
+    return {"inbetweens": inbetweens, "curves": curves} if inbetweens else {}
+
+
+def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
+    weights = [one.weight for one in shape.inbetweens]
+    if len({0.0, 1.0, *weights}) != len(weights) + 2:
+        raise ExportError(
+            f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
+        )
+    knots = _knots(weights)
+    main = Sculpt(
+        shape.name, shape.name, 1.0, knots[1.0], False, shape.point_indices, shape.offsets, shape.normal_offsets
+    )
+    return [main] + [
+        Sculpt(
+            name=f"{shape.name}_{one.name}",
+            shape=shape.name,
+            weight=one.weight,
+            knots=knots[one.weight],
+            is_inbetween=True,
+            point_indices=shape.point_indices,
+            offsets=one.offsets,
+            normal_offsets=one.normal_offsets,
+        )
+        for one in shape.inbetweens
+    ]
+
+
+def _knots(weights: Sequence[float]) -> dict[float, Knots]:
+    if not weights:
+        return {1.0: ((0.0, 0.0), (1.0, 1.0))}
+    from facepipe.rig.activation import curves
+
+    return {weight: curve.knots for weight, curve in curves(tuple(weights)).items()}
