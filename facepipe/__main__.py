@@ -1,0 +1,7 @@
+"""`python -m facepipe`."""
+
+import sys
+
+from facepipe.cli import main
+
+sys.exit(main())

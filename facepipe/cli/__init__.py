@@ -1,0 +1,73 @@
+"""The command line: one file a command, the only printing and exit codes.
+
+Exit 0: done. 1: done, but a check or threshold was missed. 2: bad input or usage, one line on stderr.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from facepipe import __version__
+from facepipe.cli.parser import Parser
+from facepipe.errors import FacepipeError
+
+# command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
+COMMANDS = {
+    "demo": "a sample face from USD to validated GLB, ONNX and pictures",
+    "sample": "make the built-in sample head",
+    "import": "make a face stage of a real face",
+    "inspect": "show what a face holds",
+    "validate": "check a face, GLB or ONNX file",
+    "export": "write a GLB, glTF or ONNX file for the engine",
+    "eval": "run an exported ONNX file",
+    "render": "draw a face",
+    "landmarks": "author named landmarks",
+    "schema-path": "print the folder of the USD schemas",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _run(words)
+    except FacepipeError as error:
+        print(f"facepipe: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("facepipe: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(words: list[str]) -> int:
+    command = next((word for word in words if not word.startswith("-")), None)
+    if command not in COMMANDS:
+        return _help(words, command)
+    module = importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
+    rest = words[words.index(command) + 1 :]
+    parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
+    module.configure(parser, rest)
+    return int(module.run(parser.parse_args(rest)))
+
+
+def _help(words: list[str], command: str | None) -> int:
+    width = max(map(len, COMMANDS))
+    listing = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
+    parser = Parser(
+        prog="facepipe",
+        usage="facepipe COMMAND ...",
+        description="Face assets from a DCC to a game engine.",
+        epilog=f"commands:\n{listing}\n\n`facepipe COMMAND --help` shows options and an example.",
+    )
+    parser.add_argument("--version", action="version", version=f"facepipe {__version__}")
+    if command is not None:
+        parser.error(f"'{command}' is no command, expected one of {', '.join(COMMANDS)}")
+    parser.parse_args(words)
+    parser.print_help()
+    return 0

@@ -1,0 +1,55 @@
+"""Write a face for the engine; the suffix of OUT says the format: .glb .gltf .onnx.
+
+examples:
+  facepipe export head.usda -o head.glb
+  facepipe export head.usda -o head.onnx
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from facepipe import registry
+from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
+from facepipe.cli.show import emit, progress, warn
+from facepipe.reports import ExportReport
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments, and the options of the format in `words`; of all formats for --help."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    add_output(parser, "file to write: .glb .gltf .onnx")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    finder = Parser(add_help=False)
+    finder.add_argument("-o", "--output")
+    suffix = "" if {"-h", "--help"} & set(words) else Path(finder.parse_known_args(words)[0].output or "").suffix
+    known = suffix.lower().removeprefix(".") in registry.suffixes()
+    for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
+        add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Open, export, report."""
+    import facepipe
+
+    out = output_of(arguments, [arguments.face])
+    exporter = registry.exporter(out)
+    with progress("export", 2) as bar:
+        face = facepipe.open(arguments.face)
+        bar.update()
+        report: ExportReport = exporter.export(face, out, options_from(arguments, exporter.Options))
+        bar.update()
+    warn(report.warnings)
+    emit(report, as_text(report), as_json=arguments.json)
+    return 0
+
+
+def as_text(report: ExportReport) -> str:
+    """The report for people."""
+    counts = ", ".join(f"{count:,} {name}" for name, count in report.counts.items())
+    lines = [f"{report.path}: {report.bytes:,} bytes in {report.seconds:.2f} s: {counts}"]
+    if report.error_mm is not None:
+        lines.append(f"largest error {report.error_mm:.4f} mm")
+    lines += [f"not in the file: {line}" for line in report.dropped]
+    return "\n".join(lines)

@@ -1,0 +1,95 @@
+"""Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, units.
+
+example: facepipe inspect head.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.cli.show import emit, table
+
+if TYPE_CHECKING:
+    from facepipe.stage import Face
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Open and print."""
+    import facepipe
+
+    summary = summarise(facepipe.open(arguments.face))
+    emit(summary, as_text(summary), as_json=arguments.json)
+    return 0
+
+
+def summarise(face: Face) -> dict[str, Any]:
+    """Counts and names of everything on the face, as JSON values."""
+    parts = face.parts()
+    return {
+        "face": face.where,
+        "meters_per_unit": face.meters_per_unit,
+        "up_axis": face.up_axis,
+        "head_height_mm": round(face.head_height * face.mm_per_unit, 3),
+        "meshes": [
+            {
+                "name": mesh.name,
+                "points": len(mesh.points),
+                "faces": len(mesh.face_vertex_counts),
+                "shapes": len(mesh.blendshapes),
+                "influences": mesh.skin.joint_indices.shape[1] if mesh.skin else 0,
+                "uv_sets": len(mesh.uv_sets),
+                "regions": len(mesh.regions),
+            }
+            for mesh in parts.meshes
+        ],
+        "joints": list(parts.skeleton.joints),
+        "shapes": list(face.shapes),
+        "inbetweens": sum(len(shape.inbetweens) for mesh in parts.meshes for shape in mesh.blendshapes),
+        "regions": sorted({name for mesh in parts.meshes for name in mesh.regions}),
+        "landmarks": {
+            scheme: len(landmarks.indices) for mesh in parts.meshes for scheme, landmarks in mesh.landmarks.items()
+        },
+        "animations": [animation.name for animation in parts.animations],
+        "sliders": [slider.name for slider in parts.sliders],
+        "materials": [material.name for material in parts.materials],
+        "attach_joint": parts.attach_joint,
+        "attribution": parts.attribution,
+        "recipe": parts.recipe.verb if parts.recipe else None,
+    }
+
+
+def as_text(summary: dict[str, Any]) -> str:
+    """The summary as tables for people."""
+    meshes = summary["meshes"]
+    columns = ("name", "points", "faces", "shapes", "influences", "uv_sets", "regions")
+    total = ["in all", *(sum(mesh[column] for mesh in meshes) for column in ("points", "faces"))]
+    rows: list[Any] = [["mesh", *columns[1:]], *[[mesh[column] for column in columns] for mesh in meshes], total]
+    facts = [
+        ("units", f"{summary['meters_per_unit']:g} m, {summary['up_axis']} up"),
+        ("head height", f"{summary['head_height_mm']:.1f} mm"),
+        *[
+            (key, _listing(summary[key]))
+            for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
+        ],
+        ("inbetweens", summary["inbetweens"] or "none"),
+        ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in summary["landmarks"].items()) or "none"),
+        ("attach joint", summary["attach_joint"] or "none"),
+        ("made by", summary["recipe"] or "unknown"),
+        ("attribution", summary["attribution"] or "none"),
+    ]
+    width = max(len(name) for name, _ in facts)
+    lines = [f"{name:{width}}  {text}" for name, text in facts]
+    return "\n".join([summary["face"], "", table(rows), "", *lines])
+
+
+def _listing(names: list[str]) -> str:
+    shown = ", ".join(name.rpartition("/")[2] for name in names[:8])
+    return f"{len(names)}: {shown}{', ...' if len(names) > 8 else ''}" if names else "none"

@@ -1,0 +1,168 @@
+"""Arguments: one-line usage errors, flags from option dataclasses, name=value pairs, output files."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import sys
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from facepipe.errors import InputError
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with errors of one line and texts kept as written."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with 2."""
+        print(f"{self.prog}: {message} (`{self.prog} --help` shows how)", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def add_options(parser: argparse.ArgumentParser, options: type, title: str | None = None) -> None:
+    """A flag for every field of a frozen option dataclass; flags already there are shared."""
+    group = parser.add_argument_group(title) if title else parser
+    hints = typing.get_type_hints(options)
+    for field in dataclasses.fields(options):
+        flag = f"--{field.name.replace('_', '-')}"
+        if flag in parser._option_string_actions:
+            continue
+        group.add_argument(flag, dest=field.name, **_settings(field, hints[field.name]))
+
+
+def _settings(field: Any, hint: Any) -> dict[str, Any]:
+    default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
+    metadata = field.metadata
+    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
+    shown = "" if default in (None, False, "") or default == {} or default == () else f" (default {default})"
+    help_text = f"{metadata.get('help', '')}{unit}{shown}".replace("%", "%%")
+    kinds = [kind for kind in _flat(hint) if kind is not type(None)]
+    if kinds == [bool]:
+        return {"action": argparse.BooleanOptionalAction, "default": default, "help": help_text.replace(shown, "")}
+    settings: dict[str, Any] = {"default": default, "help": help_text}
+    if "choices" in metadata:
+        settings["choices"] = metadata["choices"]
+    settings["type"] = _reader(metadata.get("parse") or _kind(kinds, metadata))
+    if "choices" not in metadata:
+        settings["metavar"] = field.name.upper()
+    return settings
+
+
+def _flat(hint: Any) -> list[Any]:
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return [kind for part in typing.get_args(hint) for kind in _flat(part)]
+    return [hint]
+
+
+def _kind(kinds: list[Any], metadata: Any) -> Any:
+    if "choices" in metadata:
+        return type(metadata["choices"][0])
+    return next((kind for kind in kinds if kind in (int, float, Path)), str)
+
+
+def _reader(kind: Any) -> Any:
+    """`kind` as argparse calls it: errors of ours keep their words."""
+
+    def read(text: str) -> Any:
+        try:
+            return kind(text)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    read.__name__ = getattr(kind, "__name__", "value")
+    return read
+
+
+def options_from(arguments: argparse.Namespace, options: type) -> Any:
+    """An instance of the option dataclass from parsed flags."""
+    return options(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(options)})
+
+
+def add_output(parser: argparse.ArgumentParser, what: str, *, positional: bool = False) -> None:
+    """`-o OUT` and `--force`; with `positional` OUT may also stand alone."""
+    if positional:
+        parser.add_argument("out", nargs="?", type=Path, metavar="OUT", help=what)
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", required=not positional, help=what)
+    parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
+
+
+def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Path:
+    """The output path, checked before any work.
+
+    :raises InputError: none given, an existing file without --force, a missing folder, or an input
+    """
+    path = arguments.output or getattr(arguments, "out", None)
+    if path is None:
+        raise InputError("OUT", "no output file, expected one as OUT or -o OUT")
+    output = Path(path)
+    if not output.parent.is_dir():
+        raise InputError(output, "the folder does not exist")
+    if output.is_dir():
+        raise InputError(output, "is a folder, expected a file")
+    if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
+        raise InputError(output, "is an input, expected another output file")
+    if output.exists() and not arguments.force:
+        raise InputError(output, "exists, expected a new file (or --force)")
+    return output
+
+
+def add_pose(parser: argparse.ArgumentParser) -> None:
+    """`--set SHAPE=WEIGHT` and `--bone JOINT:CHANNEL=VALUE`."""
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="SHAPE=WEIGHT", help="shape weight; may be given again"
+    )
+    parser.add_argument(
+        "--bone",
+        action="append",
+        default=[],
+        metavar="JOINT:CHANNEL=VALUE",
+        help="bone coefficient, channels tx ty tz (stage units) rx ry rz (radians) sx sy sz (factor); JOINT is a path "
+        "or its last name",
+    )
+
+
+def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
+    """``name=number`` words as a mapping.
+
+    :raises InputError: a word that is not so, or a number that is not finite
+    """
+    found = {}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not equals or not name or not math.isfinite(value):
+            raise InputError(f"{flag} {word}", "expected NAME=NUMBER")
+        found[name] = value
+    return found
+
+
+def coefficients_of(words: Sequence[str], joints: Sequence[str]) -> Any:
+    """(j, 9) bone coefficients of ``--bone`` words; None where there are none.
+
+    :raises InputError: an unknown or ambiguous joint, or an unknown channel
+    """
+    from facepipe.rig import CHANNELS, rest_coefficients
+
+    if not words:
+        return None
+    coefficients = rest_coefficients(len(joints))
+    for name, value in pairs(words, "--bone").items():
+        joint, _, channel = name.rpartition(":")
+        places = [i for i, path in enumerate(joints) if joint in (path, path.rpartition("/")[2])]
+        if len(places) != 1 or channel not in CHANNELS:
+            raise InputError(
+                f"--bone {name}", f"expected one of {len(joints)} joints and a channel {' '.join(CHANNELS)}"
+            )
+        coefficients[places[0], CHANNELS.index(channel)] = value
+    return coefficients

@@ -1,0 +1,33 @@
+"""Make the built-in sample head: one topology, a different person for every seed.
+
+example: facepipe sample head.usda --seed 3
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from facepipe.cli.parser import add_output, output_of
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
+    parser.add_argument("--seed", type=int, default=0, help="which person (default 0)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make and save it."""
+    out = output_of(arguments)
+    make_sample(out, arguments.seed)
+    print(out)
+    return 0
+
+
+def make_sample(out: Path, seed: int) -> None:
+    """Save the sample head of `seed` as `out`."""
+    from facepipe.sample import make
+    from facepipe.stage import save_parts
+
+    save_parts(make(seed), out)

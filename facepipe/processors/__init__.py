@@ -1,0 +1,1 @@
+"""Processors: each a frozen dataclass of options, called on a face."""

@@ -1,0 +1,33 @@
+"""Exporters by file suffix, found through the entry-point group ``facepipe.exporters``.
+
+An exporter is a module with a frozen dataclass ``Options``, ``export(face, path, options) -> ExportReport`` and
+``validate(path) -> sequence of Finding``.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from facepipe.errors import InputError
+
+GROUP = "facepipe.exporters"
+
+
+def suffixes() -> tuple[str, ...]:
+    """The suffixes some exporter writes, without dot, sorted."""
+    return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
+
+
+def exporter(path: str | Path) -> Any:
+    """The exporter module of a path, by its suffix.
+
+    :raises InputError: no exporter for the suffix
+    """
+    suffix = Path(path).suffix.lower().removeprefix(".")
+    for entry in entry_points(group=GROUP):
+        if entry.name == suffix:
+            return entry.load()
+    expected = " ".join(f".{one}" for one in suffixes())
+    raise InputError(path, f"suffix '.{suffix}', expected one of {expected}")
