@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,6 +34,16 @@ class ExportReport(Report):
     seconds: float = 0.0
     dropped: tuple[str, ...] = ()  # what the format can't hold, one line each
     error_mm: float | None = None  # largest error that quantisation or fewer influences brings, where it does
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that a check found."""
+
+    check: str  # "facepipe:SkinWeightsSum"
+    severity: Literal["error", "warning", "info"]
+    where: str  # the trail, outermost first: "head.usda -> </Face/Head>"
+    message: str  # one line: what was found, what was expected
 
 
 def _plain(value: object) -> Any:
