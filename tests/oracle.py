@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
+from facepipe.rig.animation import decompose
 from facepipe.stage import Face
-from facepipe.stage.author_skeleton import decompose
 from facepipe.stage.values import floats, matrix, to_quatf, to_vec3f, to_vec3h
 
 

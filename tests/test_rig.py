@@ -13,9 +13,18 @@ from oracle import bake, difference, random_coefficients
 from scipy.spatial.transform import Rotation
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import Slider
-from facepipe.rig import build, coefficient_matrices, matrix_coefficients, rest_coefficients, slide
+from facepipe.parts import Animation, Slider
+from facepipe.rig import (
+    build,
+    coefficient_matrices,
+    matrix_coefficients,
+    rest_coefficients,
+    sample_transforms,
+    sample_weights,
+    slide,
+)
 from facepipe.rig.activation import curves
+from facepipe.rig.animation import compose, decompose
 from facepipe.stage import Face
 
 
@@ -124,3 +133,31 @@ def test_a_singular_bind_is_refused() -> None:
     bind[1, 0] = 0
     with pytest.raises(TopologyError, match="root/jaw: singular"):
         build(replace(parts, skeleton=replace(parts.skeleton, bind_transforms=bind)))
+
+
+def test_transforms_split_and_join_again() -> None:
+    rng = np.random.default_rng(5)
+    matrices = coefficient_matrices(random_coefficients(rng, 40, 3.0, 3.0))
+    matrices[::2, :3, 0] *= -1
+    np.testing.assert_allclose(compose(*decompose(matrices)), matrices, atol=1e-12)
+
+
+def test_coefficients_of_a_sample_win_and_other_joints_rest() -> None:
+    parts = tiny_face()
+    values = random_coefficients(np.random.default_rng(0), 1, 1.0)
+    animation = Animation(
+        name="pose",
+        joints=("root/jaw",),
+        translations=np.zeros((1, 1, 3)),
+        rotations=np.array([[[0, 0, 0, 1.0]]]),
+        coefficients=values[None],
+        shapes=("jawOpen",),
+        shape_weights=np.array([[0.25]]),
+    )
+    local = sample_transforms(parts.skeleton, animation)
+    expected = parts.skeleton.rest_transforms.copy()
+    expected[1] = expected[1] @ coefficient_matrices(values[0])
+    np.testing.assert_allclose(local, expected)
+    assert sample_weights(animation) == {"jawOpen": 0.25}
+    with pytest.raises(InputError, match="no joint"):
+        sample_transforms(parts.skeleton, replace(animation, joints=("nose",)))

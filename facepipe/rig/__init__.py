@@ -1,5 +1,6 @@
 """The rig: the one definition of what a rig parameter does to the points of a face."""
 
+from facepipe.rig.animation import sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.build import build
 from facepipe.rig.rig import Rig, Target
@@ -13,5 +14,7 @@ __all__ = [
     "coefficient_matrices",
     "matrix_coefficients",
     "rest_coefficients",
+    "sample_transforms",
+    "sample_weights",
     "slide",
 ]

@@ -10,6 +10,7 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import Animation, BoneLimits, FloatArray, Recipe, Skeleton, Slider
+from facepipe.rig.animation import decompose
 from facepipe.stage.values import to_floats, to_matrices, to_matrix, to_quatf, to_vec3f, to_vec3h
 
 
@@ -79,18 +80,6 @@ def _transforms(
             raise InputError(path, f"{own.shape} transforms, expected {samples} x {len(animation.joints)} finite ones")
         filled.append(own)
     return filled[0], filled[1], filled[2]
-
-
-def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Translations (n, 3), quaternions x y z w (n, 4) and scales (n, 3) of (n, 4, 4) matrices without shear."""
-    from scipy.spatial.transform import Rotation
-
-    linear = matrices[:, :3, :3]
-    scale = np.linalg.norm(linear, axis=1)
-    scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1.0, 1.0)
-    rotation = linear / np.where(scale == 0, 1.0, scale)[:, None, :]
-    quaternions = Rotation.from_matrix(rotation).as_quat() if len(matrices) else np.zeros((0, 4))
-    return matrices[:, :3, 3], quaternions, scale
 
 
 def author_slider(prim: Usd.Prim, slider: Slider) -> None:

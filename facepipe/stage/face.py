@@ -15,11 +15,11 @@ from facepipe import tokens
 from facepipe.errors import InputError, SchemaError
 from facepipe.names import identifier
 from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
-from facepipe.rig import Rig, build, slide
+from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
 from facepipe.stage.files import derived_stage, open_stage, save_layer
 from facepipe.stage.read_materials import read_material
-from facepipe.stage.read_mesh import Binding, read_mesh
+from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
 
 _INSTANCES = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
@@ -201,9 +201,36 @@ class Face:
             weights, coefficients=coefficients, joint_transforms=joint_transforms, parent_world=parent_world
         )
 
+    def sample(self, name: str, index: int = 0) -> tuple[FloatArray, dict[str, float]]:
+        """Local joint transforms (j, 4, 4) and shape weights of one sample of an animation.
+
+        :raises InputError: no such animation or sample, or joints and shapes that the face has not
+        """
+        animation = next((one for one in self.animations if one.name == name), None)
+        if animation is None:
+            expected = ", ".join(one.name for one in self.animations[:6]) or "none"
+            raise InputError(self.where, f"no animation '{name}', expected one of {expected}")
+        count = 1 if animation.times is None else len(animation.times)
+        if not 0 <= index < count:
+            raise InputError(f"{self.where} -> {name}", f"no sample {index}, expected 0 to {count - 1}")
+        return sample_transforms(self.skeleton, animation, index), sample_weights(animation, index)
+
     def split(self, points: FloatArray) -> dict[str, FloatArray]:
         """Per-mesh views of (n, ...) values of all points."""
         return self._rig.split(points)
+
+    def primvar(self, name: str) -> FloatArray:
+        """(n,) values of a per-point float primvar over all meshes; NaN on meshes without it.
+
+        :raises InputError: no mesh has it
+        """
+        prims = [self.mesh_prim(mesh.name) for mesh in self.meshes]
+        values = [
+            read_point_values(prim, name, len(mesh.points)) for prim, mesh in zip(prims, self.meshes, strict=True)
+        ]
+        if not any(np.isfinite(one).any() for one in values):
+            raise InputError(self.where, f"no primvar '{name}' with one number per point")
+        return np.concatenate(values)
 
     @contextlib.contextmanager
     def deriving(self, path: str | os.PathLike[str], *, flatten: bool = False) -> Iterator[Face]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
@@ -17,6 +17,8 @@ from facepipe.stage.values import floats, ints, matrix
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
+
+_SCALARS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
 
 
 class Binding(NamedTuple):
@@ -62,6 +64,13 @@ def read_mesh(prim: Usd.Prim, name: str, binding: Binding | None, material_names
         material_faces=by_face,
         double_sided=bool(mesh.GetDoubleSidedAttr().Get()),
     )
+
+
+def read_point_values(prim: Usd.Prim, name: str, points: int) -> FloatArray:
+    """(n,) values of a float primvar with one value per point; NaN where the mesh has none of that name."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    values = floats(primvar.ComputeFlattened()) if primvar and primvar.GetTypeName() in _SCALARS else floats(None)
+    return values if len(values) == points else np.full(points, np.nan, dtype=np.float32)
 
 
 def _normals(mesh: UsdGeom.Mesh, points: int, corners: int) -> FloatArray | None:

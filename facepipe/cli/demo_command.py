@@ -1,0 +1,124 @@
+"""The whole way in one go: sample head -> inspect -> validate -> GLB -> ONNX -> eval -> contact sheet.
+
+example: facepipe demo demo/
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe import registry
+from facepipe.cli.inspect_command import as_text, summarise
+from facepipe.cli.sample_command import make_sample
+from facepipe.cli.show import progress
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    from facepipe.stage import Face
+
+FILES = ("head.usda", "head.glb", "head.onnx", "head.json", "points.npz", "sheet.png")
+POSE = {"jawOpen": 0.7, "mouthSmileLeft": 0.5}
+SHEET = (
+    "jawOpen",
+    "eyeBlinkLeft",
+    "mouthSmileLeft",
+    "mouthSmileRight",
+    "mouthFunnel",
+    "mouthPucker",
+    "browInnerUp",
+    "browDownLeft",
+    "noseSneerLeft",
+    "cheekPuff",
+    "mouthLeft",
+)
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("facepipe-demo"), metavar="DIR", help="where to")
+    parser.add_argument("--seed", type=int, default=0, help="which sample head (default 0)")
+    parser.add_argument("--force", action="store_true", help="overwrite the files of an earlier demo")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make everything, saying what was made."""
+    start = time.perf_counter()
+    folder = _folder(arguments)
+    path = {name: folder / name for name in FILES}
+    with progress("demo", 5) as bar:
+        make_sample(path["head.usda"], arguments.seed)
+        bar.update()
+        face = _inspected(path["head.usda"])
+        for name in ("head.glb", "head.onnx"):
+            exporter = registry.exporter(path[name])
+            report = exporter.export(face, path[name], exporter.Options())
+            bar.write(f"\n{path[name]}: {report.bytes:,} bytes in {report.seconds:.2f} s")
+            bar.update()
+        errors = _validated([path[name] for name in ("head.usda", "head.glb", "head.onnx")])
+        bar.update()
+        _evaluated(face, path["head.onnx"], path["points.npz"])
+        _sheet(face, path["sheet.png"])
+        bar.update()
+    print(f"\n{path['sheet.png']}: the face and its shapes\ndone in {time.perf_counter() - start:.1f} s")
+    return 1 if errors else 0
+
+
+def _folder(arguments: argparse.Namespace) -> Path:
+    folder = Path(arguments.folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(folder, "is a file, expected a folder")
+    there = [name for name in FILES if (folder / name).exists()]
+    if there and not arguments.force:
+        raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _inspected(path: Path) -> Face:
+    import facepipe
+
+    face = facepipe.open(path)
+    print(as_text(summarise(face)))
+    return face
+
+
+def _validated(paths: list[Path]) -> int:
+    from facepipe.validate import validate
+
+    errors = 0
+    for path in paths:
+        findings = [one for one in validate(path) if one.severity != "info"]
+        errors += sum(one.severity == "error" for one in findings)
+        print(f"{path}: {'no errors, no warnings' if not findings else ''}")
+        for one in findings:
+            print(f"  {one.severity}: {one.check}: {one.where}: {one.message}")
+    return errors
+
+
+def _evaluated(face: Face, model: Path, out: Path) -> None:
+    import io
+
+    import numpy as np
+
+    from facepipe.atomic import write_bytes
+
+    outputs: dict[str, Any] = registry.exporter(model).Deformer(model).evaluate(POSE)
+    buffer = io.BytesIO()
+    np.savez(buffer, **outputs)
+    write_bytes(out, buffer.getvalue())
+    apart = np.linalg.norm(outputs["points"].reshape(-1, 3) - face.evaluate(POSE), axis=1).max()
+    print(f"{out}: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")
+
+
+def _sheet(face: Face, out: Path) -> None:
+    from facepipe.render import PictureOptions, contact_sheet, picture, save_png
+
+    parts = face.parts()
+    options = PictureOptions(size=320, view="three-quarter")
+    shapes = [name for name in SHEET if name in face.shapes]
+    poses = [("neutral", {}), *((name, {name: 1.0}) for name in shapes)]
+    images = [(name, picture(parts, face.evaluate(weights), options)) for name, weights in poses]
+    save_png(contact_sheet(images, columns=4), out)

@@ -1,0 +1,83 @@
+"""Draw a face.
+
+examples:
+  facepipe render head.usda -o head.png --view three-quarter --set jawOpen=0.7
+  facepipe render head.usda -o moved.png --set jawOpen=1 --heatmap displacement
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from facepipe.parts import FloatArray
+    from facepipe.stage import Face
+
+VIEWS = ("front", "side", "three-quarter")
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    add_output(parser, "picture to write: .png")
+    add_pose(parser)
+    parser.add_argument("--pose", metavar="NAME", help="an animation of the face: its first sample")
+    parser.add_argument("--view", choices=VIEWS, default="front", help="default front")
+    parser.add_argument("--size", type=int, default=800, help="width and height [pixels] (default 800)")
+    parser.add_argument(
+        "--heatmap",
+        metavar="PRIMVAR",
+        help="colour by a per-point primvar in mm, or by `displacement` from the neutral",
+    )
+    parser.add_argument("--landmarks", metavar="SCHEME", help="draw numbered landmarks of a scheme")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Open, pose, draw."""
+    import facepipe
+    from facepipe.render import PictureOptions, picture, save_png
+
+    out = output_of(arguments, [arguments.face])
+    if out.suffix.lower() != ".png":
+        raise InputError(out, f"suffix '{out.suffix}', expected .png")
+    face = facepipe.open(arguments.face)
+    points = pose(face, arguments)
+    options = PictureOptions(
+        size=arguments.size,
+        view=arguments.view,
+        heatmap=_heatmap(face, points, arguments.heatmap),
+        heatmap_label=arguments.heatmap or "",
+        landmarks=arguments.landmarks,
+    )
+    save_png(picture(face.parts(), points, options), out)
+    print(out)
+    return 0
+
+
+def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
+    """(n, 3) points that `--set`, `--bone` and `--pose` ask for."""
+    weights = pairs(arguments.set, "--set")
+    coefficients = coefficients_of(arguments.bone, face.skeleton.joints)
+    if arguments.pose is None:
+        return face.evaluate(weights, coefficients=coefficients)
+    if coefficients is not None:
+        raise InputError("--bone", "given with --pose, expected only one of them")
+    transforms, own = face.sample(arguments.pose)
+    return face.evaluate({**own, **weights}, joint_transforms=transforms)
+
+
+def _heatmap(face: Face, points: FloatArray, name: str | None) -> np.ndarray | None:
+    if name is None:
+        return None
+    if name == "displacement":
+        import numpy as np
+
+        return np.asarray(np.linalg.norm(points - face.evaluate(), axis=1) * face.mm_per_unit)
+    return face.primvar(name)
