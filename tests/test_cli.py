@@ -1,0 +1,204 @@
+"""The command line: exit codes, one-line errors, JSON, and nothing overwritten."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faces import tiny_face
+
+import facepipe
+from facepipe.cli import COMMANDS, main
+from facepipe.stage import save_parts
+
+
+@pytest.fixture
+def face(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.usda"
+    save_parts(tiny_face(), path)
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """Exit code, stdout, stderr."""
+    try:
+        code = main([str(word) for word in words])
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    code, out, _ = run(capsys, command, "--help")
+    assert code == 0
+    assert f"facepipe {command}" in out.partition("example")[2]
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys)
+    assert code == 0
+    assert all(command in out for command in COMMANDS)
+    assert facepipe.__version__ in run(capsys, "--version")[1]
+
+
+def test_import_and_help_bring_nothing_heavy() -> None:
+    program = (
+        "import sys, facepipe, facepipe.cli\nfacepipe.cli.main([])\n"
+        "heavy = {'pxr', 'numpy', 'scipy', 'onnx', 'onnxruntime', 'trimesh', 'PIL', 'pygltflib', 'torch', 'tqdm'}\n"
+        "sys.exit(' '.join(sorted(heavy & set(sys.modules))) or 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nope"], "'nope' is no command"),
+        (["inspect"], "required: FACE"),
+        (["inspect", "gone.usda"], "gone.usda: no such file"),
+        (["export", "gone.usda", "-o", "x.fbx"], "suffix '.fbx', expected one of .glb .gltf .onnx"),
+        (["sample", "x.obj"], "suffix '.obj', expected one of .usd .usda .usdc .usdz"),
+        (["sample", "no/such/x.usda"], "the folder does not exist"),
+        (["sample"], "no output file"),
+        (["import", "fbx", "a", "b.usda"], "invalid choice"),
+        (["import", "obj", "gone", "b.usda"], "gone"),
+        (["render", "gone.usda", "-o", "x.jpg"], "expected .png"),
+        (["landmarks", "gone.usda", "--from", "gone.json", "-o", "x.usda"], "gone.json: can't be read"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_2(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *words)
+    assert code == 2
+    assert message in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_overwritten_without_force(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    before = face.read_bytes()
+    points = face.with_name("points.json")
+    points.write_text("[1, 2]")
+    code, _, err = run(capsys, "landmarks", face, "--from", points, "-o", face, "--force")
+    assert (code, "is an input" in err) == (2, True)
+    out = face.with_name("out.usda")
+    out.write_text("precious")
+    code, _, err = run(capsys, "landmarks", face, "--from", points, "-o", out)
+    assert (code, "--force" in err) == (2, True)
+    assert out.read_text() == "precious"
+    assert run(capsys, "landmarks", face, "--from", points, "-o", out, "--force")[0] == 0
+    assert facepipe.open(out).landmarks("multipie68")[1].indices.tolist() == [1, 2]
+    assert face.read_bytes() == before
+
+
+def test_inspect_counts(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    code, out, _ = run(capsys, "inspect", face, "--json")
+    summary = json.loads(out)
+    assert code == 0
+    assert [mesh["points"] for mesh in summary["meshes"]] == [36, 9]
+    assert summary["shapes"] == ["jawOpen", "mouthSmileLeft"]
+    assert summary["head_height_mm"] == pytest.approx(50)
+    assert "root/jaw" in summary["joints"]
+    code, out, _ = run(capsys, "inspect", face)
+    assert "2: jawOpen, mouthSmileLeft" in out
+
+
+def test_landmarks_of_every_form(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    source, out = face.with_name("points.json"), face.with_name("out.usda")
+    source.write_text(json.dumps({"scheme": "brows", "mesh": "Teeth", "indices": [3, 1], "names": ["l", "r"]}))
+    code, text, _ = run(capsys, "landmarks", face, "--from", source, "-o", out, "--json")
+    assert (code, json.loads(text)["count"]) == (0, 2)
+    mesh, landmarks = facepipe.open(out).landmarks("brows")
+    assert (mesh.name, landmarks.indices.tolist(), landmarks.names) == ("Teeth", [3, 1], ("l", "r"))
+    source.write_text(json.dumps({"left": 4, "right": 5}))
+    assert (
+        run(capsys, "landmarks", face, "--from", source, "-o", out, "--force", "--scheme", "eyes", "--flatten")[0] == 0
+    )
+    assert facepipe.open(out).landmarks("eyes")[1].names == ("left", "right")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[1, 99]", "landmark at point 99, expected 0 to 35"),
+        ("[]", "no landmarks"),
+        ("[1.5]", "expected point indices"),
+        ("[true]", "expected point indices"),
+        ('{"a": "b"}', "expected point indices"),
+        ('{"indices": [1, 2], "names": ["a", "a"]}', "expected 2 different ones"),
+        ('{"indices": [1], "mesh": "Nose"}', "no mesh 'Nose'"),
+        ('{"indices": [1], "scheme": "a b"}', "scheme 'a b'"),
+        ("not json", "no JSON"),
+        ("[" * 100000, "no JSON"),
+    ],
+)
+def test_bad_landmarks(capsys: pytest.CaptureFixture[str], face: Path, content: str, message: str) -> None:
+    source, out = face.with_name("points.json"), face.with_name("out.usda")
+    source.write_text(content)
+    code, _, err = run(capsys, "landmarks", face, "--from", source, "-o", out)
+    assert code == 2
+    assert message in err
+    assert not out.exists()
+
+
+def test_export_and_eval_agree_with_the_stage(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    model, points = face.with_name("tiny.onnx"), face.with_name("points.npz")
+    code, out, _ = run(capsys, "export", face, "-o", model, "--json")
+    assert code == 0
+    assert json.loads(out)["bytes"] == model.stat().st_size
+    words = ["--set", "jawOpen=0.7", "--bone", "jaw:rx=0.25", "--bone", "root/jaw/lip:sy=1.5"]
+    assert run(capsys, "eval", model, *words, "-o", points)[0] == 0
+    coefficients = np.zeros((3, 9))
+    coefficients[:, 6:] = 1
+    coefficients[1, 3], coefficients[2, 7] = 0.25, 1.5
+    expected = facepipe.open(face).evaluate({"jawOpen": 0.7}, coefficients=coefficients)
+    np.testing.assert_allclose(np.load(points)["points"].reshape(-1, 3), expected, atol=1e-5)
+    for bad in (["--set", "jawOpen"], ["--set", "nope=1"], ["--bone", "nose:rx=1"], ["--bone", "jaw:qq=1"]):
+        code, _, err = run(capsys, "eval", model, *bad, "-o", points, "--force")
+        assert (code, err.count("\n")) == (2, 1)
+
+
+def test_export_refuses_unknown_options_of_the_other_format(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    code, _, err = run(capsys, "export", face, "-o", face.with_suffix(".onnx"), "--mode", "skin")
+    assert (code, "unrecognized arguments" in err) == (2, True)
+
+
+def test_render_poses_and_heatmaps(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    from PIL import Image
+
+    def drawn(*words: str) -> np.ndarray:
+        out = face.with_name("out.png")
+        assert run(capsys, "render", face, "-o", out, "--size", "64", "--force", *words)[0] == 0
+        return np.asarray(Image.open(out).convert("RGB"), dtype=int)
+
+    neutral = drawn()
+    assert np.abs(drawn("--set", "mouthSmileLeft=1") - neutral).max() > 20
+    assert np.abs(drawn("--view", "side") - neutral).max() > 20
+    assert np.abs(drawn("--bone", "jaw:ry=1") - neutral).max() > 20
+    assert drawn("--heatmap", "facepipe:region:mouth").std(axis=2).max() > 20
+    code, _, err = run(capsys, "render", face, "-o", face.with_name("x.png"), "--heatmap", "nope")
+    assert (code, "no primvar 'nope'" in err) == (2, True)
+
+
+def test_validate_exit_codes(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    assert run(capsys, "validate", face)[0] == 0
+    text = face.read_text()
+    face.write_text(text.replace("facepipe:anchor = 2", "facepipe:anchor = 200"))
+    code, out, _ = run(capsys, "validate", face, "--json")
+    assert code == 1
+    assert json.loads(out)["errors"] == 1
+
+
+def test_schema_path_holds_the_plugin(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run(capsys, "schema-path")
+    assert (Path(out.strip()) / "plugInfo.json").is_file()

@@ -1,0 +1,82 @@
+"""The README's tour, run line by line as it stands; its table and the project's facts."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from facepipe.cli import COMMANDS
+
+ROOT = Path(__file__).parents[1]
+SHARED = ROOT.parent / "shared"
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", README, re.DOTALL)
+
+
+def test_the_tour_runs(tmp_path: Path) -> None:
+    """Every console line in order, then the Python block, in one folder with ../shared beside it."""
+    folder = tmp_path / "project"
+    folder.mkdir()
+    lines = [line for block in blocks("console") for line in block.splitlines()]
+    assert len(lines) > 12
+    if SHARED.exists():
+        (tmp_path / "shared").symlink_to(SHARED)
+    else:
+        lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
+    tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    for line in [*lines, None]:
+        command = (
+            [sys.executable, "-c", blocks("python")[0]] if line is None else [shutil.which("sh") or "sh", "-c", line]
+        )
+        done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+        assert "Traceback" not in done.stderr
+    made = {one.name for one in folder.iterdir()}
+    assert {"head.usda", "head.glb", "head.onnx", "points.npz", "smile.png", "head.landmarks.usda"} <= made
+
+
+def test_the_demo_makes_everything(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "facepipe", "demo", "demo"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {"head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
+        one.name for one in (tmp_path / "demo").iterdir()
+    }
+    assert done.stdout.count("no errors, no warnings") == 3, done.stdout
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
+
+
+def test_the_table_lists_every_command() -> None:
+    listed = re.findall(r"^\| `facepipe ([\w-]+)", README, re.MULTILINE)
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+def test_pictures_and_links_of_the_readme_are_there() -> None:
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_continuous_integration_runs_the_readmes_test_command() -> None:
+    command = blocks("sh")[1].strip().rpartition("&& .venv/bin/")[2]
+    assert command in (ROOT / ".ci" / "run").read_text()
+
+
+@pytest.mark.parametrize("kind", ["dependencies", "dev"])
+def test_every_dependency_is_justified_and_pinned(kind: str) -> None:
+    text = (ROOT / "pyproject.toml").read_text()
+    project = tomllib.loads(text)["project"]
+    for entry in project.get(kind) or project["optional-dependencies"][kind]:
+        assert re.search(rf'"{re.escape(entry)}",\s+# \w', text), f"{entry} has no reason"
+        assert re.search(r">=\d", entry), f"{entry} has no range"

@@ -1,0 +1,62 @@
+"""The codeless schemas: up to date, documented, registered both ways, and what `tokens` names."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import facepipe_schemas
+import pytest
+from pxr import Sdf, Usd
+
+from facepipe import tokens
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_generated_files_are_up_to_date() -> None:
+    command = [sys.executable, str(ROOT / "schemas" / "generate.py"), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_attribute_states_range_and_units() -> None:
+    layer = Sdf.Layer.FindOrOpen(str(facepipe_schemas.path() / "generatedSchema.usda"))
+    attributes = [attribute for prim in layer.rootPrims for attribute in prim.properties]
+    assert len(attributes) >= 20
+    for attribute in attributes:
+        assert re.search(r"Range: .+ Units: .+\.", attribute.documentation, re.DOTALL), attribute.path
+
+
+@pytest.mark.parametrize("name", [value for name, value in vars(tokens).items() if name.endswith("_API")])
+def test_registered_on_import(name: str) -> None:
+    definition = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(name)
+    assert definition is not None
+
+
+def test_registered_through_the_plugin_path() -> None:
+    program = (
+        "from pxr import Usd\n"
+        "stage = Usd.Stage.CreateInMemory()\n"
+        "prim = stage.DefinePrim('/Face', 'SkelRoot')\n"
+        "assert prim.ApplyAPI('FacepipeFaceAPI')\n"
+        "assert prim.GetAttribute('facepipe:attachJoint').Get() == ''\n"
+        "mesh = stage.DefinePrim('/Face/Head', 'Mesh')\n"
+        "assert mesh.ApplyAPI('FacepipeRegionAPI', 'mouth')\n"
+        "assert mesh.GetAttribute('primvars:facepipe:region:mouth').GetTypeName() == 'float[]'\n"
+        "assert not prim.CanApplyAPI('FacepipeAnchorAPI')\n"
+    )
+    environment = {**os.environ, "PXR_PLUGINPATH_NAME": str(facepipe_schemas.path())}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_tokens_are_the_schemas_attributes() -> None:
+    layer = Sdf.Layer.FindOrOpen(str(facepipe_schemas.path() / "generatedSchema.usda"))
+    names = {attribute.name for prim in layer.rootPrims for attribute in prim.properties}
+    own = [value for value in vars(tokens).values() if isinstance(value, str) and re.match(r"facepipe:.*[a-z]$", value)]
+    assert len(own) >= 10
+    assert set(own) <= names
