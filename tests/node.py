@@ -1,0 +1,81 @@
+"""Node programs that the tests call: the Khronos glTF validator and three.js."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+HERE = Path(__file__).parent / "js"
+_INSTALLED = HERE / "node_modules" / ".package-lock.json"
+_PATIENCE = 300  # seconds
+
+
+@functools.cache
+def node_packages() -> str:
+    """The node program, with the packages of tests/js/package-lock.json in place.
+
+    Skips the test where node is not installed; fails it where the packages can't be.
+    """
+    node, npm = shutil.which("node"), shutil.which("npm")
+    if node is None or npm is None:
+        pytest.skip("needs node and npm on the PATH")
+    lock = HERE / ".installing"
+    for _ in range(_PATIENCE):  # several test processes may come here at once
+        if _is_installed():
+            return node
+        try:
+            lock.mkdir()
+        except FileExistsError:
+            time.sleep(1)
+            continue
+        try:
+            _install(npm)
+        finally:
+            lock.rmdir()
+    pytest.fail(f"node packages were not installed in {_PATIENCE} s; remove {lock} if no test run is under way")
+
+
+def validate(files: Sequence[Path]) -> dict[Path, dict[str, Any]]:
+    """The Khronos validator's report on each file."""
+    if not files:
+        return {}
+    reports = _run("validate.mjs", [str(file) for file in files])
+    return {Path(name): report for name, report in reports.items()}
+
+
+def three_load(file: Path, weights: Mapping[str, float], joints: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """What three.js makes of a GLB under target weights and local joint matrices (16 numbers, column-major)."""
+    answer: dict[str, Any] = _run("three_load.mjs", [str(file)], json.dumps({"weights": weights, "joints": joints}))
+    return answer
+
+
+def _run(script: str, arguments: Sequence[str], request: str = "") -> Any:
+    command = [node_packages(), str(HERE / script), *arguments]
+    done = subprocess.run(command, input=request, capture_output=True, text=True, encoding="utf-8", check=False)
+    if done.returncode:
+        pytest.fail(f"{script}: {done.stderr[-2000:]}")
+    return json.loads(done.stdout)
+
+
+def _is_installed() -> bool:
+    if not _INSTALLED.is_file():
+        return False
+    wanted = json.loads((HERE / "package-lock.json").read_text())["packages"]
+    present = json.loads(_INSTALLED.read_text())["packages"]
+    return all(present.get(name, {}).get("version") == entry["version"] for name, entry in wanted.items() if name)
+
+
+def _install(npm: str) -> None:
+    done = subprocess.run(
+        [npm, "ci", "--no-audit", "--no-fund"], cwd=HERE, capture_output=True, text=True, check=False, timeout=_PATIENCE
+    )
+    if done.returncode:
+        pytest.fail(f"npm ci failed in {HERE}: {done.stderr[-2000:]}")
