@@ -59,7 +59,11 @@ def wrong_array(draw: st.DrawFn, array: np.ndarray[Any, Any]) -> Any:
         return array.astype("U8") if array.dtype.kind != "U" else np.zeros(array.shape)
     if kind == "value" and array.dtype.kind in "fiu":
         changed = array.copy()
-        values = [np.nan, np.inf, 1e30] if array.dtype.kind == "f" else [-1, -32768, 32767]
+        values = (
+            [np.nan, np.inf, 1e30]
+            if array.dtype.kind == "f"
+            else [-1, np.iinfo(array.dtype).min, np.iinfo(array.dtype).max]
+        )
         changed.flat[draw(st.integers(0, array.size - 1))] = draw(st.sampled_from(values))
         return changed
     if kind == "big":

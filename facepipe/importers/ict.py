@@ -73,6 +73,8 @@ def read(source: Path, options: Options) -> Imported:
     check_ranges(options)
     weights = identity_weights(options)
     model = read_model(source, weights, topology.EXPRESSIONS + (topology.EXTRAS if options.extras else ()))
+    if not np.isfinite(model.identity).all():
+        raise InputError(f"option identity -> {options.identity}", "weights so large that points overflow")
     materials, warnings = _materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(

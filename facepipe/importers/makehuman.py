@@ -1,0 +1,197 @@
+"""MakeHuman head (CC0): hm08 base mesh with 534 targets, a 77-joint skeleton, skin weights and 60 pose units.
+
+``points = base + sum_t w_t target_t``; joints are means of points, and follow.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.makehuman_data import MakeHumanData, read_data
+from facepipe.importers.makehuman_landmarks import landmark_points
+from facepipe.importers.makehuman_regions import loose_regions, skin_regions
+from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
+from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape
+from facepipe.importers.names import identifier
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+ATTRIBUTION = (
+    "MakeHuman base mesh, targets, rig and pose units, CC0 1.0. MakeHuman team; Data Collection AB, Joel Palmius, "
+    "Jonas Hauquier; original targets by Manuel Bastioni."
+)
+
+MESHES = {  # kind of the archive -> mesh, material, region (skin: by target strength)
+    "skin": ("Head", "Skin", ""),
+    "eye_left": ("EyeLeft", "Eye", "eyes"),
+    "eye_right": ("EyeRight", "Eye", "eyes"),
+    "teeth_upper": ("TeethUpper", "Teeth", "mouth"),
+    "teeth_lower": ("TeethLower", "Teeth", "mouth"),
+    "tongue": ("Tongue", "Tongue", "mouth"),
+    "eyelashes_left_1": ("EyelashesLeft1", "Eyelashes", "eyes"),
+    "eyelashes_left_2": ("EyelashesLeft2", "Eyelashes", "eyes"),
+    "eyelashes_right_1": ("EyelashesRight1", "Eyelashes", "eyes"),
+    "eyelashes_right_2": ("EyelashesRight2", "Eyelashes", "eyes"),
+}
+
+MATERIALS = (
+    Material(name="Skin", diffuse_color=(0.60, 0.37, 0.28), roughness=0.5),
+    Material(name="Eye", diffuse_color=(0.75, 0.72, 0.69), roughness=0.1),
+    Material(name="Teeth", diffuse_color=(0.78, 0.73, 0.62), roughness=0.25),
+    Material(name="Tongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
+    Material(name="Eyelashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.5),
+)
+
+
+def parse_targets(text: str) -> dict[str, float]:
+    """``name=value,...`` as a mapping.
+
+    :raises InputError: not of that form
+    """
+    result: dict[str, float] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, _, value = item.partition("=")
+        try:
+            result[name.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"option targets -> {name[:40]}", f"weight is {value[:40]!r}, expected a number") from None
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to read the MakeHuman head."""
+
+    targets: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata={
+            "help": "targets to apply, name=value,...: full names (nose/nose-point-up) or their last part where only "
+            "one target has it; values are usually 0..1",
+            "parse": parse_targets,
+        },
+    )
+    shapes: str = field(
+        default="",
+        metadata={
+            "help": "targets to keep as blendshapes: patterns of full names, comma between "
+            "(expression/caucasian/*); none by default, since the face moves by its joints"
+        },
+    )
+    meters_per_unit: float = field(
+        default=0.1, metadata={"help": "metres in a unit of the base mesh", "range": (1e-6, 1e3), "unit": "m"}
+    )
+
+
+def read(source: Path, options: Options) -> Imported:
+    """Read the packed head.
+
+    :raises InputError: a file, array, target name or weight that can't be used
+    :raises TopologyError: a face that joins vertices of two kinds
+    """
+    check_ranges(options)
+    data = read_data(source)
+    points = data["vertices"].astype(np.float64)
+    for number, weight in _target_weights(data, options.targets).items():
+        points = points + weight * data.target(number)
+    if not np.isfinite(points).all():
+        raise InputError("option targets", "weights so large that points overflow")
+    skeleton = read_skeleton(data, points)
+    shapes = _shape_offsets(data, options.shapes)
+    kinds = [kind for kind in data.names("vertex_kind_names") if kind in MESHES]
+    meshes = tuple(_mesh(data, kind, points, shapes) for kind in kinds)
+    parts = FaceParts(
+        meters_per_unit=options.meters_per_unit,
+        up_axis="Y",
+        meshes=meshes,
+        skeleton=skeleton,
+        animations=pose_units(data, skeleton),
+        materials=tuple(material for material in MATERIALS if any(mesh.material == material.name for mesh in meshes)),
+        attribution=ATTRIBUTION,
+        recipe=import_recipe("makehuman", {source: (source,)}, options),
+    )
+    return Imported(parts=parts)
+
+
+def _target_weights(data: MakeHumanData, weights: Mapping[str, float]) -> dict[int, float]:
+    """Target number -> weight, in the order of the archive."""
+    names = data.names("target_names")
+    numbers: dict[int, float] = {}
+    for name, weight in weights.items():
+        found = [i for i, full in enumerate(names) if name == full] or [
+            i for i, full in enumerate(names) if name == full.rpartition("/")[2]
+        ]
+        if len(found) != 1:
+            what = "is no target" if not found else f"fits {len(found)} targets, expected a full name"
+            raise InputError(f"option targets -> {name[:60]}", what)
+        if not math.isfinite(weight):
+            raise InputError(f"option targets -> {name}", f"weight is {weight}, expected a finite number")
+        numbers[found[0]] = float(weight)
+    return dict(sorted(numbers.items()))
+
+
+def _shape_offsets(data: MakeHumanData, patterns: str) -> dict[str, FloatArray]:
+    """Shape name -> (V, 3) deltas of the targets that fit one of `patterns`."""
+    names = data.names("target_names")
+    chosen: dict[int, None] = {}
+    for pattern in filter(None, (part.strip() for part in patterns.split(","))):
+        fitting = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
+        if not fitting:
+            raise InputError(f"option shapes -> {pattern[:60]}", "fits no target")
+        chosen |= dict.fromkeys(fitting)
+    short = Counter(names[i].rpartition("/")[2] for i in chosen)
+    last = {i: names[i].rpartition("/")[2] for i in sorted(chosen)}
+    return {
+        identifier(part if short[part] == 1 else names[i]): data.target(i).astype(np.float32)
+        for i, part in last.items()
+    }
+
+
+def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[str, FloatArray]) -> Mesh:
+    name, material, region = MESHES[kind]
+    own = data.points_of(kind)
+    place = np.full(len(points), -1, dtype=np.int32)
+    place[own] = np.arange(len(own))
+    faces = np.flatnonzero(data["face_kind"] == data.names("vertex_kind_names").index(kind))
+    counts = np.full(len(faces), 4, dtype=np.int32)
+    indices = place[data["faces"][faces]].ravel()
+    head = kind == "skin"
+    return Mesh(
+        name=name,
+        points=points[own],
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
+        skin=_skin(data["skin_weights"][own]),
+        blendshapes=_blendshapes(shapes, own),
+        regions=skin_regions(data) if head else loose_regions(region, len(own)),
+        landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
+        anchor=back_of_border(data["vertices"][own], counts, indices) if head else None,
+        material=material,
+        double_sided=material == "Eyelashes",
+    )
+
+
+def _skin(dense: FloatArray) -> Skin:
+    """Influences by descending weight, as many as the point with most has."""
+    influences = max(int((dense > 0).sum(axis=1).max(initial=1)), 1)
+    joints = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(dense, joints, axis=1).astype(np.float64)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Skin(joint_indices=np.where(weights > 0, joints, 0).astype(np.int32), joint_weights=weights)
+
+
+def _blendshapes(shapes: Mapping[str, FloatArray], own: IntArray) -> tuple[Blendshape, ...]:
+    sparse = (sparse_shape(name, offsets[own], threshold=0.0) for name, offsets in shapes.items())
+    return tuple(shape for shape in sparse if shape is not None)
