@@ -1,0 +1,105 @@
+"""Import of glTF 2.0 files (.glb, .gltf): meshes, skins, morph targets, materials, animations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_skins
+from facepipe.importers.gltf_assemble import Assembly
+from facepipe.importers.gltf_document import Document, open_document
+from facepipe.importers.imported import Imported, import_recipe
+from facepipe.parts import FaceParts, Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to read, and how."""
+
+    weld: bool = field(
+        default=True,
+        metadata={"help": "join vertices that were split at UV and normal seams into one point"},
+    )
+    scene: int | None = field(
+        default=None,
+        metadata={"help": "number of the scene to read; the file's default scene where not given"},
+    )
+
+
+def read(source: Path, options: Options) -> Imported:
+    """The face in the scene of a glTF file: metres, Y up, v up, vertices joined into points.
+
+    Skinned meshes are brought into skeleton space; a mesh below a joint follows that joint.
+
+    :raises InputError: not glTF 2.0, an unsupported required extension, or data that doesn't hold together
+    """
+    try:
+        with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which `_check_finite` refuses
+            document = open_document(source)
+            parts = _parts(document, source, options)
+            _check_finite(document, parts)
+    except MemoryError:
+        raise InputError(source.name, "needs more memory than there is") from None
+    return Imported(parts=parts, warnings=tuple(document.warnings))
+
+
+def _parts(document: Document, source: Path, options: Options) -> FaceParts:
+    nodes = gltf_nodes.read_nodes(document, options.scene)
+    joints = gltf_skins.read_joints(document, nodes)
+    materials = gltf_materials.material_names(document)
+    assembly = Assembly(document, nodes, joints, materials, options.weld)
+    meshes = assembly.meshes()
+    if not meshes:
+        raise document.root.error("no mesh with triangles in the scene")
+    _note_hidden(document, nodes)
+    return FaceParts(
+        meters_per_unit=1.0,
+        up_axis="Y",
+        meshes=meshes,
+        skeleton=joints.skeleton,
+        animations=gltf_animations.read_animations(document, nodes, joints, assembly.roles),
+        materials=gltf_materials.read_materials(document, materials, _bound(meshes)),
+        attribution=_attribution(document),
+        recipe=import_recipe("gltf", {source: document.files}, options),
+    )
+
+
+def _bound(meshes: tuple[Mesh, ...]) -> Iterator[str]:
+    for mesh in meshes:
+        if mesh.material is not None:
+            yield mesh.material
+        yield from (faces.material for faces in mesh.material_faces)
+
+
+def _note_hidden(document: Document, nodes: gltf_nodes.Nodes) -> None:
+    shown = set(nodes.shown)
+    hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
+    if hidden:
+        document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
+
+
+def _attribution(document: Document) -> str:
+    copyright_ = document.root.require("asset").get("copyright")
+    return "" if copyright_ is None else " ".join(copyright_.text().split())
+
+
+def _check_finite(document: Document, parts: FaceParts) -> None:
+    skeleton = parts.skeleton
+    if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
+        raise document.root.error("joint transforms that are not finite")
+    for mesh in parts.meshes:
+        arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
+        arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
+        for shape in mesh.blendshapes:
+            arrays += [shape.offsets, shape.normal_offsets, *(one.offsets for one in shape.inbetweens)]
+            arrays += [one.normal_offsets for one in shape.inbetweens]
+        if not all(array is None or np.isfinite(array).all() for array in arrays):
+            raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
+    for animation in parts.animations:
+        moving = (animation.translations, animation.rotations, animation.scales, animation.shape_weights)
+        if not all(array is None or np.isfinite(array).all() for array in moving):
+            raise InputError(f"{document.root.trail} -> {animation.name}", "values that are not finite")

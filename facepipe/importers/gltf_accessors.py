@@ -1,0 +1,201 @@
+"""glTF accessors as numpy arrays: strides, sparse data, normalised integers.
+
+Every range is checked before data is touched.
+
+Source: glTF 2.0 section 3.6 (binary data storage) and KHR_mesh_quantization.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.importers.gltf_document import Document, optional_integer
+from facepipe.importers.gltf_json import Value
+from facepipe.parts import FloatArray, IntArray
+
+_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MAX_COUNT = 2**31
+
+RawArray = npt.NDArray[np.generic]
+
+
+@dataclass(frozen=True)
+class Accessor:
+    """A checked accessor: its raw base values (count, components), None for zeros, and its sparse replacements."""
+
+    value: Value
+    count: int
+    components: int
+    dtype: np.dtype[np.generic]
+    normalized: bool
+    base: RawArray | None
+    sparse: tuple[IntArray, RawArray] | None
+
+
+@dataclass(frozen=True)
+class Deltas:
+    """The rows of an array that are not all zero."""
+
+    indices: IntArray  # (k,) ascending
+    values: FloatArray  # (k, 3)
+
+
+def accessor(document: Document, reference: Value, *types: str) -> Accessor:
+    """The accessor that `reference` names, of one of `types` (``VEC3`` ...).
+
+    :raises InputError: another type, or data outside its bufferView
+    """
+    value = document.entry("accessors", reference)
+    kind = value.require("type")
+    if kind.text() not in types:
+        raise reference.error(f"{value.trail} is {kind.text()[:20]}, expected {' or '.join(types)}")
+    dtype = _dtype(value.require("componentType"))
+    normalized = value.get("normalized")
+    count = value.require("count").integer(1)
+    if count > _MAX_COUNT:
+        raise value.error(f"count {count}, expected at most {_MAX_COUNT}")
+    components = _COMPONENTS[kind.text()]
+    return Accessor(
+        value=value,
+        count=count,
+        components=components,
+        dtype=dtype,
+        normalized=normalized is not None and normalized.flag(),
+        base=_base(document, value, count, components, dtype),
+        sparse=_sparse(document, value, count, components, dtype),
+    )
+
+
+def floats(document: Document, reference: Value, *types: str, count: int | None = None) -> FloatArray:
+    """(count, components) float32, integers normalised where the accessor says so.
+
+    :raises InputError: not `count` elements, non-finite values, or what `accessor` raises
+    """
+    found = accessor(document, reference, *types)
+    _expect_count(found, reference, count)
+    document.budget.spend(found.count * found.components * 8, found.value)
+    if found.base is None:
+        result = np.zeros((found.count, found.components), np.float32)
+    else:
+        result = _to_floats(found, found.base)
+    if found.sparse is not None:
+        result[found.sparse[0]] = _to_floats(found, found.sparse[1])
+    return result
+
+
+def integers(document: Document, reference: Value, kind: str, *, count: int | None = None) -> IntArray:
+    """(count, components) of an unsigned integer accessor.
+
+    :raises InputError: signed or float components, not `count` elements, or what `accessor` raises
+    """
+    found = accessor(document, reference, kind)
+    _expect_count(found, reference, count)
+    if found.dtype.kind != "u":
+        raise found.value.error("signed or float components, expected unsigned integers")
+    document.budget.spend(found.count * found.components * 8, found.value)
+    shape = (found.count, found.components)
+    result: npt.NDArray[Any] = np.zeros(shape, found.dtype) if found.base is None else np.array(found.base)
+    if found.sparse is not None:
+        result[found.sparse[0]] = found.sparse[1]
+    return result
+
+
+def deltas(document: Document, reference: Value, count: int) -> Deltas:
+    """The non-zero rows of a VEC3 accessor of `count` elements; zeros behind sparse data are never allocated."""
+    found = accessor(document, reference, "VEC3")
+    _expect_count(found, reference, count)
+    if found.base is None and found.sparse is None:
+        return Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
+    if found.base is None and found.sparse is not None:
+        indices, values = found.sparse[0], _to_floats(found, found.sparse[1])
+    else:
+        values = floats(document, reference, "VEC3")
+        indices = np.arange(count)
+    moved = np.any(values != 0.0, axis=1)
+    document.budget.spend(16 * int(np.count_nonzero(moved)), found.value)
+    return Deltas(np.asarray(indices)[moved].astype(np.int64), values[moved])
+
+
+def _expect_count(found: Accessor, reference: Value, count: int | None) -> None:
+    if count is not None and found.count != count:
+        raise reference.error(f"{found.value.trail} has {found.count} elements, expected {count}")
+
+
+def _dtype(value: Value) -> np.dtype[np.generic]:
+    number = value.integer()
+    if number not in _DTYPES:
+        raise value.error(f"{number}, expected one of {', '.join(map(str, _DTYPES))}")
+    return np.dtype(_DTYPES[number])
+
+
+def _base(
+    document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]
+) -> RawArray | None:
+    reference = value.get("bufferView")
+    if reference is None:
+        return None
+    stride = document.entry("bufferViews", reference).get("byteStride")
+    size = components * dtype.itemsize
+    step = size if stride is None else stride.integer(1)
+    if stride is not None and step < size:
+        raise stride.error(f"{step} bytes, expected at least the element's {size}")
+    return _strided(document, value, reference, count, components, dtype, step)
+
+
+def _strided(
+    document: Document,
+    value: Value,
+    reference: Value,
+    count: int,
+    components: int,
+    dtype: np.dtype[np.generic],
+    step: int,
+) -> RawArray:
+    data, start, length = document.view(reference)
+    offset = optional_integer(value, "byteOffset")
+    end = offset + step * (count - 1) + components * dtype.itemsize
+    if end > length:
+        raise value.error(f"{count} elements end at byte {end} of a bufferView of {length}")
+    return np.ndarray((count, components), dtype, data, start + offset, (step, dtype.itemsize))
+
+
+def _sparse(
+    document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]
+) -> tuple[IntArray, RawArray] | None:
+    sparse = value.get("sparse")
+    if sparse is None:
+        return None
+    entries = sparse.require("count").integer(1)
+    if entries > count:
+        raise sparse.error(f"{entries} entries of {count} elements")
+    at = sparse.require("indices")
+    index_dtype = _dtype(at.require("componentType"))
+    if index_dtype.kind != "u":
+        raise at.error("signed or float indices, expected unsigned integers")
+    indices = _packed(document, at, entries, 1, index_dtype)[:, 0].astype(np.int64)
+    if indices[-1] >= count or indices.max() >= count:
+        raise at.error(f"index {int(indices.max())} of {count} elements")
+    if np.any(np.diff(indices) <= 0):
+        raise at.error("indices are not strictly ascending")
+    return indices, _packed(document, sparse.require("values"), entries, components, dtype)
+
+
+def _packed(document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]) -> RawArray:
+    reference = value.require("bufferView")
+    return _strided(document, value, reference, count, components, dtype, components * dtype.itemsize)
+
+
+def _to_floats(found: Accessor, raw: RawArray) -> FloatArray:
+    values = raw.astype(np.float32)
+    if found.dtype.kind == "f":
+        if not np.isfinite(values).all():
+            raise found.value.error(f"non-finite value at element {int(np.argmin(np.isfinite(values).all(axis=1)))}")
+    elif found.normalized:
+        values /= np.float32(np.iinfo(found.dtype).max)  # type: ignore[type-var]
+        np.maximum(values, -1.0, out=values)
+    return values

@@ -1,0 +1,95 @@
+"""Meshes of a document where its nodes show them: skinned, carried by a joint, or placed by a transform."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.importers import gltf_materials, gltf_meshes, gltf_morphs, gltf_primitives
+from facepipe.importers.gltf_document import Document
+from facepipe.importers.gltf_json import Value
+from facepipe.importers.gltf_morphs import Role
+from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_nodes import Nodes
+from facepipe.importers.gltf_placement import placed
+from facepipe.importers.gltf_primitives import Geometry
+from facepipe.importers.gltf_skins import Joints
+from facepipe.parts import Mesh, Skin
+
+_RESERVED = ("Skeleton", "Materials", "Animations")  # prims beside the meshes
+
+
+@dataclass
+class Assembly:
+    """Turns mesh nodes into meshes; a glTF mesh shown several times is read once."""
+
+    document: Document
+    nodes: Nodes
+    joints: Joints
+    materials: list[str]
+    weld: bool
+    names: Names = field(default_factory=lambda: Names(*_RESERVED))
+    shape_names: Names = field(default_factory=Names)
+    roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
+    _built: dict[tuple[int, int], tuple[Mesh, Geometry] | None] = field(default_factory=dict)
+
+    def meshes(self) -> tuple[Mesh, ...]:
+        """All meshes of the scene, in its order."""
+        built = [self._show(node) for node in self.nodes.shown if self.nodes.values[node].get("mesh") is not None]
+        return tuple(mesh for mesh in built if mesh is not None)
+
+    def _show(self, node: int) -> Mesh | None:
+        document, value = self.document, self.nodes.values[node]
+        mesh_index = document.index("meshes", value.require("mesh"))
+        skin_reference = value.get("skin")
+        skin = -1 if skin_reference is None else document.index("skins", skin_reference)
+        key = (mesh_index, skin)
+        if key not in self._built:
+            self._built[key] = self._build(mesh_index, skin)
+        found = self._built[key]
+        if found is None:
+            document.warn(value, "its mesh has no triangles: left out")
+            return None
+        mesh, geometry = found
+        if geometry.vertices.targets:
+            count = len(geometry.vertices.targets)
+            self.roles[node] = gltf_morphs.roles(document, geometry.value, count, self.shape_names)
+            self._note_weights(value)
+        named = replace(mesh, name=self.names.new(self.nodes.name(node) or _name(geometry.value), "mesh"))
+        if skin >= 0:
+            return placed(named, self.joints.skins[skin].geom_bind)
+        return self._unskinned(node, named)
+
+    def _build(self, mesh_index: int, skin: int) -> tuple[Mesh, Geometry] | None:
+        document = self.document
+        geometry = gltf_primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
+        if geometry is None:
+            return None
+        slots = None if skin < 0 else self.joints.skins[skin].slots
+        mesh = gltf_meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials)
+        used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
+        sides = any(gltf_materials.is_double_sided(document, number) for number in used)
+        return replace(mesh, double_sided=sides), geometry
+
+    def _unskinned(self, node: int, mesh: Mesh) -> Mesh:
+        """A mesh without skin: carried by the joint it hangs on, or placed once and for all."""
+        held = self.joints.holding(self.nodes, node)
+        if held is None:
+            return replace(mesh, transform=self.nodes.worlds[node])
+        joint, to_joint = held
+        count = len(mesh.points)
+        self.document.budget.spend(64 * count, self.nodes.values[node])
+        skin = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
+        bind = self.joints.skeleton.bind_transforms[joint]
+        return placed(replace(mesh, skin=skin), bind @ to_joint)
+
+    def _note_weights(self, value: Value) -> None:
+        weights = value.get("weights")
+        if weights is not None and any(weights.numbers()):
+            self.document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
+
+
+def _name(value: Value) -> str:
+    name = value.get("name")
+    return "" if name is None else name.text()

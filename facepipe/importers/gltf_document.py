@@ -1,0 +1,196 @@
+"""A glTF 2.0 document: its container, JSON and buffers, checked before anything is believed.
+
+The reader goes from JSON and bytes straight to numpy views instead of through `pygltflib`: that library fills
+dataclasses without checking types or ranges, so that hostile files fail far from their cause, or not at all, and
+it copies buffers. It stays what we write with.
+
+Source: Khronos glTF 2.0 specification, sections 3 (concepts) and 4 (GLB).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from facepipe.errors import InputError
+from facepipe.importers import gltf_files, gltf_json
+from facepipe.importers.gltf_json import Value, members, quote
+
+_MAGIC = b"glTF"
+_JSON_CHUNK = 0x4E4F534A
+_BINARY_CHUNK = 0x004E4942
+
+SUPPORTED_EXTENSIONS = frozenset(
+    {
+        "KHR_mesh_quantization",
+        "KHR_texture_transform",
+        "KHR_materials_ior",
+        "KHR_materials_unlit",
+        "KHR_materials_emissive_strength",
+    }
+)
+
+
+@dataclass
+class Budget:
+    """Bytes that reading may still allocate: a small file must not unfold into gigabytes by naming data repeatedly."""
+
+    left: int = 64 * 2**20
+    per_byte: int = 32
+
+    def grant(self, size: int) -> None:
+        """Allow for data of `size` bytes that the file really holds."""
+        self.left += self.per_byte * size
+
+    def spend(self, size: int, value: Value) -> None:
+        """Take `size` bytes, on behalf of `value`.
+
+        :raises InputError: nothing left
+        """
+        self.left -= size
+        if self.left < 0:
+            raise value.error("the file asks for far more data than it holds")
+
+
+@dataclass
+class Document:
+    """A parsed document. `warnings` grows while it is read."""
+
+    root: Value
+    folder: Path
+    binary: bytes | None = None
+    budget: Budget = field(default_factory=Budget)
+    warnings: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)  # read so far
+    _buffers: dict[int, bytes] = field(default_factory=dict)
+    _entries: dict[str, list[Value]] = field(default_factory=dict)
+
+    def entries(self, kind: str) -> list[Value]:
+        """All of one kind (``accessors``, ``nodes`` ...)."""
+        if kind not in self._entries:
+            self._entries[kind] = list(members(self.root.get(kind)))
+        return self._entries[kind]
+
+    def index(self, kind: str, reference: Value) -> int:
+        """The index that `reference` names, within the entries of `kind`."""
+        number = reference.integer()
+        count = len(self.entries(kind))
+        if number >= count:
+            raise reference.error(f"{number}, but there are {count} {kind}")
+        return number
+
+    def entry(self, kind: str, reference: Value) -> Value:
+        """The entry of `kind` that `reference` names."""
+        return self.entries(kind)[self.index(kind, reference)]
+
+    def warn(self, value: Value | str, what: str) -> None:
+        """Note something that could not be brought over, once."""
+        line = f"{value.trail if isinstance(value, Value) else value}: {what}"
+        if line not in self.warnings:
+            self.warnings.append(line)
+
+    def buffer(self, reference: Value) -> bytes:
+        """The bytes of a buffer, its byteLength at least."""
+        number = self.index("buffers", reference)
+        if number not in self._buffers:
+            self._buffers[number] = self._load(number)
+        return self._buffers[number]
+
+    def view(self, reference: Value) -> tuple[bytes, int, int]:
+        """The buffer, first byte and length of a bufferView."""
+        value = self.entry("bufferViews", reference)
+        data = self.buffer(value.require("buffer"))
+        start = optional_integer(value, "byteOffset")
+        length = value.require("byteLength").integer(1)
+        if start + length > len(data):
+            raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
+        return data, start, length
+
+    def _load(self, number: int) -> bytes:
+        value = self.entries("buffers")[number]
+        length = value.require("byteLength").integer(1)
+        uri = value.get("uri")
+        if uri is not None:
+            data = gltf_files.read_uri(uri, self.folder, self.files)
+        elif number == 0 and self.binary is not None:
+            data = self.binary
+        else:
+            raise value.error("no uri, expected one (only the first buffer of a GLB goes without)")
+        if len(data) < length:
+            raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
+        self.budget.grant(length)
+        return data[:length] if len(data) > length else data
+
+
+def optional_integer(value: Value, key: str, default: int = 0) -> int:
+    """A whole number member, or `default` where it is absent."""
+    member = value.get(key)
+    return default if member is None else member.integer()
+
+
+def open_document(source: Path) -> Document:
+    """Read the container and JSON of a .glb or .gltf, told apart by content.
+
+    :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
+    """
+    trail = source.name
+    data = gltf_files.read_whole(source, trail)
+    if not data:
+        raise InputError(trail, "empty file, expected glTF")
+    binary: bytes | None = None
+    text = data
+    if data[:4] == _MAGIC:
+        text, binary = _chunks(data, trail)
+    elif source.suffix.lower() == ".glb":
+        raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
+    root = gltf_json.parse(text, trail)
+    document = Document(root=root, folder=source.parent, binary=binary, files=[source])
+    _check_version(document)
+    _check_extensions(document)
+    return document
+
+
+def _chunks(data: bytes, trail: str) -> tuple[bytes, bytes | None]:
+    if len(data) < 20:
+        raise InputError(trail, f"{len(data)} bytes, expected a GLB header and a JSON chunk")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise InputError(trail, f"GLB version {version}, expected 2")
+    if length > len(data):
+        raise InputError(trail, f"truncated: {len(data)} bytes, the header says {length}")
+    found: dict[int, bytes] = {}
+    offset = 12
+    while offset + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, offset)
+        if offset + 8 + size > length:
+            raise InputError(trail, f"chunk at byte {offset} of {size} bytes ends beyond the file's {length}")
+        if not found and kind != _JSON_CHUNK:
+            raise InputError(trail, "the first chunk is not JSON")
+        if kind in (_JSON_CHUNK, _BINARY_CHUNK):
+            if kind in found:
+                raise InputError(trail, f"a second {'JSON' if kind == _JSON_CHUNK else 'BIN'} chunk at byte {offset}")
+            found[kind] = data[offset + 8 : offset + 8 + size]
+        offset += 8 + size
+    if _JSON_CHUNK not in found:
+        raise InputError(trail, "no JSON chunk")
+    return found[_JSON_CHUNK], found.get(_BINARY_CHUNK)
+
+
+def _check_version(document: Document) -> None:
+    asset = document.root.require("asset")
+    version = asset.require("version")
+    if version.text().split(".")[0] != "2":
+        raise version.error(f"{quote(version.text())}, expected glTF 2.0")
+    minimum = asset.get("minVersion")
+    if minimum is not None and minimum.text() != "2.0":
+        raise minimum.error(f"{quote(minimum.text())}, expected 2.0")
+
+
+def _check_extensions(document: Document) -> None:
+    for name in members(document.root.get("extensionsRequired")):
+        if name.text() not in SUPPORTED_EXTENSIONS:
+            raise name.error(f"the file needs the extension {quote(name.text())}, which is not supported")
+    for name in members(document.root.get("extensionsUsed")):
+        if name.text() not in SUPPORTED_EXTENSIONS:
+            document.warn(name, f"the extension {quote(name.text())} is ignored")

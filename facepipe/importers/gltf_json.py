@@ -1,0 +1,143 @@
+"""JSON of a glTF file as values that know where they stand, so that every error names its trail."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NoReturn
+
+from facepipe.errors import InputError
+
+_TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or false", type(None): "null"}
+
+
+@dataclass(frozen=True)
+class Value:
+    """One JSON value and the trail to it, like ``head.glb -> accessors[3].count``.
+
+    The readers below raise `InputError` when the value is not of the kind asked for; booleans are no numbers.
+    """
+
+    data: object
+    trail: str
+    root: bool = False
+
+    def error(self, what: str) -> InputError:
+        """An error at this place."""
+        return InputError(self.trail, what)
+
+    def get(self, key: str) -> Value | None:
+        """The member `key` of an object, None where there is none."""
+        members = self._members()
+        if key not in members:
+            return None
+        return Value(members[key], f"{self.trail}{' -> ' if self.root else '.'}{key}")
+
+    def require(self, key: str) -> Value:
+        """The member `key` of an object that must have it."""
+        value = self.get(key)
+        if value is None:
+            raise self.error(f"no {key}, expected one")
+        return value
+
+    def member_names(self) -> list[str]:
+        """The names of an object's members, in file order."""
+        return list(self._members())
+
+    def items(self) -> list[Value]:
+        """The elements of an array."""
+        if not isinstance(self.data, list):
+            raise self._expected("an array")
+        return [Value(item, f"{self.trail}[{i}]") for i, item in enumerate(self.data)]
+
+    def integer(self, low: int = 0) -> int:
+        """A whole number of at least `low`; 3.0 counts as 3, as JSON makes no difference."""
+        data = self.data
+        if isinstance(data, float) and data.is_integer():
+            data = int(data)
+        if isinstance(data, bool) or not isinstance(data, int):
+            raise self._expected("a whole number")
+        if not low <= data < 2**53:
+            raise self.error(f"{_short(data)}, expected a whole number from {low} to 2^53")
+        return data
+
+    def number(self) -> float:
+        """A finite number."""
+        if isinstance(self.data, bool) or not isinstance(self.data, int | float):
+            raise self._expected("a number")
+        if abs(self.data) > 1e300 or not math.isfinite(self.data):
+            raise self.error(f"{_short(self.data)}, expected a finite number")
+        return float(self.data)
+
+    def numbers(self, count: int | None = None) -> tuple[float, ...]:
+        """An array of `count` finite numbers."""
+        items = self.items()
+        if count is not None and len(items) != count:
+            raise self.error(f"{len(items)} numbers, expected {count}")
+        return tuple(item.number() for item in items)
+
+    def text(self) -> str:
+        """Text that UTF-8 can hold."""
+        if not isinstance(self.data, str):
+            raise self._expected("text")
+        if any("\ud800" <= character <= "\udfff" for character in self.data):
+            raise self.error("text with half a surrogate pair, expected Unicode")
+        return self.data
+
+    def flag(self) -> bool:
+        """True or false."""
+        if not isinstance(self.data, bool):
+            raise self._expected("true or false")
+        return self.data
+
+    def _members(self) -> dict[str, object]:
+        if not isinstance(self.data, dict):
+            raise self._expected("an object")
+        return self.data
+
+    def _expected(self, kind: str) -> InputError:
+        found = _TYPE_NAMES.get(type(self.data)) or _short(self.data)
+        if isinstance(self.data, str):
+            found = f"the text {quote(self.data)}"
+        return self.error(f"is {found}, expected {kind}")
+
+
+def members(value: Value | None) -> Iterator[Value]:
+    """The elements of an array that may be absent."""
+    return iter(value.items() if value is not None else ())
+
+
+def quote(text: str) -> str:
+    """`text` in quotes, escaped and short enough for a one-line message."""
+    return ascii(text if len(text) <= 60 else f"{text[:57]}...")
+
+
+def parse(text: bytes, trail: str) -> Value:
+    """The JSON object in `text`.
+
+    :raises InputError: not UTF-8, not JSON (NaN and Infinity are no JSON), nested too deeply, or not an object
+    """
+    try:
+        data = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse)
+    except RecursionError:
+        raise InputError(trail, "JSON nested too deeply") from None
+    except UnicodeDecodeError as error:
+        raise InputError(trail, f"JSON isn't UTF-8: {error.reason} at byte {error.start}") from None
+    except ValueError as error:
+        raise InputError(trail, f"not JSON: {ascii(str(error))[1:-1][:100]}") from None
+    value = Value(data, trail, root=True)
+    if not isinstance(data, dict):
+        raise value.error("its JSON is not an object, expected a glTF object")
+    return value
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no JSON number")
+
+
+def _short(data: object) -> str:
+    if isinstance(data, int) and abs(data) >= 10**20:
+        return "a number beyond 10^20"  # not printed: Python limits how many digits it converts
+    return str(data)[:40]

@@ -1,0 +1,220 @@
+"""glTF materials as UsdPreviewSurface inputs, textures as image bytes.
+
+Source: glTF 2.0 section 3.9 (materials), KHR_materials_ior, KHR_materials_unlit, KHR_materials_emissive_strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+from typing import Literal
+
+from facepipe.importers import gltf_files
+from facepipe.importers.gltf_document import Document, optional_integer
+from facepipe.importers.gltf_json import Value
+from facepipe.importers.gltf_meshes import uv_name
+from facepipe.importers.gltf_names import Names
+from facepipe.parts import Color, Material, Texture, TextureInput
+
+Channels = Literal["rgb", "r", "g", "b", "a"]
+Wrap = Literal["repeat", "mirror", "clamp"]
+_Four = tuple[float, float, float, float]
+
+_WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+_SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
+_IMPLEMENTED = {"KHR_materials_ior", "KHR_materials_unlit", "KHR_materials_emissive_strength"}
+
+
+def material_names(document: Document) -> list[str]:
+    """An identifier for every material of the document."""
+    names = Names()
+    return [names.new(_name(value), "Material") for value in document.entries("materials")]
+
+
+def read_materials(document: Document, names: list[str], used: Iterable[str]) -> tuple[Material, ...]:
+    """The materials in `used`, in document order.
+
+    :raises InputError: values or images that can't be read
+    """
+    wanted = set(used)
+    textures = _Textures(document)
+    values = document.entries("materials")
+    return tuple(_material(document, textures, values[i], name) for i, name in enumerate(names) if name in wanted)
+
+
+def is_double_sided(document: Document, index: int) -> bool:
+    """Whether material `index` shows both sides."""
+    flag = document.entries("materials")[index].get("doubleSided")
+    return flag is not None and flag.flag()
+
+
+class _Textures:
+    """Texture inputs of one document; an image is read once and its file name is unique."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+        self._images: dict[int, Texture] = {}
+        self._names = Names()
+
+    def input(
+        self, reference: Value, channels: Channels, scale: _Four, bias: _Four = (0.0, 0.0, 0.0, 0.0)
+    ) -> TextureInput | None:
+        """A material input of the textureInfo at `reference`; None, with a warning, where it has no image of ours."""
+        document = self._document
+        texture = document.entry("textures", reference.require("index"))
+        source = texture.get("source")
+        if source is None:
+            document.warn(texture, "has no PNG or JPEG image: left out")
+            return None
+        sampler = texture.get("sampler")
+        settings = None if sampler is None else document.entry("samplers", sampler)
+        return TextureInput(
+            texture=self._image(document.index("images", source)),
+            channels=channels,
+            uv_set=uv_name(self._uv_number(reference)),
+            scale=scale,
+            bias=bias,
+            wrap_s=_wrap(settings, "wrapS"),
+            wrap_t=_wrap(settings, "wrapT"),
+        )
+
+    def _uv_number(self, reference: Value) -> int:
+        number = optional_integer(reference, "texCoord")
+        transform = _extension(reference, "KHR_texture_transform")
+        if transform is None:
+            return number
+        offset, scale, rotation = transform.get("offset"), transform.get("scale"), transform.get("rotation")
+        moved = offset is not None and offset.numbers(2) != (0.0, 0.0)
+        scaled = scale is not None and scale.numbers(2) != (1.0, 1.0)
+        if moved or scaled or (rotation is not None and rotation.number() != 0.0):
+            self._document.warn(transform, "texture offsets, scales and rotations are left out")
+        return optional_integer(transform, "texCoord", number)
+
+    def _image(self, index: int) -> Texture:
+        if index not in self._images:
+            value = self._document.entries("images")[index]
+            data = self._bytes(value)
+            kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
+            if kind is None:
+                raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")
+            uri = value.get("uri")
+            named = gltf_files.uri_name(uri.text()) if uri is not None else ""
+            stem = PurePosixPath(named).stem or _name(value)
+            self._images[index] = Texture(name=f"{self._names.new(stem, 'texture')}.{kind}", data=data)
+        return self._images[index]
+
+    def _bytes(self, value: Value) -> bytes:
+        uri, view = value.get("uri"), value.get("bufferView")
+        if uri is not None:
+            return gltf_files.read_uri(uri, self._document.folder, self._document.files)
+        if view is None:
+            raise value.error("neither uri nor bufferView, expected one")
+        data, start, length = self._document.view(view)
+        self._document.budget.spend(length, value)
+        return data[start : start + length]
+
+
+def _material(document: Document, textures: _Textures, value: Value, name: str) -> Material:
+    _note_extensions(document, value)
+    empty = Value({}, value.trail)
+    surface = value.get("pbrMetallicRoughness") or empty
+    base = _factors(surface, "baseColorFactor", 4, 1.0)
+    opacity, threshold = _opacity(textures, value, surface, base[3])
+    ior = _extension(value, "KHR_materials_ior")
+    rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
+    return Material(
+        name=name,
+        diffuse_color=_color(textures, surface.get("baseColorTexture"), base),
+        emissive_color=_emission(textures, value),
+        metallic=_scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal),
+        roughness=_scalar(textures, surface.get("metallicRoughnessTexture"), "g", rough),
+        opacity=opacity,
+        opacity_threshold=threshold,
+        occlusion=_occlusion(textures, value.get("occlusionTexture")),
+        normal=_normal(textures, value.get("normalTexture")),
+        ior=1.5 if ior is None else _factor(ior, "ior", 1.5),
+    )
+
+
+def _color(textures: _Textures, reference: Value | None, factor: tuple[float, ...]) -> Color | TextureInput:
+    red, green, blue, alpha = factor
+    found = None if reference is None else textures.input(reference, "rgb", (red, green, blue, alpha))
+    return (red, green, blue) if found is None else found
+
+
+def _scalar(textures: _Textures, reference: Value | None, channel: Channels, factor: float) -> float | TextureInput:
+    found = None if reference is None else textures.input(reference, channel, (factor,) * 4)
+    return factor if found is None else found
+
+
+def _emission(textures: _Textures, value: Value) -> Color | TextureInput:
+    strength = _extension(value, "KHR_materials_emissive_strength")
+    gain = 1.0 if strength is None else _factor(strength, "emissiveStrength")
+    red, green, blue = (gain * factor for factor in _factors(value, "emissiveFactor", 3, 0.0))
+    if (red, green, blue) == (0.0, 0.0, 0.0):
+        return (0.0, 0.0, 0.0)
+    return _color(textures, value.get("emissiveTexture"), (red, green, blue, 1.0))
+
+
+def _opacity(textures: _Textures, value: Value, surface: Value, alpha: float) -> tuple[float | TextureInput, float]:
+    mode = value.get("alphaMode")
+    name = "OPAQUE" if mode is None else mode.text()
+    if name not in ("OPAQUE", "MASK", "BLEND"):
+        raise value.error(f"alphaMode {ascii(name)[:40]}, expected OPAQUE, MASK or BLEND")
+    threshold = _factor(value, "alphaCutoff", 0.5) if name == "MASK" else 0.0
+    if name == "OPAQUE" or (name == "MASK" and threshold <= 0.0):
+        return 1.0, 0.0
+    return _scalar(textures, surface.get("baseColorTexture"), "a", alpha), threshold
+
+
+def _occlusion(textures: _Textures, reference: Value | None) -> float | TextureInput:
+    """``1 + strength (texel - 1)``."""
+    if reference is None:
+        return 1.0
+    strength = _factor(reference, "strength")
+    found = textures.input(reference, "r", (strength,) * 4, (1.0 - strength,) * 4)
+    return 1.0 if found is None else found
+
+
+def _normal(textures: _Textures, reference: Value | None) -> TextureInput | None:
+    """``(2 texel - 1) * (scale, scale, 1)``."""
+    if reference is None:
+        return None
+    scale = _factor(reference, "scale")
+    return textures.input(reference, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
+
+
+def _wrap(sampler: Value | None, key: str) -> Wrap:
+    mode = None if sampler is None else sampler.get(key)
+    if mode is None:
+        return "repeat"
+    if mode.integer() not in _WRAPS:
+        raise mode.error(f"{mode.integer()}, expected one of {', '.join(map(str, _WRAPS))}")
+    return _WRAPS[mode.integer()]
+
+
+def _note_extensions(document: Document, value: Value) -> None:
+    extensions = value.get("extensions")
+    for name in extensions.member_names() if extensions is not None else ():
+        if name not in _IMPLEMENTED:
+            document.warn(value, f"the extension {ascii(name)[:60]} is left out")
+
+
+def _extension(value: Value, name: str) -> Value | None:
+    extensions = value.get("extensions")
+    return None if extensions is None else extensions.get(name)
+
+
+def _factor(value: Value, key: str, default: float = 1.0) -> float:
+    factor = value.get(key)
+    return default if factor is None else factor.number()
+
+
+def _factors(value: Value, key: str, count: int, default: float) -> tuple[float, ...]:
+    factors = value.get(key)
+    return (default,) * count if factors is None else factors.numbers(count)
+
+
+def _name(value: Value) -> str:
+    name = value.get("name")
+    return "" if name is None else name.text()

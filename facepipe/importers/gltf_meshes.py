@@ -1,0 +1,146 @@
+"""From the vertices of a glTF mesh to a mesh of points with face-varying UVs and normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from facepipe.importers import gltf_morphs, gltf_weld
+from facepipe.importers.gltf_document import Document
+from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_primitives import Geometry, Vertices
+from facepipe.importers.gltf_weld import Weld
+from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
+
+
+def build_mesh(
+    document: Document, geometry: Geometry, names: Names, weld: bool, slots: IntArray | None, materials: Sequence[str]
+) -> Mesh:
+    """A mesh, its name and transform still to be set.
+
+    :param names: identifiers of shapes, shared by all meshes
+    :param weld: merge vertices into points (`_FACEPIPE_POINT` decides where the file has it)
+    :param slots: joint of the skeleton for every joint of the skin; None: no skin
+    :param materials: names of all materials of the document
+    """
+    vertices = geometry.vertices
+    welded = _weld(document, geometry, weld)
+    corners, kept = _faces(document, geometry, welded)
+    points = welded.points[corners].ravel()
+    bound = [(materials[number] if number >= 0 else None) for number in np.unique(geometry.materials[kept])]
+    return Mesh(
+        name="mesh",
+        points=vertices.positions[welded.vertices],
+        face_vertex_counts=np.full(len(corners), 3, np.int32),
+        face_vertex_indices=points.astype(np.int32),
+        normals=_normals(vertices, welded, corners),
+        uv_sets=tuple(_uv_set(number, uvs, welded, corners) for number, uvs in sorted(vertices.uvs.items())),
+        colors=_colors(document, geometry, welded),
+        skin=None if slots is None else _skin(document, geometry, welded, slots),
+        blendshapes=gltf_morphs.blendshapes(document, geometry, welded, names),
+        material=bound[0] if len(bound) == 1 else None,
+        material_faces=_material_faces(geometry.materials[kept], materials) if len(bound) > 1 else (),
+    )
+
+
+def uv_name(number: int) -> str:
+    """The name of the UV set TEXCOORD_<number>."""
+    return "st" if number == 0 else f"st{number}"
+
+
+def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:
+    vertices = geometry.vertices
+    numbers = vertices.point_numbers
+    if numbers is not None and weld:
+        found = gltf_weld.by_number(geometry, numbers)
+        if found is not None:
+            missing = int(numbers.max()) + 1 - len(found.vertices)
+            if missing:
+                document.warn(geometry.value, f"{missing} points are in no triangle: left out, numbers closed up")
+            return found
+        document.warn(
+            geometry.value, "_FACEPIPE_POINT joins vertices that lie apart: equal positions are welded instead"
+        )
+    if not weld:
+        return gltf_weld.none(vertices)
+    found = gltf_weld.by_value(geometry)
+    unused = int(np.count_nonzero(found.points < 0))
+    if unused:
+        document.warn(geometry.value, f"{unused} vertices are in no triangle: left out")
+    return found
+
+
+def _faces(document: Document, geometry: Geometry, weld: Weld) -> tuple[IntArray, IntArray]:
+    """Triangles (t, 3) of vertices that have three different points, and their numbers (t,)."""
+    a, b, c = weld.points[geometry.triangles].T
+    kept = np.flatnonzero((a != b) & (b != c) & (c != a))
+    lost = len(geometry.triangles) - len(kept)
+    if not len(kept):
+        raise geometry.value.error("no triangle has three different points")
+    if lost:
+        document.warn(geometry.value, f"{lost} triangles with fewer than three different points are left out")
+    return geometry.triangles[kept], kept
+
+
+def _normals(vertices: Vertices, weld: Weld, corners: IntArray) -> FloatArray | None:
+    """Per point where all its vertices agree, else face-varying."""
+    if vertices.normals is None:
+        return None
+    per_point = vertices.normals[weld.vertices]
+    at_corners = vertices.normals[corners.ravel()]
+    if np.array_equal(at_corners, per_point[weld.points[corners.ravel()]]):
+        return per_point
+    return at_corners
+
+
+def _uv_set(number: int, uvs: FloatArray, weld: Weld, corners: IntArray) -> UvSet:
+    """Values with v up; face-varying where a point has more than one."""
+    values = np.stack([uvs[:, 0], np.float32(1.0) - uvs[:, 1]], axis=1)
+    used = corners.ravel()
+    per_point = values[weld.vertices]
+    if np.array_equal(values[used], per_point[weld.points[used]]):
+        return UvSet(name=uv_name(number), values=per_point)
+    keys = np.concatenate([weld.points[used, None].astype(np.uint32), values[used].view(np.uint32)], axis=1)
+    first, inverse = gltf_weld.groups(keys)
+    return UvSet(name=uv_name(number), values=values[used[first]], indices=inverse.astype(np.int32))
+
+
+def _colors(document: Document, geometry: Geometry, weld: Weld) -> FloatArray | None:
+    colors = geometry.vertices.colors
+    if colors is None:
+        return None
+    shown = np.flatnonzero(weld.points >= 0)
+    if np.any(colors[shown] != colors[weld.vertices][weld.points[shown]]):
+        document.warn(geometry.value, "vertex colours differ at seams: one colour of each point is kept")
+    return colors[weld.vertices]
+
+
+def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -> Skin:
+    joints, weights = geometry.vertices.joints, geometry.vertices.weights
+    if joints is None or weights is None:
+        raise AssertionError("a skinned mesh has joints and weights")
+    joints, weights = joints[weld.vertices], weights[weld.vertices]
+    joints = np.where(weights > 0.0, joints, 0)
+    if joints.max() >= len(slots):
+        raise geometry.value.error(f"joint {int(joints.max())} of a skin with {len(slots)}")
+    sums = weights.sum(axis=1, dtype=np.float64)
+    lost = sums <= 0.0
+    if lost.any():
+        document.warn(geometry.value, f"{int(lost.sum())} points without a weight follow the skin's first joint")
+        weights[lost, 0], sums[lost] = 1.0, 1.0
+    error = float(np.abs(sums - 1.0).max())
+    if error > 1e-6:
+        document.warn(geometry.value, f"weights sum to 1 only within {error:.2g}: renormalised")
+        weights = (weights / sums[:, None]).astype(np.float32)
+    used = max(1, int(np.flatnonzero(np.any(weights > 0.0, axis=0)).max(initial=0)) + 1)
+    indices = np.where(weights > 0.0, slots[joints], 0)[:, :used]
+    return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights[:, :used])
+
+
+def _material_faces(numbers: IntArray, materials: Sequence[str]) -> tuple[MaterialFaces, ...]:
+    return tuple(
+        MaterialFaces(material=materials[number], faces=np.flatnonzero(numbers == number).astype(np.int32))
+        for number in np.unique(numbers).tolist()
+        if number >= 0
+    )

@@ -1,0 +1,159 @@
+"""Morph targets as blendshapes, and extra targets back to the inbetweens they came from.
+
+Our exporter writes an inbetween as one more target ``<shape>_<inbetween>`` (offsets from the neutral, as in USD) and
+says so in ``mesh.extras.facepipe.inbetweens``: ``{"<target>": {"shape": "<shape>", "weight": 0.5}}``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.importers.gltf_accessors import Deltas
+from facepipe.importers.gltf_document import Document
+from facepipe.importers.gltf_json import Value, members
+from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_primitives import Geometry, Target
+from facepipe.importers.gltf_weld import Weld
+from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a target is: the shape `shape` itself (weight 1) or an inbetween of it."""
+
+    shape: str
+    weight: float = 1.0
+    inbetween: str = ""
+
+
+def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Role, ...]:
+    """What each of a mesh's `count` targets is."""
+    originals = _target_names(document, mesh, count)
+    folded = _inbetweens(document, mesh, originals)
+    seen: Counter[str] = Counter()
+    found: dict[int, Role] = {}
+    shapes: dict[str, str] = {}
+    for number, original in enumerate(originals):
+        if number in folded:
+            continue
+        shape = names.same(original, seen[original], f"target_{number}")
+        seen[original] += 1
+        shapes.setdefault(original, shape)
+        found[number] = Role(shape)
+    inbetweens: dict[str, Names] = {}
+    for number, (original, weight) in folded.items():
+        stem = originals[number].removeprefix(f"{original}_")
+        own = inbetweens.setdefault(original, Names())
+        found[number] = Role(shapes[original], weight, own.new(stem, "inbetween"))
+    return tuple(found[number] for number in range(count))
+
+
+def blendshapes(document: Document, geometry: Geometry, weld: Weld, names: Names) -> tuple[Blendshape, ...]:
+    """The blendshapes of a mesh, in the order of its targets, on welded points."""
+    targets = geometry.vertices.targets
+    if not targets:
+        return ()
+    if any(weight.number() != 0.0 for weight in members(geometry.value.get("weights"))):
+        document.warn(geometry.value, "default morph weights are left out: the neutral has all shapes at 0")
+    by_shape: dict[str, list[tuple[Role, Target]]] = {}
+    for role, target in zip(roles(document, geometry.value, len(targets), names), targets, strict=True):
+        by_shape.setdefault(role.shape, []).append((role, target))
+    return tuple(_blendshape(document, geometry, weld, shape, sculpts) for shape, sculpts in by_shape.items())
+
+
+def _blendshape(
+    document: Document, geometry: Geometry, weld: Weld, name: str, sculpts: list[tuple[Role, Target]]
+) -> Blendshape:
+    moved = {role: _on_points(weld, target.positions) for role, target in sculpts}
+    turned = {
+        role: _mean_on_points(document, geometry, weld, target.normals)
+        for role, target in sculpts
+        if target.normals is not None and geometry.vertices.normals is not None
+    }
+    every = [*moved.values(), *turned.values()]
+    points = np.unique(np.concatenate([deltas.indices for deltas in every]))
+    main = next(role for role in moved if not role.inbetween)
+    return Blendshape(
+        name=name,
+        point_indices=points.astype(np.int32),
+        offsets=_rows(points, moved[main]),
+        normal_offsets=_rows(points, turned[main]) if main in turned else None,
+        inbetweens=tuple(
+            Inbetween(
+                name=role.inbetween,
+                weight=role.weight,
+                offsets=_rows(points, moved[role]),
+                normal_offsets=_rows(points, turned[role]) if role in turned else None,
+            )
+            for role in sorted(moved, key=lambda role: role.weight)
+            if role.inbetween
+        ),
+    )
+
+
+def _on_points(weld: Weld, deltas: Deltas) -> Deltas:
+    """Deltas of points, from the vertex that stands for each."""
+    points = weld.first[deltas.indices]
+    kept = points >= 0
+    order = np.argsort(points[kept])
+    return Deltas(points[kept][order], deltas.values[kept][order])
+
+
+def _mean_on_points(document: Document, geometry: Geometry, weld: Weld, deltas: Deltas) -> Deltas:
+    """Deltas of points, the mean of their vertices, as a point holds one normal offset."""
+    points = weld.points[deltas.indices]
+    shown = points >= 0
+    if not shown.any():
+        return Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
+    unique, inverse, counts = np.unique(points[shown], return_inverse=True, return_counts=True)
+    values = deltas.values[shown]
+    sums = np.stack([np.bincount(inverse, values[:, axis]) for axis in range(3)], axis=1)
+    means = (sums / weld.counts[unique][:, None]).astype(np.float32)
+    if np.any(counts != weld.counts[unique]) or np.abs(values - means[inverse]).max() > 1e-4:
+        document.warn(geometry.value, "normal offsets differ at seams: their mean is kept")
+    return Deltas(unique, means)
+
+
+def _rows(points: IntArray, deltas: Deltas) -> FloatArray:
+    rows = np.zeros((len(points), 3), np.float32)
+    rows[np.searchsorted(points, deltas.indices)] = deltas.values
+    return rows
+
+
+def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
+    primitives = mesh.require("primitives").items()
+    for value in (mesh, *primitives):
+        extras = value.get("extras")
+        if extras is None or not isinstance(extras.data, dict):
+            continue
+        names = extras.get("targetNames")
+        if names is None:
+            continue
+        listed = names.data
+        if isinstance(listed, list) and len(listed) == count and all(isinstance(name, str) for name in listed):
+            return [name.text() or f"target_{i}" for i, name in enumerate(names.items())]
+        document.warn(names, f"is not a list of {count} names: targets are numbered instead")
+        break
+    return [f"target_{i}" for i in range(count)]
+
+
+def _inbetweens(document: Document, mesh: Value, originals: list[str]) -> dict[int, tuple[str, float]]:
+    """Target number -> shape and weight of every target that is an inbetween."""
+    extras = mesh.get("extras")
+    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    listed = ours.get("inbetweens") if ours is not None else None
+    if listed is None:
+        return {}
+    found: dict[int, tuple[str, float]] = {}
+    for target in listed.member_names():
+        entry = listed.require(target)
+        shape, weight = entry.require("shape").text(), entry.require("weight").number()
+        known = target in originals and shape in originals and target != shape and shape not in listed.member_names()
+        if not known or weight in (0.0, 1.0) or (shape, weight) in found.values():
+            document.warn(entry, "names no target and shape with a weight of their own: it stays a shape")
+            continue
+        found[originals.index(target)] = (shape, weight)
+    return found

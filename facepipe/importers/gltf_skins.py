@@ -1,0 +1,181 @@
+"""All skins of a document as one skeleton.
+
+Joints are the skins' joints, parent first; nodes between them that are no joints are folded into the rest transforms.
+A skin's ``world_i inverseBind_i`` (glTF 2.0 section 3.7.3) becomes ``world_i inverse(bind_i) geomBind`` (DESIGN
+section 7): where the nodes stand in bind pose that product is the same matrix for all joints, and this is geomBind.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.importers import gltf_accessors as accessors
+from facepipe.importers.gltf_document import Document
+from facepipe.importers.gltf_json import Value
+from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_nodes import Nodes
+from facepipe.parts import FloatArray, IntArray, Skeleton, identity
+
+_SAME = 1e-5
+
+
+@dataclass(frozen=True)
+class BoundSkin:
+    """A skin on the skeleton: the skeleton joint of each of its joints, and mesh space -> skeleton space at bind."""
+
+    slots: IntArray
+    geom_bind: FloatArray
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The skeleton, the joint of every node that is one, and what lies between a joint's node and its parent joint."""
+
+    skeleton: Skeleton
+    of_node: dict[int, int]
+    above: FloatArray  # (j, 4, 4) product of the local matrices of the nodes between, identity where there are none
+    skins: tuple[BoundSkin, ...]
+
+    def holding(self, nodes: Nodes, node: int) -> tuple[int, FloatArray] | None:
+        """The joint that a node hangs on, itself or the nearest above, and node space -> joint space."""
+        below = identity()
+        while node >= 0:
+            if node in self.of_node:
+                return self.of_node[node], below
+            below = nodes.locals[node] @ below
+            node = nodes.parents[node]
+        return None
+
+
+def read_joints(document: Document, nodes: Nodes) -> Joints:
+    """The skeleton of all skins.
+
+    :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
+    """
+    values = document.entries("skins")
+    listed = [_joint_nodes(document, value) for value in values]
+    order = _parent_first(nodes, [node for skin in listed for node in skin])
+    of_node = {node: joint for joint, node in enumerate(order)}
+    joint_parents, above = _hierarchy(nodes, order, of_node)
+    binds: dict[int, FloatArray] = {}
+    skins = []
+    for value, joint_nodes in zip(values, listed, strict=True):
+        inverses = _inverse_binds(document, value, len(joint_nodes))
+        slots = np.array([of_node[node] for node in joint_nodes], np.int64)
+        worlds = nodes.worlds[joint_nodes]
+        skins.append(BoundSkin(slots, _bind(document, value, slots, inverses, worlds, binds)))
+    rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
+    skeleton = Skeleton(
+        joints=_paths(document, nodes, order, joint_parents),
+        bind_transforms=np.array([binds[joint] for joint in range(len(order))]).reshape(-1, 4, 4),
+        rest_transforms=rest,
+    )
+    return Joints(skeleton, of_node, above, tuple(skins))
+
+
+def _joint_nodes(document: Document, value: Value) -> list[int]:
+    joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
+    if not joints:
+        raise value.error("no joints, expected at least one")
+    node, times = Counter(joints).most_common(1)[0]
+    if times > 1:
+        raise value.error(f"lists nodes[{node}] {times} times, expected once")
+    return joints
+
+
+def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:
+    """The joints without repeats, in the skins' order as far as parents come before children."""
+    wanted = set(joints)
+    placed: dict[int, None] = {}
+    for joint in joints:
+        chain = []
+        node = joint
+        while node >= 0 and node not in placed:
+            if node in wanted:
+                chain.append(node)
+            node = nodes.parents[node]
+        placed.update(dict.fromkeys(reversed(chain)))
+    return list(placed)
+
+
+def _hierarchy(nodes: Nodes, order: list[int], of_node: dict[int, int]) -> tuple[list[int], FloatArray]:
+    """Parent joint of every joint, -1 for roots, and the matrices of the nodes between."""
+    parents, above = [], np.tile(identity(), (len(order), 1, 1))
+    for joint, node in enumerate(order):
+        node = nodes.parents[node]
+        while node >= 0 and node not in of_node:
+            above[joint] = nodes.locals[node] @ above[joint]
+            node = nodes.parents[node]
+        parents.append(of_node.get(node, -1))
+    return parents, above
+
+
+def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int]) -> tuple[str, ...]:
+    siblings: dict[int, Names] = {}
+    paths: list[str] = []
+    for node, parent in zip(order, parents, strict=True):
+        name = siblings.setdefault(parent, Names()).new(nodes.name(node), "joint")
+        path = name if parent < 0 else f"{paths[parent]}/{name}"
+        document.budget.spend(len(path), nodes.values[node])  # a chain's paths grow with the square of its length
+        paths.append(path)
+    return tuple(paths)
+
+
+def _inverse_binds(document: Document, value: Value, count: int) -> FloatArray:
+    reference = value.get("inverseBindMatrices")
+    if reference is None:
+        return np.tile(identity(), (count, 1, 1))
+    read = accessors.floats(document, reference, "MAT4")
+    if len(read) < count:
+        raise reference.error(f"{len(read)} matrices, expected one for each of {count} joints")
+    matrices = np.asarray(read[:count], np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+    affine = np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) <= 1e-6
+    if not affine.all():
+        raise reference.error(f"matrix {int(np.argmin(affine))} has a last row other than 0 0 0 1")
+    matrices[:, 3] = (0.0, 0.0, 0.0, 1.0)
+    sizes = np.linalg.svd(matrices[:, :3, :3], compute_uv=False)
+    regular = (sizes[:, 2] > sizes[:, 0] * 1e-7) & (sizes[:, 2] > 1e-30)
+    if not regular.all():
+        raise reference.error(f"matrix {int(np.argmin(regular))} is singular, expected an invertible inverse bind")
+    return matrices
+
+
+def _bind(
+    document: Document,
+    value: Value,
+    slots: IntArray,
+    inverses: FloatArray,
+    worlds: FloatArray,
+    binds: dict[int, FloatArray],
+) -> FloatArray:
+    """The skin's geomBind; joints not bound so far join `binds`."""
+    bound = np.array([slot in binds for slot in slots.tolist()])
+    if bound.any():
+        factors = np.array([binds[slot] for slot in slots[bound].tolist()]) @ inverses[bound]
+        geom_bind = _snapped(factors[0])
+        apart = _difference(factors, geom_bind)
+        if apart > _SAME:
+            document.warn(value, f"binds joints otherwise than an earlier skin (by {apart:.2g}): the earlier is kept")
+    else:
+        factors = worlds @ inverses
+        geom_bind = _snapped(factors[0]) if _difference(factors, factors[0]) <= 10 * _SAME else identity()
+        if abs(np.linalg.det(geom_bind[:3, :3])) < 1e-30:
+            geom_bind = identity()
+    for slot, inverse in zip(slots.tolist(), inverses, strict=True):
+        if slot not in binds:
+            binds[slot] = geom_bind @ np.linalg.inv(inverse)
+    return geom_bind
+
+
+def _difference(matrices: FloatArray, reference: FloatArray) -> float:
+    """Largest difference of (k, 4, 4) from (4, 4), relative to the size of both."""
+    size = max(float(np.abs(reference[:3]).max()), 1e-30)
+    return float(np.abs(matrices - reference).max()) / size
+
+
+def _snapped(matrix: FloatArray) -> FloatArray:
+    """`matrix`, or the identity where it is that but for float32 noise."""
+    return identity() if np.abs(matrix - identity()).max() <= 1e-5 else matrix
