@@ -1,0 +1,118 @@
+"""Every check of a stage by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pxr import Usd
+
+from facepipe.reports import Finding
+from facepipe.validate import control_checks as control
+from facepipe.validate import layout_checks as layout
+from facepipe.validate import point_checks as points
+from facepipe.validate import shape_checks as shapes
+from facepipe.validate import skeleton_checks as skeleton
+from facepipe.validate import skin_checks as skin
+from facepipe.validate.problem import Problem
+from facepipe.validate.views import FaceView
+
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A named check: what must hold stands in the docstring of its function."""
+
+    name: str
+    function: Callable[[FaceView], Iterable[Problem]]
+    severity: Severity = "error"
+
+    @property
+    def full_name(self) -> str:
+        """Its name in findings and in USD's registry."""
+        return f"facepipe:{self.name}"
+
+    @property
+    def doc(self) -> str:
+        """What must hold."""
+        return " ".join((self.function.__doc__ or "").split())
+
+
+CHECKS: tuple[Check, ...] = (
+    Check("Composition", layout.composition),
+    Check("StageUnits", layout.stage_units),
+    Check("FacePrim", layout.face_prim),
+    Check("DefaultPrim", layout.default_prim, "warning"),
+    Check("SkelRoot", layout.skel_root),
+    Check("SkeletonCount", layout.skeleton_count),
+    Check("SkelBindingAPI", layout.skel_binding_api),
+    Check("SkeletonBound", layout.skeleton_bound),
+    Check("ReadableValues", layout.readable_values),
+    Check("Finite", layout.finite),
+    Check("MeshTopology", points.topology),
+    Check("PrimvarCount", points.primvar_count),
+    Check("NormalCount", points.normal_count),
+    Check("SkinElementSize", skin.element_size),
+    Check("SkinInfluenceCount", skin.influence_count),
+    Check("SkinJointIndices", skin.joint_indices),
+    Check("SkinWeightsSum", skin.weights_sum),
+    Check("SkinWeightsNegative", skin.weights_negative),
+    Check("SkinMeshJoints", skin.mesh_joints),
+    Check("GeomBindTransformAuthored", skin.geom_bind_authored, "warning"),
+    Check("GeomBindTransformSingular", skin.geom_bind_invertible),
+    Check("JointTransformCount", skeleton.transform_count),
+    Check("JointOrder", skeleton.joint_order),
+    Check("JointNames", skeleton.joint_names),
+    Check("BindTransformSingular", skeleton.transforms_invertible),
+    Check("JointTransformAffine", skeleton.transforms_affine),
+    Check("JointScaleNegative", skeleton.joint_scale),
+    Check("BoneLimits", skeleton.limits),
+    Check("AnimationCount", skeleton.animation_count),
+    Check("AnimationTransforms", skeleton.animation_transforms),
+    Check("AnimationNames", skeleton.animation_names, "warning"),
+    Check("AnimationRotations", skeleton.rotations_unit, "warning"),
+    Check("BlendshapeTargetCount", shapes.target_count),
+    Check("BlendshapeTargetDangling", shapes.target_dangling),
+    Check("BlendshapeNames", shapes.names),
+    Check("BlendshapePointIndices", shapes.point_indices),
+    Check("BlendshapePointTwice", shapes.point_indices_twice),
+    Check("BlendshapePointsUnsorted", shapes.point_indices_sorted, "warning"),
+    Check("BlendshapeOffsetCount", shapes.offset_count),
+    Check("InbetweenWeight", shapes.inbetween_weight),
+    Check("RegionCount", points.region_count),
+    Check("RegionRange", points.region_range),
+    Check("RegionSum", points.region_sum),
+    Check("SubsetIndices", points.subset_indices),
+    Check("LandmarkIndices", points.landmark_indices),
+    Check("LandmarkNames", points.landmark_names),
+    Check("AnchorIndex", points.anchor_index),
+    Check("SliderLists", control.slider_lists),
+    Check("SliderRange", control.slider_range),
+    Check("SliderValue", control.slider_value, "warning"),
+    Check("SliderTargets", control.slider_targets),
+    Check("RecipeOptions", control.recipe_options),
+    Check("RecipeDigests", control.recipe_digests, "warning"),
+)
+
+
+def check_stage(stage: Usd.Stage) -> list[Finding]:
+    """What our checks find on a stage, in the order of `CHECKS`."""
+    face = FaceView(stage)
+    return [
+        Finding(check=check.full_name, severity=check.severity, where=trail(stage, path), message=_line(message))
+        for check in CHECKS
+        for path, message in check.function(face)
+    ]
+
+
+def trail(stage: Usd.Stage, path: str) -> str:
+    """File and path for a finding."""
+    file = stage.GetRootLayer().realPath
+    return f"{Path(file).name} -> <{path}>" if file else f"<{path}>"
+
+
+def _line(message: str) -> str:
+    return " ".join(message.split())

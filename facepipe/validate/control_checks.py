@@ -1,0 +1,101 @@
+"""Checks of sliders and of the recipe."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+from pxr import Usd
+
+from facepipe import tokens
+from facepipe.rig import CHANNELS
+from facepipe.validate.problem import Problem, at, some
+from facepipe.validate.views import FaceView, array, value, words
+
+
+def _sliders(prim: Usd.Prim | None) -> list[str]:
+    if prim is None:
+        return []
+    prefix = tokens.SLIDER_PREFIX
+    found = prim.GetAuthoredPropertiesInNamespace(prefix.rstrip(":"))
+    return sorted({str(one.GetName()).removeprefix(prefix).rpartition(":")[0] for one in found} - {""})
+
+
+def slider_lists(face: FaceView) -> Iterator[Problem]:
+    """Joints, channels and gains of a slider are parallel, and so are shapes and their gains."""
+    for name in _sliders(face.prim):
+        for lists in (("joints", "channels", "channelGains"), ("shapes", "shapeGains")):
+            lengths = [_length(face.prim, name, one) for one in lists]
+            if len(set(lengths)) > 1:
+                found = ", ".join(f"{length} {one}" for one, length in zip(lists, lengths, strict=True))
+                yield at(_path(face.prim, name), f"{found}, expected as many of each")
+
+
+def slider_range(face: FaceView) -> Iterator[Problem]:
+    """A slider's minimum is at most its default, and that at most its maximum."""
+    for name in _sliders(face.prim):
+        low, default, high = (_number(face.prim, name, one) for one in ("minimum", "default", "maximum"))
+        if not low <= default <= high:
+            yield at(_path(face.prim, name), f"default {default:g}, expected {low:g} to {high:g}")
+
+
+def slider_value(face: FaceView) -> Iterator[Problem]:
+    """A slider's value is within its range; values beyond are clamped."""
+    for name in _sliders(face.prim):
+        if value(_attribute(face.prim, name, "value")) is not None:
+            own, low, high = (_number(face.prim, name, one) for one in ("value", "minimum", "maximum"))
+            if not low <= own <= high:
+                yield at(_path(face.prim, name), f"value {own:g}, expected {low:g} to {high:g}")
+
+
+def slider_targets(face: FaceView) -> Iterator[Problem]:
+    """Sliders drive joints, channels and blendshapes that the face has."""
+    for name in _sliders(face.prim):
+        for field, known in (("joints", set(face.joints)), ("channels", set(CHANNELS)), ("shapes", face.shape_names)):
+            unknown = sorted(set(words(_attribute(face.prim, name, field))) - known)
+            if unknown:
+                yield at(f"{_path(face.prim, name)}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
+
+
+def recipe_options(face: FaceView) -> Iterator[Problem]:
+    """The options of the recipe are a JSON object."""
+    attribute = face.prim.GetAttribute(tokens.RECIPE_OPTIONS) if face.prim else None
+    text = value(attribute)
+    if text is None:
+        return
+    try:
+        parsed = json.loads(str(text))
+    except (ValueError, RecursionError):
+        parsed = None
+    if not isinstance(parsed, dict):
+        yield at(attribute, "no JSON object, expected one")
+
+
+def recipe_digests(face: FaceView) -> Iterator[Problem]:
+    """The recipe has a digest per source."""
+    if face.prim is None:
+        return
+    sources, digests = (len(words(face.prim.GetAttribute(n))) for n in (tokens.RECIPE_SOURCES, tokens.RECIPE_DIGESTS))
+    if sources != digests:
+        yield at(f"{face.prim.GetPath()}.{tokens.RECIPE_DIGESTS}", f"{digests} digests, expected {sources}")
+
+
+def _attribute(prim: Usd.Prim | None, slider: str, field: str) -> Usd.Attribute | None:
+    return prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider}:{field}") if prim else None
+
+
+def _path(prim: Usd.Prim | None, slider: str) -> str:
+    return f"{prim.GetPath() if prim else ''}.{tokens.SLIDER_PREFIX}{slider}"
+
+
+def _length(prim: Usd.Prim | None, slider: str, field: str) -> int:
+    found = value(_attribute(prim, slider, field))
+    return len(found) if hasattr(found, "__len__") else 0
+
+
+def _number(prim: Usd.Prim | None, slider: str, field: str) -> float:
+    found = array([value(_attribute(prim, slider, field))])
+    if found is not None and len(found) and np.isfinite(found[0]):
+        return float(found[0])
+    return 1.0 if field == "maximum" else 0.0

@@ -1,0 +1,140 @@
+"""Checks of the stage as a whole: units, where the face is, what is bound to what, values that can be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pxr import Tf, Usd, UsdGeom, UsdSkel
+
+from facepipe.validate.problem import Problem, at, some
+from facepipe.validate.views import FaceView, array
+
+_SKEL_PROPERTIES = (
+    "primvars:skel:jointIndices",
+    "primvars:skel:jointWeights",
+    "primvars:skel:geomBindTransform",
+    "skel:skeleton",
+    "skel:animationSource",
+    "skel:joints",
+    "skel:blendShapes",
+    "skel:blendShapeTargets",
+)
+
+
+def composition(face: FaceView) -> Iterator[Problem]:
+    """References, sublayers and payloads compose."""
+    for error in face.stage.GetCompositionErrors():
+        yield at("/", str(error))
+
+
+def stage_units(face: FaceView) -> Iterator[Problem]:
+    """metersPerUnit and upAxis are authored, metersPerUnit above 0."""
+    if not UsdGeom.StageHasAuthoredMetersPerUnit(face.stage):
+        yield at("/", "metersPerUnit not authored, expected the metres of one stage unit")
+    else:
+        unit = float(UsdGeom.GetStageMetersPerUnit(face.stage))
+        if not (np.isfinite(unit) and unit > 0):
+            yield at("/", f"metersPerUnit {unit:g}, expected a finite number above 0")
+    if not face.stage.GetRootLayer().pseudoRoot.HasInfo(UsdGeom.Tokens.upAxis):
+        yield at("/", "upAxis not authored, expected Y or Z")
+
+
+def face_prim(face: FaceView) -> Iterator[Problem]:
+    """The stage has a face: a prim with FacepipeFaceAPI."""
+    if face.prim is None:
+        yield at("/", "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files")
+
+
+def default_prim(face: FaceView) -> Iterator[Problem]:
+    """The face is the default prim, so that a reference to the file brings it."""
+    default = face.stage.GetDefaultPrim()
+    if face.prim is not None and default != face.prim:
+        found = f"<{default.GetPath()}>" if default else "missing"
+        yield at(face.prim, f"defaultPrim is {found}, expected the face")
+
+
+def skel_root(face: FaceView) -> Iterator[Problem]:
+    """The face is a SkelRoot, and skeletons and bound meshes stand below one: UsdSkel deforms nothing elsewhere."""
+    if face.prim is not None and not face.prim.IsA(UsdSkel.Root):
+        yield at(face.prim, f"is of type '{face.prim.GetTypeName()}', expected SkelRoot")
+    else:
+        bound = [mesh.prim for mesh in face.meshes if mesh.is_skinned or mesh.shape_names or mesh.skeleton_path]
+        for prim in [skeleton.prim for skeleton in face.skeletons] + bound:
+            if not UsdSkel.Root.Find(prim):
+                yield at(prim, "no SkelRoot above it, expected one")
+
+
+def skeleton_count(face: FaceView) -> Iterator[Problem]:
+    """One Skeleton below the face, always: UsdSkel ignores blendshapes where there is none."""
+    if len(face.skeletons) != 1:
+        named = f" ({some(one.path for one in face.skeletons)})" if face.skeletons else ""
+        yield at(face.prim or "/", f"{len(face.skeletons)} Skeleton prims{named}, expected one")
+
+
+def skel_binding_api(face: FaceView) -> Iterator[Problem]:
+    """SkelBindingAPI is applied to the Skeleton and to every prim with skel properties; they do nothing without."""
+    for prim in face.prims:
+        if prim.HasAPI(UsdSkel.BindingAPI):
+            continue
+        authored = [name for name in _SKEL_PROPERTIES if prim.GetProperty(name) and prim.GetProperty(name).IsAuthored()]
+        if authored or (prim.IsA(UsdSkel.Skeleton) and face.prim is not None):
+            having = f" but {some(authored)}" if authored else ""
+            yield at(prim, f"SkelBindingAPI not applied{having}, expected it")
+
+
+def skeleton_bound(face: FaceView) -> Iterator[Problem]:
+    """Every mesh with influences or blendshapes is bound to a Skeleton that is there."""
+    for mesh in face.meshes:
+        if not (mesh.is_skinned or mesh.shape_names):
+            continue
+        path = mesh.skeleton_path
+        prim = face.stage.GetPrimAtPath(path) if path and path.IsPrimPath() else None
+        if path is None:
+            yield at(mesh.prim, "skel:skeleton names no Skeleton, expected one on the mesh or above it")
+        elif not prim or not prim.IsA(UsdSkel.Skeleton):
+            yield at(mesh.prim, f"skel:skeleton names <{path}>, expected a Skeleton")
+
+
+def readable_values(face: FaceView) -> Iterator[Problem]:
+    """Every authored value can be read and is of its attribute's type."""
+    for attribute in _attributes(face):
+        try:
+            time = Usd.TimeCode.EarliestTime() if attribute.ValueMightBeTimeVarying() else Usd.TimeCode.Default()
+            found = attribute.Get(time)
+        except (Tf.ErrorException, RuntimeError, TypeError, ValueError) as error:
+            yield at(attribute, f"can't be read ({' '.join(str(error).split())[:120]})")
+            continue
+        kind = attribute.GetTypeName()
+        own = Tf.Type.FindByName(kind.cppTypeName) if found is not None and kind else None
+        if own is not None and own.pythonClass and not isinstance(found, own.pythonClass):
+            yield at(attribute, f"value of type {type(found).__name__}, expected {kind}")
+
+
+def finite(face: FaceView) -> Iterator[Problem]:
+    """No number is NaN or infinite, at any time."""
+    for attribute in _attributes(face):
+        samples = [Usd.TimeCode(code) for code in attribute.GetTimeSamples()]
+        for time in [Usd.TimeCode.Default(), *samples]:
+            values = _floats(attribute, time)
+            if values is not None and not np.isfinite(values).all():
+                wrong = int(np.count_nonzero(~np.isfinite(values)))
+                when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
+                yield at(attribute, f"{wrong} of {values.size} numbers are NaN or infinite{when}, expected finite ones")
+                break
+
+
+def _attributes(face: FaceView) -> Iterator[Usd.Attribute]:
+    for prim in face.prims:
+        yield from (attribute for attribute in prim.GetAuthoredAttributes() if attribute.HasAuthoredValue())
+
+
+def _floats(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:
+    kind = str(attribute.GetTypeName())
+    if kind.startswith(("token", "string", "asset", "int", "uint", "bool", "path", "uchar")):
+        return None
+    try:
+        return array(attribute.Get(time))
+    except (Tf.ErrorException, RuntimeError, TypeError, ValueError):
+        return None
