@@ -1,0 +1,11 @@
+"""The built-in sample: a procedural human head with eyes, teeth, shapes, skin, regions and landmarks.
+
+`make` is the entry; each module makes one kind of part. Everything is computed from formulas and the tables in these
+modules: no scan or model of anyone is in it.
+"""
+
+from __future__ import annotations
+
+from facepipe.sample.build import make
+
+__all__ = ["make"]

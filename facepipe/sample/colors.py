@@ -1,0 +1,52 @@
+"""Colours of the head's points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from facepipe.parts import FloatArray
+from facepipe.sample import eyes, features, hair, layout, mouth
+from facepipe.sample.identity import Identity
+
+
+def head(points: FloatArray, who: Identity) -> FloatArray:
+    """(n, 3) linear colours 0..1."""
+    skin = np.array(who.skin)
+    colors = np.tile(skin, (len(points), 1))
+    blood = 0.9 * features.bump(points, (4.0, -3.2), (1.6, 1.6)) + 0.8 * features.bump(points, (0, -3.8), (1.2, 0.8))
+    labels = layout.build()
+    ears = (labels.ring["earLeft"] >= 2) | (labels.ring["earRight"] >= 2)
+    blood = np.maximum(blood, 0.8 * ears)
+    colors = _mix(colors, skin * (1.06, 0.80, 0.76), blood)
+    colors = _mix(colors, skin * (0.78, 0.66, 0.66), 0.5 * features.bump(points, (2.9, 0.1), (1.8, 1.1)))
+    colors = _mix(colors, skin * 0.88, 0.8 * features.bump(points, (0.0, -8.6), (2.6, 2.4)) * _beard(who))
+    colors = _mix(colors, np.array(who.hair), 0.88 * hair.scalp(points))
+    return np.clip(_openings(colors, skin, labels), 0.0, 1.0)
+
+
+def _beard(who: Identity) -> float:
+    return float(np.clip(who.brow_thickness * 0.5 + 0.3, 0.0, 1.0))
+
+
+def _openings(colors: FloatArray, skin: FloatArray, labels: layout.Layout) -> FloatArray:
+    lip = skin * (0.86, 0.50, 0.52)
+    flesh = np.array([0.30, 0.07, 0.06])
+    ring = labels.ring["mouth"]
+    red = np.interp(ring, [mouth.OUTLINE - 1, mouth.OUTLINE, mouth.OUTLINE + 1], [0.0, 0.55, 1.0])
+    colors = _mix(colors, lip, red)
+    colors = _mix(colors, lip * 0.55, np.interp(ring, [mouth.CONTACT - 1, mouth.CONTACT], [0.0, 0.6]))
+    colors = _mix(colors, flesh, np.interp(ring, [mouth.CONTACT, mouth.CONTACT + 2], [0.0, 1.0]))
+    colors = _mix(colors, flesh * 0.25, np.interp(ring, [mouth.CONTACT + 3, mouth.RINGS], [0.0, 1.0]))
+    for side in ("Left", "Right"):
+        lids = labels.ring["eye" + side]
+        colors = _mix(colors, skin * (0.80, 0.55, 0.52), 0.6 * (lids == eyes.RIM))
+        colors = _mix(colors, skin * (0.85, 0.48, 0.46), 0.8 * (lids > eyes.RIM))
+        nostril = labels.ring["nostril" + side]
+        colors = _mix(colors, skin * (0.16, 0.08, 0.07), np.interp(nostril, [0, 1, 2], [0.0, 0.55, 1.0]))
+        concha = labels.ring["ear" + side]
+        colors = _mix(colors, skin * (0.5, 0.3, 0.28), np.interp(concha, [6, 8], [0.0, 0.9]))
+    return colors
+
+
+def _mix(colors: FloatArray, target: FloatArray, share: FloatArray) -> FloatArray:
+    return np.asarray(colors + share[:, None] * (target - colors))

@@ -1,0 +1,85 @@
+"""The sample's meshes in their neutral pose, without skin and shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.parts import FloatArray, MaterialFaces, Mesh
+from facepipe.sample import colors, eyeballs, eyes, hair, head, teeth, topology, uv
+from facepipe.sample.identity import Identity
+from facepipe.sample.solids import Solid
+
+
+@dataclass(frozen=True)
+class Neutral:
+    """The neutral meshes, and what their skin and shapes hang on."""
+
+    who: Identity
+    head: Mesh
+    eyeballs: tuple[Mesh, Mesh]  # left, right
+    teeth: tuple[Mesh, Mesh]  # upper, lower
+    tongue: Mesh
+    brows: Mesh
+    lashes: Mesh
+    brow_strips: hair.Brows
+    lash_strips: hair.Lashes
+
+
+def build(who: Identity) -> Neutral:
+    """The neutral meshes of an identity."""
+    points = head.points(who)
+    top = topology.build()
+    triangles = point_triangles(top.face_vertex_counts, top.face_vertex_indices)
+    skin = Mesh(
+        name="Head",
+        points=points,
+        face_vertex_counts=top.face_vertex_counts,
+        face_vertex_indices=top.face_vertex_indices,
+        normals=point_normals(points, triangles),
+        uv_sets=(uv.head(),),
+        colors=colors.head(points, who),
+        material="Skin",
+    )
+    brow_strips, lash_strips = hair.brows(points, who), hair.lashes(points, who)
+    upper, lower, tongue = teeth.row(who, upper=True), teeth.row(who, upper=False), teeth.tongue(who)
+    return Neutral(
+        who=who,
+        head=skin,
+        eyeballs=(_eyeball("EyeLeft", who, 1.0), _eyeball("EyeRight", who, -1.0)),
+        teeth=(_solid("TeethUpper", *upper, "Teeth"), _solid("TeethLower", *lower, "Teeth")),
+        tongue=_solid("Tongue", *tongue, "Tongue"),
+        brows=_hairs("Brows", brow_strips.solid, who),
+        lashes=_hairs("Lashes", lash_strips.solid, who),
+        brow_strips=brow_strips,
+        lash_strips=lash_strips,
+    )
+
+
+def _solid(name: str, solid: Solid, point_colors: FloatArray, material: str, *, double_sided: bool = False) -> Mesh:
+    return Mesh(
+        name=name,
+        points=solid.points,
+        face_vertex_counts=solid.counts,
+        face_vertex_indices=solid.indices,
+        normals=point_normals(solid.points, point_triangles(solid.counts, solid.indices)),
+        uv_sets=(solid.uvs,),
+        colors=point_colors,
+        material=material,
+        double_sided=double_sided,
+    )
+
+
+def _eyeball(name: str, who: Identity, side: float) -> Mesh:
+    shape = eyes.eye(who)
+    unit = eyeballs.unit()
+    points = shape.center * (side, 1.0, 1.0) + shape.radius * unit.points
+    solid = Solid(points, unit.counts, unit.indices, unit.uvs)
+    mesh = _solid(name, solid, eyeballs.colors(who), "Sclera")
+    groups = tuple(MaterialFaces(material=key, faces=faces) for key, faces in eyeballs.face_groups().items())
+    return replace(mesh, material_faces=groups)
+
+
+def _hairs(name: str, solid: Solid, who: Identity) -> Mesh:
+    hair_colors = solid.points * 0.0 + [channel * 0.8 for channel in who.hair]
+    return _solid(name, solid, hair_colors, "Hair", double_sided=True)
