@@ -53,7 +53,7 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
     value = document.entry("accessors", reference)
     kind = value.require("type")
     if kind.text() not in types:
-        raise reference.error(f"{value.trail} is {kind.text()[:20]}, expected {' or '.join(types)}")
+        raise reference.error(f"{value.place} is {kind.text()[:20]}, expected {' or '.join(types)}")
     dtype = _dtype(value.require("componentType"))
     normalized = value.get("normalized")
     count = value.require("count").integer(1)
@@ -123,7 +123,7 @@ def deltas(document: Document, reference: Value, count: int) -> Deltas:
 
 def _expect_count(found: Accessor, reference: Value, count: int | None) -> None:
     if count is not None and found.count != count:
-        raise reference.error(f"{found.value.trail} has {found.count} elements, expected {count}")
+        raise reference.error(f"{found.value.place} has {found.count} elements, expected {count}")
 
 
 def _dtype(value: Value) -> np.dtype[np.generic]:

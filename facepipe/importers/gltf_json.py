@@ -24,6 +24,11 @@ class Value:
     trail: str
     root: bool = False
 
+    @property
+    def place(self) -> str:
+        """The trail inside the document, for naming one place in an error about another."""
+        return self.trail.partition(" -> ")[2]
+
     def error(self, what: str) -> InputError:
         """An error at this place."""
         return InputError(self.trail, what)
