@@ -75,7 +75,7 @@ def read_obj(path: Path) -> Obj:
     if len(values) == 0:
         raise InputError(path, "no points (v lines), expected a Wavefront OBJ")
     counts, indices, uv_indices = _faces(lines)
-    uvs = _numbers(lines, "vt", 1)
+    uvs = _numbers(lines, "vt", 1, 2)
     indices = _resolved(lines, "v", counts, indices, len(values))
     if uv_indices is not None:
         uv_indices = _resolved(lines, "vt", counts, uv_indices, len(uvs))
@@ -85,7 +85,7 @@ def read_obj(path: Path) -> Obj:
         points=np.ascontiguousarray(values[:, :3]),
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        uvs=np.ascontiguousarray(np.pad(uvs, ((0, 0), (0, 1)))[:, :2]),
+        uvs=uvs,
         uv_indices=uv_indices,
         colors=np.ascontiguousarray(values[:, -3:]) if values.shape[1] in (6, 7) else None,
         objects=objects,
@@ -145,17 +145,17 @@ def _join_continued(rows: list[str]) -> None:
             start = -1
 
 
-def _numbers(lines: _Lines, keyword: str, at_least: int) -> FloatArray:
-    """(lines, columns) float64 of `keyword`; columns that not every line has are cut off."""
+def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = None) -> FloatArray:
+    """(lines, columns) float64 of `keyword`, zeros where a line has fewer; None: as many as every line has."""
     numbers, texts = lines.of(keyword)
     words = [text.split() for text in texts]
     widths = list(map(len, words))
-    columns = min(widths, default=at_least)
-    if columns < at_least:
+    if min(widths, default=at_least) < at_least:
         at = next(i for i, width in enumerate(widths) if width < at_least)
         lines.fail(numbers[at], f"{widths[at]} numbers after {keyword}, expected {at_least} or more")
-    if max(widths, default=0) != columns:
-        words = [row[:columns] for row in words]
+    columns = columns or min(widths, default=at_least)
+    if any(width != columns for width in widths):
+        words = [(row + ["0"] * columns)[:columns] for row in words]
     try:
         values = np.array(list(map(float, chain.from_iterable(words))), dtype=np.float64).reshape(-1, columns)
     except ValueError:

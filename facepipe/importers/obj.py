@@ -1,0 +1,200 @@
+"""A folder of OBJ files on one topology: a neutral, and one file a shape.
+
+Points keep their order, faces their corners; UVs, material groups with their .mtl, and vertex colours come along.
+Normals are left out: they'd belong to the neutral alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.landmark_file import read_landmarks
+from facepipe.importers.materials_mtl import read_materials
+from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
+from facepipe.importers.names import identifier, unique_identifiers
+from facepipe.importers.obj_shapes import read_offsets
+from facepipe.importers.wavefront import Obj, read_obj
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to read a folder of OBJ files."""
+
+    neutral: str = field(
+        default="neutral", metadata={"help": "file of the neutral in the folder, .obj may be left out; any case"}
+    )
+    meters_per_unit: float = field(
+        default=0.01, metadata={"help": "metres in a unit of the files", "range": (1e-6, 1e3), "unit": "m"}
+    )
+    up_axis: Literal["Y", "Z"] = field(
+        default="Y", metadata={"help": "axis that points up in the files", "choices": ("Y", "Z")}
+    )
+    threshold: float = field(
+        default=0.0,
+        metadata={
+            "help": "point offsets up to this length are dropped from shapes",
+            "range": (0.0, 1e6),
+            "unit": "units of the files",
+        },
+    )
+
+
+def read(source: Path, options: Options) -> Imported:
+    """Read a folder with a neutral and shapes, or a single OBJ file as a face without shapes.
+
+    The neutral's `o` objects become meshes where no two share a point, otherwise there is one mesh ``Head``.
+    ``landmarks.json`` in the folder (forms: `landmark_file`) gives landmarks by 0-based points of the neutral.
+
+    :raises InputError: no neutral, or a file that can't be used
+    :raises TopologyError: a shape whose points or faces are not the neutral's
+    """
+    check_ranges(options)
+    if options.up_axis not in ("Y", "Z"):
+        raise InputError("option up_axis", f"is {options.up_axis!r}, expected Y or Z")
+    neutral_file, shape_files = _files(source, options.neutral)
+    neutral = read_obj(neutral_file)
+    if len(neutral.face_vertex_counts) == 0:
+        raise InputError(neutral_file, "no faces (f lines), expected a mesh")
+    shapes = {name: read_offsets(path, neutral) for name, path in shape_files.items()}
+    folder = neutral_file.parent
+    library = read_materials(folder, neutral.libraries)
+    warnings = library.warnings
+    landmark_file = folder / "landmarks.json"
+    has_landmarks = source.is_dir() and landmark_file.is_file()
+    landmarks = read_landmarks(landmark_file, len(neutral.points)) if has_landmarks else {}
+    if neutral.uv_indices is None and len(neutral.uvs):
+        warnings.append(f"{neutral_file.name}: some face corners have no UV, the UVs are left out")
+    materials = _materials(neutral, library.materials, warnings)
+    files = [neutral_file, *shape_files.values(), *library.files, *([landmark_file] if has_landmarks else [])]
+    parts = FaceParts(
+        meters_per_unit=options.meters_per_unit,
+        up_axis=options.up_axis,
+        meshes=_meshes(neutral, shapes, [material.name for material in materials], landmarks, options, warnings),
+        materials=materials,
+        recipe=import_recipe("obj", {source: files}, options),
+    )
+    return Imported(parts=parts, warnings=tuple(warnings))
+
+
+def _files(source: Path, neutral: str) -> tuple[Path, dict[str, Path]]:
+    """The neutral and the shapes by name, in the order of names."""
+    if source.is_file():
+        return source, {}
+    try:
+        objs = sorted(path for path in source.iterdir() if path.suffix.lower() == ".obj" and path.is_file())
+    except OSError as error:
+        raise InputError(source, f"can't be read: {error.strerror or error}") from error
+    wanted = neutral.lower().removesuffix(".obj")
+    found = [path for path in objs if path.stem.lower() == wanted]
+    if len(found) != 1:
+        what = f"{len(found)} files named {wanted}.obj in any case" if found else f"no {neutral}.obj there"
+        raise InputError(source, f"{what}, expected one neutral beside the shapes")
+    shapes: dict[str, Path] = {}
+    for path in objs:
+        name = identifier(path.stem)
+        if path != found[0] and shapes.setdefault(name, path) != path:
+            raise InputError(path, f"its shape would be named {name} like {shapes[name].name}'s")
+    return found[0], shapes
+
+
+def _materials(neutral: Obj, found: Mapping[str, Material], warnings: list[str]) -> tuple[Material, ...]:
+    """One per `usemtl` name, in their order, under names that USD takes."""
+    missing = [ascii(name) for name in neutral.materials if name not in found]
+    if missing and neutral.libraries:
+        warnings.append(f"materials not in a library, grey: {', '.join(missing)}")
+    names = unique_identifiers(neutral.materials, "Material")
+    return tuple(
+        replace(found.get(original, Material(name=name)), name=name)
+        for name, original in zip(names, neutral.materials, strict=True)
+    )
+
+
+def _meshes(
+    neutral: Obj,
+    shapes: Mapping[str, FloatArray],
+    materials: list[str],
+    landmarks: Mapping[str, Landmarks],
+    options: Options,
+    warnings: list[str],
+) -> tuple[Mesh, ...]:
+    pieces = _pieces(neutral)
+    names = unique_identifiers([piece.name for piece in pieces], "Mesh")
+    used = sum(len(piece.points) for piece in pieces)
+    if used < len(neutral.points):
+        warnings.append(f"{len(neutral.points) - used} points belong to no face of an object, left out")
+    meshes = tuple(
+        _mesh(neutral, piece._replace(name=name), shapes, materials, landmarks, options.threshold)
+        for name, piece in zip(names, pieces, strict=True)
+    )
+    moved = {shape.name for mesh in meshes for shape in mesh.blendshapes}
+    still = [name for name in shapes if name not in moved]
+    if still:
+        warnings.append(f"shapes that move no point, left out: {', '.join(still)}")
+    lost = [scheme for scheme in landmarks if not any(scheme in mesh.landmarks for mesh in meshes)]
+    if lost:
+        warnings.append(f"landmarks that lie on several meshes, left out: {', '.join(lost)}")
+    return meshes
+
+
+class _Piece(NamedTuple):
+    name: str
+    points: IntArray
+    faces: IntArray
+
+
+def _pieces(neutral: Obj) -> list[_Piece]:
+    """Points and faces of every mesh."""
+    whole = [_Piece("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
+    objects = np.unique(neutral.face_object)
+    if len(objects) < 2:
+        return whole
+    of_corner = np.repeat(neutral.face_object, neutral.face_vertex_counts)
+    pieces, taken = [], 0
+    for number in objects:
+        points = np.unique(neutral.face_vertex_indices[of_corner == number])
+        taken += len(points)
+        name = neutral.objects[number] if number >= 0 else "Head"
+        pieces.append(_Piece(name, points, np.flatnonzero(neutral.face_object == number)))
+    return pieces if taken == len(np.unique(neutral.face_vertex_indices)) else whole
+
+
+def _mesh(
+    neutral: Obj,
+    piece: _Piece,
+    shapes: Mapping[str, FloatArray],
+    materials: list[str],
+    landmarks: Mapping[str, Landmarks],
+    threshold: float,
+) -> Mesh:
+    name, points, faces = piece
+    corners = face_corners(neutral.face_vertex_counts, faces)
+    uv_sets = (compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else ()
+    sparse = (sparse_shape(shape, offsets[points], threshold) for shape, offsets in shapes.items())
+    blendshapes: tuple[Blendshape, ...] = tuple(shape for shape in sparse if shape is not None)
+    return Mesh(
+        name=name,
+        points=neutral.points[points],
+        face_vertex_counts=neutral.face_vertex_counts[faces],
+        face_vertex_indices=np.searchsorted(points, neutral.face_vertex_indices[corners]).astype(np.int32),
+        uv_sets=uv_sets,
+        colors=np.clip(neutral.colors[points], 0.0, 1.0) if neutral.colors is not None else None,
+        blendshapes=blendshapes,
+        landmarks={
+            scheme: replace(marks, indices=np.searchsorted(points, marks.indices).astype(np.int32))
+            for scheme, marks in landmarks.items()
+            if np.isin(marks.indices, points).all()
+        },
+        material_faces=material_faces(materials, neutral.face_material[faces]),
+    )
