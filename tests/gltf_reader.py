@@ -137,6 +137,31 @@ class Gltf:
                 result[mesh["name"]] = self._mesh_points(node, mesh, activations, worlds[i], worlds)
         return result
 
+    def animation(self, name: str) -> dict[str, Any]:
+        """An animation by name."""
+        return next(one for one in self.list("animations") if one["name"] == name)
+
+    def key_times(self, name: str) -> np.ndarray:
+        """All times at which some channel of an animation has a key."""
+        return np.unique(np.concatenate([self.decoded(one["input"]) for one in self.animation(name)["samplers"]]))
+
+    def pose(self, name: str, time: float) -> dict[str, np.ndarray]:
+        """World points (n, 3) of every mesh at a time of an animation (glTF 2.0 appendix C)."""
+        nodes = [dict(node) for node in self.list("nodes")]
+        weights = {}
+        animation = self.animation(name)
+        for channel in animation["channels"]:
+            sampler, target = animation["samplers"][channel["sampler"]], channel["target"]
+            times, values = self.decoded(sampler["input"]), self.decoded(sampler["output"])
+            values = values.reshape(len(times), -1)
+            value = slerp(times, values, time) if target["path"] == "rotation" else linear(times, values, time)
+            if target["path"] == "weights":
+                weights[self.list("meshes")[nodes[target["node"]]["mesh"]]["name"]] = value
+            else:
+                nodes[target["node"]][target["path"]] = value
+        posed = Gltf(self.json | {"nodes": nodes}, self.buffers, self.folder, self._decoded)
+        return posed.evaluate(target_weights=weights)
+
     def _mesh_points(
         self,
         node: Mapping[str, Any],
@@ -208,6 +233,24 @@ def trs_matrix(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray)
     matrix[:3, :3] = np.stack(columns, axis=1) * scale
     matrix[:3, 3] = translation
     return matrix
+
+
+def linear(times: np.ndarray, values: np.ndarray, time: float) -> np.ndarray:
+    """(k,) of keys (T,) and values (T, k), held beyond the ends."""
+    return np.array([np.interp(time, times, column) for column in values.T])
+
+
+def slerp(times: np.ndarray, values: np.ndarray, time: float) -> np.ndarray:
+    """A quaternion between keys, along the shorter arc."""
+    last = len(times) - 1
+    i = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, max(last - 1, 0)))
+    a, b = values[i], values[min(i + 1, last)]
+    part = 0.0 if last == 0 else float(np.clip((time - times[i]) / (times[i + 1] - times[i]), 0, 1))
+    dot = float(a @ b)
+    angle = np.arccos(np.clip(abs(dot), 0, 1))
+    if angle < 1e-9:
+        return a
+    return (np.sin((1 - part) * angle) * a + np.sign(dot) * np.sin(part * angle) * b) / np.sin(angle)
 
 
 def activate(mesh: Mapping[str, Any], weights: Mapping[str, float]) -> np.ndarray:

@@ -56,7 +56,7 @@ class AnimationWriter:
         nodes = joints.offsets[used] @ self.space.local(local, self.skeleton.parents[used] < 0)
         trs = decompose(nodes)
         self._report_shear(animation, used, nodes, trs, joints)
-        keyed = self.buffers.add(times.astype(np.float32), bounds=True)
+        keyed = self.buffers.add(times.astype(np.float32), "keys", bounds=True)
         changed = _changed(trs, joints.rest, used)
         if not changed.any():
             changed[0, 0] = True  # a pose at rest keeps its name
@@ -97,7 +97,7 @@ class AnimationWriter:
         for i, one in enumerate(sculpts):
             if one.shape in column:
                 values[:, i] = activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
-        keyed = self.buffers.add(keys.astype(np.float32), bounds=True)
+        keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
         _channel(result, self.buffers, keyed, values.ravel(), node, "weights")
 
 
@@ -168,6 +168,6 @@ def _changed(trs: Trs, rest: Trs, used: IntArray) -> FloatArray:
 
 
 def _channel(result: Json, buffers: Buffers, keyed: int, values: FloatArray, node: int, path: str) -> None:
-    output = buffers.add(np.asarray(values).astype(np.float32))
+    output = buffers.add(np.asarray(values).astype(np.float32), "keys")
     result["channels"].append({"sampler": len(result["samplers"]), "target": {"node": node, "path": path}})
     result["samplers"].append({"input": keyed, "output": output, "interpolation": "LINEAR"})

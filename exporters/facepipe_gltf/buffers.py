@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
-Use = Literal["vertex", "index", "plain"]
+Use = Literal["vertex", "index", "matrices", "keys"]
 
 _COMPONENT = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "L": 5125, "f": 5126}
 _TYPE = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -53,7 +53,7 @@ class Buffers:
         self._index: dict[_Key, int] = {}
         self._zeros: dict[tuple[int, int, str], int] = {}
 
-    def add(self, array: Array, use: Use = "plain", *, normalized: bool = False, bounds: bool = False) -> int:
+    def add(self, array: Array, use: Use, *, normalized: bool = False, bounds: bool = False) -> int:
         """A dense accessor over all of `array`; its index."""
         accessor = self._accessor(array, len(array), normalized)
         if bounds:

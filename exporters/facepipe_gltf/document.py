@@ -16,7 +16,7 @@ from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding, Grid
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.losses import dropped, skin_warnings
+from facepipe_gltf.losses import dropped, influence_error, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
@@ -123,7 +123,7 @@ class _Writer:
             }
         self.nodes += joints.nodes
         self.warnings += joints.warnings
-        accessor = self.buffers.add(inverse_binds.astype(np.float32))
+        accessor = self.buffers.add(inverse_binds.astype(np.float32), "matrices")
         return joints, [{"name": skeleton.name, "joints": joints.of_joint, "inverseBindMatrices": accessor}]
 
     def _animations(self, joints: JointNodes | None) -> list[Json]:
@@ -167,19 +167,23 @@ class _Writer:
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
         document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
         document |= {key: value for key, value in lists.items() if value}
-        error = max(
-            (quantisation_error(one, grid) for one, grid in zip(meshes, mesh_grids, strict=True) if grid is not None),
-            default=None,
-        )
         return Document(
             json=document,
             binary=binary,
             images=textures.images,
             counts=self._counts(skins, animations, shapes),
-            warnings=(*self.warnings, *skin_warnings(meshes), *textures.warnings),
+            warnings=(*self.warnings, *skin_warnings(meshes, self.options.influences), *textures.warnings),
             dropped=dropped(self.parts, self.options),
-            error_mm=None if error is None else error * 1000,
+            error_mm=self._error_mm(meshes, mesh_grids),
         )
+
+    def _error_mm(self, meshes: Sequence[Baked], mesh_grids: Sequence[Grid | None]) -> float | None:
+        """Largest error in mm: quantisation at neutral and every shape, fewer influences over the face's poses."""
+        pairs = zip(meshes, mesh_grids, strict=True)
+        errors = [quantisation_error(one, grid) for one, grid in pairs if grid is not None]
+        fewer = influence_error(self.parts, meshes, self.space)
+        errors += [] if fewer is None else [fewer]
+        return max(errors) * 1000 if errors else None
 
     def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
         return self.counts | {

@@ -20,8 +20,8 @@ _INHERITED_SHEAR_TOLERANCE = 1e-4
 class JointNodes:
     """The nodes of a skeleton.
 
-    A joint whose rest transform is sheared gets a node above it that takes the shear's rotation and scale: `offsets`
-    takes it off that joint's local matrices, and is the identity for all others.
+    A joint whose rest transform is sheared, or a root under a scaled or mirrored placement, gets a node above it that
+    takes what no TRS can hold: `offsets` takes it off that joint's local matrices, and is the identity for all others.
     """
 
     nodes: list[Json]
@@ -36,18 +36,18 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
     """Nodes numbered from `first`, joints in skeleton order, each at rest."""
     parents = skeleton.parents
     local = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), parents < 0)
-    sheared: list[int] = np.flatnonzero(decompose(local).sheared).tolist()
+    unholdable = _unholdable(skeleton, space, local)
     above = np.tile(np.eye(4), (len(local), 1, 1))
-    for joint in sheared:
-        above[joint] = _shear_parent(local[joint])
+    for joint, matrix in unholdable.items():
+        above[joint] = _parent(matrix)
     offsets = np.linalg.inv(above)
     rest = decompose(offsets @ local)
     names = node_names(skeleton.joints)
     nodes = [_node(name, rest, i) for i, name in enumerate(names)]
     top = list(range(first, first + len(nodes)))  # node that stands for each joint among its siblings
-    for joint in sheared:
+    for joint in unholdable:
         top[joint] = first + len(nodes)
-        helper = _node(f"{names[joint]}_shear", decompose(above[joint][None]), 0)
+        helper = _node(f"{names[joint]}_parent", decompose(above[joint][None]), 0)
         nodes.append(helper | {"children": [first + joint]})
     for joint, parent in enumerate(parents):
         if parent >= 0:
@@ -56,7 +56,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
     if len(roots) > 1:  # joints of one skin need a common root
         nodes.append({"name": skeleton.name, "children": roots})
         roots = [first + len(nodes) - 1]
-    warnings = _warnings(skeleton, sheared, rest, accumulate(local, parents))
+    warnings = _warnings(skeleton, list(unholdable), rest, accumulate(local, parents))
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
@@ -76,14 +76,29 @@ def has_shear(worlds: FloatArray) -> FloatArray:
     return np.asarray(gram.max(axis=(-1, -2)) > _INHERITED_SHEAR_TOLERANCE)
 
 
-def _shear_parent(local: FloatArray) -> FloatArray:
-    """T U S of ``local = T U S V``: what is left of it is the rotation V, so both are TRS."""
-    U, scale, Vt = np.linalg.svd(local[:3, :3])
+def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray) -> dict[int, FloatArray]:
+    """Joints that need a node above them, with the matrix that it must take."""
+    turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
+    sheared = decompose(turned).sheared
+    linear = space.placement[:3, :3]
+    rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
+    result = {}
+    for joint, parent in enumerate(skeleton.parents):
+        if sheared[joint]:
+            result[joint] = local[joint]
+        elif parent < 0 and not rigid:
+            result[joint] = space.placement
+    return result
+
+
+def _parent(matrix: FloatArray) -> FloatArray:
+    """T U S of ``matrix = T U S V``: what is left of it is the rotation V, so both are TRS."""
+    U, scale, Vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(Vt) < 0:
         U, Vt = -U, -Vt
     parent = np.eye(4)
     parent[:3, :3] = U * scale
-    parent[:3, 3] = local[:3, 3]
+    parent[:3, 3] = matrix[:3, 3]
     return parent
 
 
@@ -100,9 +115,10 @@ def _node(name: str, trs: Trs, i: int) -> Json:
     return node
 
 
-def _warnings(skeleton: Skeleton, sheared: list[int], rest: Trs, worlds: FloatArray) -> list[str]:
+def _warnings(skeleton: Skeleton, helped: list[int], rest: Trs, worlds: FloatArray) -> list[str]:
     warnings = [
-        f"{skeleton.joints[joint]}: sheared rest transform, held by an extra node above the joint" for joint in sheared
+        f"{skeleton.joints[joint]}: sheared or scaled at rest beyond a TRS, held by an extra node above"
+        for joint in helped
     ]
     mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
     warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
