@@ -215,8 +215,9 @@ def test_a_folder_without_neutral_or_with_another_topology_is_refused(tmp_path: 
     ("text", "message"),
     [
         ('{"identity100": 1}', "unknown mode"),
-        ('{"identity001": NaN}', "finite"),
-        ('{"identity001": true}', "finite"),
+        ('{"identity001": NaN}', "at most 1000"),
+        ('{"identity001": true}', "at most 1000"),
+        ('{"identity001": -1' + "0" * 400 + "}", "at most 1000"),
         ("3", "object or list"),
         ("[", "not JSON"),
         ("[" * 100_000, "not JSON"),

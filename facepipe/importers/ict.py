@@ -7,7 +7,6 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +25,8 @@ from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialF
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
+
+_LARGEST_WEIGHT = 1e3  # standard deviations; far beyond any face, small enough for sums
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +74,6 @@ def read(source: Path, options: Options) -> Imported:
     check_ranges(options)
     weights = identity_weights(options)
     model = read_model(source, weights, topology.EXPRESSIONS + (topology.EXTRAS if options.extras else ()))
-    if not np.isfinite(model.identity).all():
-        raise InputError(f"option identity -> {options.identity}", "weights so large that points overflow")
     materials, warnings = _materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(
@@ -129,8 +128,9 @@ def _weights_of_file(path: Path) -> dict[str, float]:
     for name, value in content.items():
         if name not in known:
             raise InputError(f"{path} -> {name[:40]}", f"unknown mode, expected {_mode(0)}..{max(known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InputError(f"{path} -> {name}", f"weight is {str(value)[:40]}, expected a finite number")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST_WEIGHT:
+            what = f"weight is {str(value)[:40]}, expected a number of at most {_LARGEST_WEIGHT:g} either way"
+            raise InputError(f"{path} -> {name}", what)
     return {name: float(value) for name, value in content.items()}
 
 

@@ -23,6 +23,7 @@ from facepipe.importers.makehuman_regions import loose_regions, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
 from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape
 from facepipe.importers.names import identifier
+from facepipe.importers.npz import LARGEST
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
 
 FloatArray = npt.NDArray[np.floating]
@@ -105,7 +106,7 @@ def read(source: Path, options: Options) -> Imported:
     points = data["vertices"].astype(np.float64)
     for number, weight in _target_weights(data, options.targets).items():
         points = points + weight * data.target(number)
-    if not np.isfinite(points).all():
+    if not (np.abs(points) <= LARGEST).all():
         raise InputError("option targets", "weights so large that points overflow")
     skeleton = read_skeleton(data, points)
     shapes = _shape_offsets(data, options.shapes)

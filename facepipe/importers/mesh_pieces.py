@@ -31,7 +31,7 @@ def compact_uvs(values: FloatArray, indices: IntArray) -> UvSet:
 
 def sparse_shape(name: str, offsets: FloatArray, threshold: float) -> Blendshape | None:
     """The points that `offsets` (n, 3) move further than `threshold`; None where it moves none."""
-    moved = np.flatnonzero(np.linalg.norm(offsets, axis=1) > threshold)
+    moved = np.flatnonzero(np.linalg.norm(offsets.astype(np.float64), axis=1) > threshold)
     if len(moved) == 0:
         return None
     return Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=np.asarray(offsets)[moved])

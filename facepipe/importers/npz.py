@@ -21,6 +21,7 @@ import numpy.typing as npt
 from facepipe.errors import InputError
 
 MAX_BYTES = 1 << 30  # of one array
+LARGEST = 1e30  # of a number: it and sums of some stay finite in float32, its square in float64
 
 _KINDS = {"float": "f", "int": "iu", "bool": "b", "str": "U"}
 _DAMAGE = (
@@ -50,7 +51,7 @@ class Field(NamedTuple):
 
 
 def read_arrays(path: Path, fields: Mapping[str, Field], sizes: dict[str, int]) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of `fields`, all finite, of native byte order.
+    """The arrays of `fields`, of native byte order, all numbers finite and at most `LARGEST`.
 
     :param sizes: values of the size names; names met for the first time are added
     :raises InputError: no readable archive, a missing array, or one of another kind, shape or size
@@ -135,8 +136,8 @@ def _size(axis: int | str, sizes: Mapping[str, int]) -> int | None:
 
 
 def _checked(where: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        raise InputError(where, "array holds NaN or infinity")
+    if array.dtype.kind == "f" and not (np.abs(array) <= LARGEST).all():
+        raise InputError(where, f"array holds NaN, infinity or a number over {LARGEST:g}")
     if array.dtype.kind == "U":
         "".join(array.ravel().tolist()).encode()  # code points that are no text raise here
     return array

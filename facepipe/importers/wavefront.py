@@ -23,6 +23,7 @@ FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 MAX_BYTES = 1 << 30
+LARGEST = 1e30  # of a number: it stays finite in float32, its square in float64
 
 _CORNERS = {  # how corners are written -> (pattern, numbers a corner)
     "point": (re.compile(r"(?:-?[0-9]+ )+"), 1),
@@ -160,9 +161,9 @@ def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = N
         values = np.array(list(map(float, chain.from_iterable(words))), dtype=np.float64).reshape(-1, columns)
     except ValueError:
         _find_bad_number(lines, numbers, words)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        lines.fail(numbers[int(np.argmin(finite))], "NaN or infinity, expected finite numbers")
+    fits = (np.abs(values) <= LARGEST).all(axis=1)
+    if not fits.all():
+        lines.fail(numbers[int(np.argmin(fits))], f"NaN, infinity or over {LARGEST:g}, expected finite numbers")
     return values
 
 
