@@ -23,21 +23,16 @@ class Channel(NamedTuple):
 
 
 def merged(channels: Sequence[Channel], textures: Textures) -> Pixels | None:
-    """(h, w, channels) pixels, as large as the first texture; None where a texture can't be read."""
-    first = next(one.source for one in channels if one.source is not None)
-    reference = textures.pixels(first.texture)
-    if reference is None:
+    """(h, w, channels) pixels, as large as the largest texture; None where a texture can't be read."""
+    loaded = [None if one.source is None else textures.pixels(one.source.texture) for one in channels]
+    present = [pixels for pixels in loaded if pixels is not None]
+    if len(present) < sum(one.source is not None for one in channels):
         return None
-    height, width = reference.shape[:2]
+    height, width = max((pixels.shape[:2] for pixels in present), key=lambda size: size[0] * size[1])
     planes = []
-    for one in channels:
-        if one.source is None:
-            planes.append(np.full((height, width), 255, np.uint8))
-            continue
-        pixels = textures.pixels(one.source.texture)
-        if pixels is None:
-            return None
-        plane = _resized(pixels[..., one.channel], height, width)
+    for one, pixels in zip(channels, loaded, strict=True):
+        white = np.full((height, width), 255, np.uint8)
+        plane = white if pixels is None else _resized(pixels[..., one.channel], height, width)
         planes.append(255 - plane if one.inverted else plane)
     return np.stack(planes, axis=-1)
 

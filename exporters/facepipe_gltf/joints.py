@@ -116,10 +116,7 @@ def _node(name: str, trs: Trs, i: int) -> Json:
 
 
 def _warnings(skeleton: Skeleton, helped: list[int], rest: Trs, worlds: FloatArray) -> list[str]:
-    warnings = [
-        f"{skeleton.joints[joint]}: sheared or scaled at rest beyond a TRS, held by an extra node above"
-        for joint in helped
-    ]
+    warnings = [f"{skeleton.joints[joint]}: sheared at rest, held by an extra node above" for joint in helped]
     mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
     warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
     inherited = np.flatnonzero(has_shear(worlds))

@@ -1,0 +1,226 @@
+"""glTF files on disk: the same bytes twice, whole or not at all, and refused input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from facepipe_gltf import Options, export, save, write
+from faces import replace_mesh, tiny_face
+from gltf_export import Parts, Writing, writing, written
+from gltf_reader import read
+from node import node_packages, validate
+from test_export_gltf_materials import COLORS, picture, textured
+
+import facepipe
+from facepipe.errors import ExportError, FacepipeError, InputError
+from facepipe.parts import FaceParts, Landmarks, Material, Slider
+
+__all__ = ["writing", "written"]
+
+
+def painted_face(value: int = 0) -> FaceParts:
+    """The tiny face with a texture of its own."""
+    parts = tiny_face(value)
+    material = Material(name="skin", diffuse_color=textured(picture("skin.png", COLORS + np.uint8(value))))
+    meshes = tuple(replace_mesh(mesh, material="skin") for mesh in parts.meshes)
+    return replace(parts, meshes=meshes, materials=(material,), attribution="© someone, CC0")
+
+
+@pytest.mark.parametrize("options", [{}, {"mode": "skin"}, {"mode": "morph"}, {"quantize": True}, {"influences": 8}])
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_validator_finds_nothing(options: dict[str, object], suffix: str, tmp_path: Path) -> None:
+    """No error, no warning, no hint: every texture, UV set and target is used."""
+    node_packages()
+    report = export(Parts(painted_face()), tmp_path / f"face{suffix}", Options(**options))  # type: ignore[arg-type]
+    (found,) = validate([report.path]).values()
+    assert found["issues"]["messages"] == []
+    assert found["info"]["hasSkins"] == (options.get("mode") != "morph")
+    assert found["info"]["hasMorphTargets"] == (options.get("mode") != "skin")
+
+
+def test_glb_and_gltf_hold_the_same(writing: Writing) -> None:
+    one, _ = writing(painted_face(), "face.glb")
+    other, report = writing(painted_face(), "face.gltf")
+    for weights in ({}, {"jawOpen": 0.3, "mouthSmileLeft": 1.0}):
+        for name, points in one.evaluate(weights).items():
+            assert (points == other.evaluate(weights)[name]).all()
+    assert one.image(0) == other.image(0)
+    assert sorted(path.name for path in report.files) == sorted(
+        path.name for path in report.path.parent.glob("face*[!b]")
+    )
+    assert report.bytes == sum(path.stat().st_size for path in report.files)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_same_face_same_bytes(suffix: str, tmp_path: Path) -> None:
+    contents = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        report = export(Parts(painted_face()), tmp_path / folder / f"face{suffix}", Options())
+        contents.append({path.name: path.read_bytes() for path in report.files})
+    assert contents[0] == contents[1]
+
+
+def test_asset_says_who_and_what(writing: Writing) -> None:
+    file, _ = writing(painted_face())
+    assert file.json["asset"] == {
+        "version": "2.0",
+        "generator": f"facepipe {facepipe.__version__}",
+        "copyright": "© someone, CC0",
+    }
+
+
+def test_landmarks_and_anchor_stay_in_extras_and_the_rest_is_reported(writing: Writing) -> None:
+    parts = replace(tiny_face(), sliders=(Slider(name="open"),), attach_joint="body/neck")
+    file, report = writing(parts)
+    own = file.mesh("Head")["extras"]["facepipe"]
+    marks = parts.meshes[0].landmarks["corners"]
+    assert isinstance(marks, Landmarks)
+    assert own["landmarks"] == {"corners": {"points": marks.indices.tolist(), "names": list(marks.names)}}
+    assert own["anchor"] == 2
+    assert report.dropped == ("regions of Head: mouth, neck", "point subsets of Head: lips", "1 sliders")
+    root = next(node for node in file.list("nodes") if node["name"] == "root")
+    assert root["extras"]["facepipe"]["attachJoint"] == "body/neck"
+
+
+def test_points_that_no_face_uses_are_reported(writing: Writing) -> None:
+    parts = tiny_face()
+    head = parts.meshes[0]
+    loose = replace_mesh(
+        head, face_vertex_counts=head.face_vertex_counts[1:], face_vertex_indices=head.face_vertex_indices[4:]
+    )
+    _, report = writing(replace(parts, meshes=(loose,)))
+    assert "Head: 1 points that no face uses" in report.dropped
+
+
+def test_globs_choose_shapes(writing: Writing) -> None:
+    file, report = writing(tiny_face(), shapes="mouth*, jaw*")
+    assert report.counts["shapes"] == 2
+    file, report = writing(tiny_face(), "b.glb", shapes="mouth*")
+    assert file.targets("Head") == ["mouthSmileLeft"]
+    assert not file.targets("Teeth")
+    with pytest.raises(InputError, match=r"no shape matches 'nose\*'"):
+        writing(tiny_face(), "c.glb", shapes="mouth*,nose*")
+
+
+def test_an_older_gltf_gives_way_with_its_sidecars(tmp_path: Path) -> None:
+    path = tmp_path / "face.gltf"
+    (tmp_path / "face.bin").write_bytes(b"of someone else")
+    first = export(Parts(painted_face(0)), path, Options())
+    second = export(Parts(painted_face(1)), path, Options())
+    assert not set(first.files[1:]) & set(second.files[1:])
+    assert {one.name for one in tmp_path.iterdir()} == {one.name for one in second.files} | {"face.bin"}
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_a_failed_write_leaves_the_old_files_and_no_others(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the last file comes: renaming it over the old one fails."""
+    path = tmp_path / f"face{suffix}"
+    export(Parts(painted_face(0)), path, Options())
+    before = {one.name: one.read_bytes() for one in tmp_path.iterdir()}
+    document = write(painted_face(1), Options())
+
+    def full(source: object, target: object) -> None:
+        if Path(str(target)) == path:
+            raise OSError(28, "No space left on device")
+        Path(str(source)).rename(str(target))
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(InputError, match="No space left"):
+        save(document, path)
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
+    read(path).evaluate()
+
+
+def with_head(parts: FaceParts, **changes: object) -> FaceParts:
+    return replace(parts, meshes=(replace_mesh(parts.meshes[0], **changes), *parts.meshes[1:]))
+
+
+def poisoned(array: np.ndarray, value: float = np.nan) -> np.ndarray:
+    result = np.array(array)
+    result.flat[3] = value
+    return result
+
+
+def broken(name: str) -> FaceParts:
+    """A face with one defect."""
+    face = tiny_face()
+    head, skeleton = face.meshes[0], face.skeleton
+    assert head.skin is not None
+    shape = head.blendshapes[0]
+    changes: dict[str, Callable[[], FaceParts]] = {
+        "points": lambda: with_head(face, points=poisoned(head.points)),
+        "jointWeights": lambda: with_head(
+            face, skin=replace(head.skin, joint_weights=poisoned(head.skin.joint_weights, np.inf))
+        ),
+        "negative skin weight": lambda: with_head(
+            face, skin=replace(head.skin, joint_weights=poisoned(head.skin.joint_weights, -0.5))
+        ),
+        "no skin weight": lambda: with_head(face, skin=replace(head.skin, joint_weights=head.skin.joint_weights * 0)),
+        "jointIndices": lambda: with_head(
+            face, skin=replace(head.skin, joint_indices=poisoned(head.skin.joint_indices, 3))
+        ),
+        "jawOpen -> offsets": lambda: with_head(face, blendshapes=(replace(shape, offsets=poisoned(shape.offsets)),)),
+        "jawOpen -> pointIndices": lambda: with_head(
+            face, blendshapes=(replace(shape, point_indices=shape.point_indices[::-1]),)
+        ),
+        "two morph targets": lambda: with_head(face, blendshapes=(shape, replace(shape, name="jawOpen_half"))),
+        "faceVertexIndices": lambda: with_head(face, face_vertex_indices=poisoned(head.face_vertex_indices, 36)),
+        "rest_transforms": lambda: replace(
+            face, skeleton=replace(skeleton, rest_transforms=poisoned(skeleton.rest_transforms))
+        ),
+        "root/jaw -> bind transform": lambda: replace(
+            face, skeleton=replace(skeleton, bind_transforms=skeleton.bind_transforms * [[[1]], [[0]], [[1]]])
+        ),
+        "metersPerUnit": lambda: replace(face, meters_per_unit=0.0),
+        "not among the face's materials": lambda: with_head(face, material="skin"),
+    }
+    return changes[name]()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "points",
+        "jointWeights",
+        "negative skin weight",
+        "no skin weight",
+        "jointIndices",
+        "jawOpen -> offsets",
+        "jawOpen -> pointIndices",
+        "two morph targets",
+        "faceVertexIndices",
+        "rest_transforms",
+        "root/jaw -> bind transform",
+        "metersPerUnit",
+        "not among the face's materials",
+    ],
+)
+def test_what_gltf_cannot_hold_is_refused_with_its_place(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "face.glb"
+    with pytest.raises(ExportError) as caught:
+        export(Parts(broken(name)), path, Options())
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_suffixes_and_missing_folders_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "face.fbx", tmp_path / "missing" / "face.glb", tmp_path / "missing" / "face.gltf"):
+        with pytest.raises(FacepipeError, match=r"face\."):
+            export(Parts(tiny_face()), path, Options())
+
+
+def test_json_is_plain_and_sorted(tmp_path: Path) -> None:
+    path = tmp_path / "face.gltf"
+    export(Parts(tiny_face()), path, Options())
+    text = path.read_text(encoding="utf-8")
+    document = json.loads(text, parse_constant=pytest.fail)
+    assert text == json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
