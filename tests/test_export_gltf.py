@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import oracle
 import pytest
 from faces import replace_mesh, tiny_face
 from gltf_export import (
@@ -27,6 +28,8 @@ from node import node_packages, three_load
 
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Skeleton, Skin
+from facepipe.rig import coefficient_matrices
+from facepipe.stage import Face
 
 __all__ = ["writing", "written"]
 
@@ -281,6 +284,21 @@ def test_three_loads_the_file(name: str, writing: Writing) -> None:
         found = np.array(one["positions"])
         own = expected[one["name"]][np.array(one["points"], int)]
         assert np.abs(found - own).max() < TOLERANCE * head_height(parts)
+
+
+def test_file_agrees_with_usdskel(writing: Writing) -> None:
+    """The oracle itself: `UsdSkel.BakeSkinning` on the stage that the file was exported from."""
+    face = Face.from_parts(tiny_face())
+    parts = face.parts()
+    file, _ = writing(parts)
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        weights = random_weights(parts, rng)
+        coefficients = oracle.random_coefficients(rng, len(parts.skeleton.joints), 0.1)
+        baked = oracle.bake(face, weights, face.skeleton.rest_transforms @ coefficient_matrices(coefficients))
+        expected = face.split(baked @ to_gltf(parts).T)
+        found = file.evaluate(weights, motion(parts, file, coefficients))
+        assert difference(found, expected, parts) < TOLERANCE * head_height(parts)
 
 
 def test_real_head_with_expressions(writing: Writing) -> None:

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from facepipe_gltf import Options, export, save, write
-from faces import replace_mesh, tiny_face
-from gltf_export import Parts, Writing, writing, written
+from faces import grid_mesh, replace_mesh, tiny_face
+from gltf_export import Parts, Writing, difference, reference, writing, written
 from gltf_reader import read
 from node import node_packages, validate
 from test_export_gltf_materials import COLORS, picture, textured
 
 import facepipe
 from facepipe.errors import ExportError, FacepipeError, InputError
-from facepipe.parts import FaceParts, Landmarks, Material, Slider
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Slider, UvSet
 
 __all__ = ["writing", "written"]
 
@@ -106,6 +106,39 @@ def test_globs_choose_shapes(writing: Writing) -> None:
     assert not file.targets("Teeth")
     with pytest.raises(InputError, match=r"no shape matches 'nose\*'"):
         writing(tiny_face(), "c.glb", shapes="mouth*,nose*")
+
+
+def odd_faces() -> dict[str, FaceParts]:
+    """Faces at the edges of what a stage can hold."""
+    face, flat = tiny_face(), grid_mesh()
+    flat_uv = replace_mesh(flat, uv_sets=(UvSet(values=np.full((36, 2), 0.25)),))
+    none = Blendshape(name="none", point_indices=np.zeros(0, np.int32), offsets=np.zeros((0, 3)))
+    still = Blendshape(name="still", point_indices=np.array([4]), offsets=np.zeros((1, 3)))
+    last = Blendshape(name="last", point_indices=np.array([2, 66000]), offsets=np.ones((2, 3)))
+    lines = replace_mesh(flat, face_vertex_counts=np.full(2, 3), face_vertex_indices=np.array([0, 0, 1, 2, 3, 3]))
+    return {
+        "no mesh": FaceParts(),
+        "no area": FaceParts(meshes=(lines,)),
+        "one UV for all": FaceParts(meshes=(flat_uv,)),
+        "several roots": replace(face, skeleton=replace(face.skeleton, joints=("a", "b", "c"))),
+        "joints of one name": replace(face, skeleton=replace(face.skeleton, joints=("a", "a/b", "a/b/a"))),
+        "more than 65535 vertices": FaceParts(meshes=(replace_mesh(grid_mesh(size=260), blendshapes=(last,)),)),
+        "shapes that move nothing": FaceParts(meshes=(replace_mesh(flat, blendshapes=(none, still)),)),
+    }
+
+
+@pytest.mark.parametrize("quantize", [False, True])
+@pytest.mark.parametrize("name", odd_faces())
+def test_odd_faces_agree_too(name: str, quantize: bool, writing: Writing) -> None:
+    parts = odd_faces()[name]
+    file, report = writing(parts, quantize=quantize)
+    weights = dict.fromkeys({shape.name for mesh in parts.meshes for shape in mesh.blendshapes}, 1.0)
+    if name == "no area":
+        assert report.dropped == ("Head: a mesh without faces",)
+    else:
+        limit = (report.error_mm or 0) / 1000 * 1.1 + 1e-6
+        assert difference(file.evaluate(weights), reference(parts, weights), parts) < limit
+    assert file.list("meshes") or name in ("no mesh", "no area")
 
 
 def test_an_older_gltf_gives_way_with_its_sidecars(tmp_path: Path) -> None:

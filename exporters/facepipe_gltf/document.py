@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import facepipe
-from facepipe.parts import FaceParts, Mesh
+from facepipe.parts import FaceParts
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, grids, quantisation_error
 from facepipe_gltf.buffers import Buffers
@@ -67,7 +67,8 @@ class _Writer:
         self.buffers = Buffers()
         self.materials = MaterialWriter(parts.materials)
         shapes = [] if options.mode == "skin" else chosen_shapes(parts, options.shapes)
-        meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes if _has_faces(mesh)]
+        meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes]
+        meshes = [baked for baked in meshes if len(baked.corners.faces)]
         mesh_grids: list[Grid | None] = [*grids(meshes)] if options.quantize else [None] * len(meshes)
         for baked, grid in zip(meshes, mesh_grids, strict=True):
             self._mesh(baked, grid)
@@ -173,7 +174,7 @@ class _Writer:
             images=textures.images,
             counts=self._counts(skins, animations, shapes),
             warnings=(*self.warnings, *skin_warnings(meshes, self.options.influences), *textures.warnings),
-            dropped=dropped(self.parts, self.options),
+            dropped=dropped(self.parts, meshes, self.options),
             error_mm=self._error_mm(meshes, mesh_grids),
         )
 
@@ -195,10 +196,6 @@ class _Writer:
             "images": len(self.materials.textures.images),
             "sparse accessors": self.buffers.sparse_count,
         }
-
-
-def _has_faces(mesh: Mesh) -> bool:
-    return bool((np.asarray(mesh.face_vertex_counts) >= 3).any())
 
 
 def _mesh_extras(baked: Baked) -> Json:

@@ -19,9 +19,10 @@ _LOST = 1e-6
 _LISTED = 3
 
 
-def dropped(parts: FaceParts, options: Options) -> tuple[str, ...]:
+def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options) -> tuple[str, ...]:
     """Everything of the face that the file does not hold, one line each."""
-    lines = [line for mesh in parts.meshes for line in _mesh_lines(mesh)]
+    written = {baked.mesh.name for baked in meshes}
+    lines = [line for mesh in parts.meshes for line in _mesh_lines(mesh, mesh.name in written)]
     lines += _per_mesh("regions", {mesh.name: mesh.regions for mesh in parts.meshes})
     lines += _per_mesh("point subsets", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
     if parts.sliders:
@@ -105,8 +106,8 @@ def _longest_shift(baked: Baked, matrices: FloatArray) -> float:
     return worst
 
 
-def _mesh_lines(mesh: Mesh) -> list[str]:
-    if not (np.asarray(mesh.face_vertex_counts) >= 3).any():
+def _mesh_lines(mesh: Mesh, is_written: bool) -> list[str]:
+    if not is_written:
         return [f"{mesh.name}: a mesh without faces"]
     loose = len(mesh.points) - len(np.unique(mesh.face_vertex_indices))
     return [f"{mesh.name}: {loose} points that no face uses"] if loose else []
