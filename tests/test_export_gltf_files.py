@@ -190,6 +190,10 @@ def broken(name: str) -> FaceParts:
     shape = head.blendshapes[0]
     changes: dict[str, Callable[[], FaceParts]] = {
         "points": lambda: with_head(face, points=poisoned(head.points)),
+        "Head -> transform": lambda: with_head(face, transform=np.diag([1e200, 1.0, 1.0, 1.0])),
+        "beyond float32 in metres": lambda: with_head(
+            face, skin=None, transform=np.diag([1e30, 1e30, 1e30, 1.0]), points=head.points * 1e20
+        ),
         "jointWeights": lambda: with_head(
             face, skin=replace(head.skin, joint_weights=poisoned(head.skin.joint_weights, np.inf))
         ),
@@ -222,6 +226,8 @@ def broken(name: str) -> FaceParts:
     "name",
     [
         "points",
+        "Head -> transform",
+        "beyond float32 in metres",
         "jointWeights",
         "negative skin weight",
         "no skin weight",

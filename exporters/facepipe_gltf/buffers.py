@@ -8,6 +8,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import ExportError
+
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
 Use = Literal["vertex", "index", "matrices", "keys"]
@@ -54,7 +56,11 @@ class Buffers:
         self._zeros: dict[tuple[int, int, str], int] = {}
 
     def add(self, array: Array, use: Use, *, normalized: bool = False, bounds: bool = False) -> int:
-        """A dense accessor over all of `array`; its index."""
+        """A dense accessor over all of `array`; its index.
+
+        :raises ExportError: numbers that left the range of float32 on their way to metres
+        """
+        _require_finite(array)
         accessor = self._accessor(array, len(array), normalized)
         if bounds:
             accessor |= _bounds(array, len(array))
@@ -67,6 +73,7 @@ class Buffers:
 
     def add_morph(self, rows: Array, values: Array, count: int, *, normalized: bool, bounds: bool) -> int:
         """An accessor of `count` elements that are zero but at ascending `rows`; sparse where that is smaller."""
+        _require_finite(values)
         if not len(rows):
             return self._zero(values, count, normalized, bounds)
         indices = rows.astype(_index_type(int(rows[-1])))
@@ -131,6 +138,11 @@ class Buffers:
     def _push(self, accessor: Json) -> int:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
+
+
+def _require_finite(array: Array) -> None:
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ExportError("glTF buffer", "numbers beyond float32 in metres, expected smaller ones")
 
 
 def _bounds(array: Array, count: int) -> Json:

@@ -10,6 +10,8 @@ import numpy as np
 from facepipe.errors import ExportError
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, TextureInput
 
+_LARGEST = float(np.finfo(np.float32).max)
+
 
 def check(parts: FaceParts) -> None:
     """Finite numbers, counts that fit each other, indices in range.
@@ -131,8 +133,8 @@ def _constants(material: Material) -> Iterator[tuple[str, Any]]:
 
 
 def _finite(where: str, values: Any) -> None:
-    if not np.isfinite(np.asarray(values, dtype=np.float64)).all():
-        raise ExportError(where, "NaN or infinity, expected finite numbers")
+    if not (np.abs(np.asarray(values, dtype=np.float64)) <= _LARGEST).all():
+        raise ExportError(where, "NaN, infinity or beyond float32, expected finite numbers")
 
 
 def _invertible(where: str, matrix: Any) -> None:

@@ -48,7 +48,8 @@ def write(parts: FaceParts, options: Options) -> Document:
     :raises InputError: a shape glob that matches nothing
     """
     check(parts)
-    return _Writer(parts, options).document()
+    with np.errstate(over="ignore"):  # the buffers refuse infinities
+        return _Writer(parts, options).document()
 
 
 @dataclass
