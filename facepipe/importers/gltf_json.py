@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
 from facepipe.errors import InputError
+
+LARGEST = 1e18
+"""Largest number believed: products of two still fit in float32, which is what files and engines hold."""
 
 _TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or false", type(None): "null"}
 
@@ -69,15 +71,15 @@ class Value:
         return data
 
     def number(self) -> float:
-        """A finite number."""
+        """A number of at most `LARGEST`, either sign."""
         if isinstance(self.data, bool) or not isinstance(self.data, int | float):
             raise self._expected("a number")
-        if abs(self.data) > 1e300 or not math.isfinite(self.data):
-            raise self.error(f"{_short(self.data)}, expected a finite number")
+        if not abs(self.data) <= LARGEST:
+            raise self.error(f"{_short(self.data)}, expected a number from {-LARGEST:g} to {LARGEST:g}")
         return float(self.data)
 
     def numbers(self, count: int | None = None) -> tuple[float, ...]:
-        """An array of `count` finite numbers."""
+        """An array of `count` numbers."""
         items = self.items()
         if count is not None and len(items) != count:
             raise self.error(f"{len(items)} numbers, expected {count}")
