@@ -13,8 +13,9 @@ from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.options import Options
+from facepipe_gltf.validation import validate
 
-__all__ = ["Document", "Options", "export", "save", "write"]
+__all__ = ["Document", "Options", "export", "save", "validate", "write"]
 
 
 class HasParts(Protocol):

@@ -1,0 +1,67 @@
+"""The Khronos glTF validator, where node has it (`npm install --global gltf-validator`, or NODE_PATH)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any, Literal
+
+from facepipe.reports import Finding
+
+# Modules beside the file or in the working folder are left alone: a downloaded folder must not bring code along.
+_PROGRAM = """
+const fs = require("fs"), path = require("path");
+const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modules"),
+               path.join(process.env.APPDATA || path.dirname(process.execPath), "npm", "node_modules")];
+let validator;
+try { validator = require(require.resolve("gltf-validator", { paths: roots })); }
+catch (error) { console.log("null"); process.exit(0); }
+const file = process.argv[1], folder = path.dirname(file);
+const below = (uri) => {
+  const target = path.resolve(folder, decodeURIComponent(uri));
+  if (path.relative(folder, target).startsWith("..")) throw new Error("outside of the folder");
+  return new Uint8Array(fs.readFileSync(target));
+};
+validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {
+  uri: path.basename(file), maxIssues: 200, externalResourceFunction: async (uri) => below(uri),
+}).then((report) => console.log(JSON.stringify(report)), (error) => { console.error(String(error)); process.exit(3); });
+"""
+_SECONDS = 300
+_SEVERITIES: tuple[Literal["error", "warning", "info"], ...] = ("error", "warning", "info")
+
+
+def check_khronos(path: Path) -> list[Finding]:
+    """Its errors, warnings and notes; one note where it is not installed or gave no report."""
+    node = shutil.which("node")
+    report = _report(node, path) if node else None
+    if isinstance(report, str):
+        return [Finding(check="khronos:Report", severity="info", where=path.name, message=report)]
+    if report is None:
+        message = "gltf-validator for node is not installed: the Khronos validator was not run"
+        return [Finding(check="khronos:NotInstalled", severity="info", where=path.name, message=message)]
+    return [
+        Finding(
+            check=f"khronos:{issue['code']}",
+            severity=_SEVERITIES[issue["severity"]],
+            where=f"{path.name} -> {issue.get('pointer') or '/'}",
+            message=" ".join(str(issue["message"]).split()),
+        )
+        for issue in report["issues"]["messages"]
+        if issue["severity"] < len(_SEVERITIES)
+    ]
+
+
+def _report(node: str, path: Path) -> Any:
+    """Its report, None where it is not installed, or a line that says why there is none."""
+    command = [node, "-e", _PROGRAM, str(path.resolve())]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return f"no report of the Khronos validator within {_SECONDS} seconds"
+    except OSError as error:
+        return f"node can't be run: {error.strerror or error}"
+    if done.returncode:
+        return f"no report of the Khronos validator: {done.stderr.decode(errors='replace').strip()[-200:]}"
+    return json.loads(done.stdout)

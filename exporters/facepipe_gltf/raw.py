@@ -1,0 +1,185 @@
+"""A glTF file as it is, however wrong: JSON, buffers and decoded accessors for checks."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from pathlib import Path
+from typing import Any, TypeGuard
+from urllib.parse import unquote
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+Json = dict[str, Any]
+
+_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+_TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MOST_ZEROS = 1 << 25
+
+
+class Broken(Exception):  # noqa: N818  (what a check reports, not what a user sees)
+    """An accessor that can't be read, and why."""
+
+
+class RawDocument:
+    """The JSON of a .glb or .gltf and its buffers.
+
+    :raises InputError: not glTF at all: no such file, damaged container, no JSON object
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.binary: bytes | None = None
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(path, f"can't be read: {error.strerror or error}") from error
+        text = self._container(data) if path.suffix.lower() == ".glb" else data
+        try:
+            parsed = json.loads(text.decode("utf-8-sig"))
+        except (ValueError, RecursionError):
+            raise InputError(path, "no readable JSON, expected a glTF document") from None
+        if not isinstance(parsed, dict):
+            raise InputError(path, "no JSON object, expected a glTF document")
+        self.json: Json = parsed
+        self._buffers: dict[int, bytes] = {}
+
+    def _container(self, data: bytes) -> bytes:
+        if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
+            raise InputError(self.path, "no GLB header, expected a binary glTF 2.0 file")
+        _, version, length, size, kind = struct.unpack_from("<IIIII", data)
+        if version != 2 or length != len(data) or kind != _JSON_CHUNK or 20 + size > len(data):
+            what = f"version {version}, {length} bytes in its header and {len(data)} in the file"
+            raise InputError(self.path, f"damaged GLB ({what}), expected version 2 with a JSON chunk first")
+        at = 20 + size
+        if at + 8 <= len(data):
+            size_2, kind_2 = struct.unpack_from("<II", data, at)
+            if kind_2 == _BIN_CHUNK:
+                if at + 8 + size_2 > len(data):
+                    raise InputError(self.path, "damaged GLB: the binary chunk ends beyond the file")
+                self.binary = data[at + 8 : at + 8 + size_2]
+        return data[20 : 20 + size]
+
+    def items(self, name: str) -> list[Json]:
+        """The objects of a top-level array; what is no object is an empty one."""
+        found = self.json.get(name)
+        return [one if isinstance(one, dict) else {} for one in found] if isinstance(found, list) else []
+
+    def item(self, name: str, index: object) -> Json | None:
+        """One object of a top-level array; None where there is none of that index."""
+        items = self.items(name)
+        return items[index] if is_index(index) and index < len(items) else None
+
+    def accessor(self, index: object) -> FloatArray:
+        """(count, width) float64 values, integers as they are unless normalised.
+
+        :raises Broken: it is not there, or asks for bytes that its buffer doesn't have
+        """
+        accessor = self.item("accessors", index)
+        if accessor is None:
+            raise Broken(f"accessor {index} is not there")
+        width, dtype = _WIDTHS.get(str(accessor.get("type"))), _component(accessor)
+        count = accessor.get("count")
+        if width is None or dtype is None or not is_index(count) or count < 1:
+            raise Broken("type, componentType or count is wrong")
+        if "bufferView" in accessor:
+            values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, dtype)
+        elif count * width > _MOST_ZEROS:
+            raise Broken(f"count {count} without data is beyond what a face can need")
+        else:
+            values = np.zeros((count, width))
+        if "sparse" in accessor:
+            self._sparse(accessor["sparse"], values, width, dtype)
+        return normalised(values, dtype) if accessor.get("normalized") is True else values
+
+    def maybe(self, index: object) -> FloatArray | None:
+        """The accessor, or None where it can't be read (which the check of accessors reports)."""
+        try:
+            return self.accessor(index)
+        except Broken:
+            return None
+
+    def _sparse(self, sparse: Any, values: FloatArray, width: int, dtype: Any) -> None:
+        indices, own = (sparse.get(name) if isinstance(sparse, dict) else None for name in ("indices", "values"))
+        count = sparse.get("count") if isinstance(sparse, dict) else None
+        if not isinstance(indices, dict) or not isinstance(own, dict) or not is_index(count):
+            raise Broken("sparse has no count, indices or values")
+        kind = _component(indices)
+        if kind not in (np.uint8, np.uint16, np.uint32):
+            raise Broken("sparse indices have a wrong componentType")
+        where = self._view(indices.get("bufferView"), indices.get("byteOffset", 0), count, 1, kind)[:, 0]
+        if len(where) and (where.max() >= len(values) or (np.diff(where) <= 0).any()):
+            raise Broken(f"sparse indices are not ascending in 0 to {len(values) - 1}")
+        given = self._view(own.get("bufferView"), own.get("byteOffset", 0), count, width, dtype)
+        values[where.astype(np.int64)] = given
+
+    def _view(self, index: object, offset: object, count: int, width: int, dtype: Any) -> FloatArray:
+        view = self.item("bufferViews", index)
+        if view is None:
+            raise Broken(f"bufferView {index} is not there")
+        start, length, buffer = view.get("byteOffset", 0), view.get("byteLength"), self._buffer(view.get("buffer"))
+        element = width * np.dtype(dtype).itemsize
+        stride = view.get("byteStride", element)
+        if not (is_index(start) and is_index(length) and is_index(offset) and is_index(stride)) or stride < element:
+            raise Broken("byteOffset, byteLength or byteStride of the bufferView is wrong")
+        needed = offset + stride * (count - 1) + element if count else 0
+        if needed > length or start + length > len(buffer):
+            have = min(length, max(len(buffer) - start, 0))
+            raise Broken(f"asks for {needed} bytes of a bufferView with {have}")
+        raw = np.frombuffer(buffer, np.uint8, needed - offset, start + offset) if count else np.zeros(0, np.uint8)
+        rows = np.lib.stride_tricks.as_strided(raw, (count, element), (stride, 1))
+        decoded: FloatArray = np.ascontiguousarray(rows).view(np.dtype(dtype).newbyteorder("<")).astype(np.float64)
+        return decoded
+
+    def _buffer(self, index: object) -> bytes:
+        buffer = self.item("buffers", index)
+        if buffer is None:
+            raise Broken(f"buffer {index} is not there")
+        number = index if is_index(index) else 0
+        if number not in self._buffers:
+            self._buffers[number] = self._load(buffer, number)
+        return self._buffers[number]
+
+    def _load(self, buffer: Json, number: int) -> bytes:
+        uri = buffer.get("uri")
+        if uri is None:
+            if number == 0 and self.binary is not None:
+                return self.binary
+            raise Broken(f"buffer {number} has no uri and no binary chunk")
+        text = str(uri)
+        if text.startswith("data:"):
+            try:
+                return base64.b64decode(text.partition(",")[2], validate=True)
+            except (binascii.Error, ValueError):
+                raise Broken(f"buffer {number} has a damaged data uri") from None
+        file = Path(unquote(text))
+        if "://" in text or file.is_absolute() or ".." in file.parts:
+            raise Broken(f"buffer {number} names '{text[:60]}', expected a file below the folder of the glTF file")
+        try:
+            return (self.path.parent / file).read_bytes()
+        except (OSError, ValueError):
+            raise Broken(f"buffer {number} names '{text[:60]}', which can't be read") from None
+
+
+def _component(accessor: Json) -> Any:
+    kind = accessor.get("componentType")
+    return _TYPES.get(kind) if is_index(kind) else None
+
+
+def is_index(value: object) -> TypeGuard[int]:
+    """Whether `value` is a JSON integer of 0 or more."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 53
+
+
+def normalised(values: FloatArray, dtype: Any) -> FloatArray:
+    """Integers as the fractions they stand for (glTF 2.0, section 3.11)."""
+    if np.dtype(dtype).kind == "f":
+        return values
+    return np.asarray(np.maximum(values / np.iinfo(dtype).max, -1.0))

@@ -1,0 +1,46 @@
+"""Checks of glTF files: our own, and the Khronos validator where it is installed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+from facepipe.reports import Finding
+from facepipe_gltf import mesh_validation as mesh
+from facepipe_gltf import skin_validation as skin
+from facepipe_gltf.khronos import check_khronos
+from facepipe_gltf.raw import RawDocument
+
+_Check = Callable[[RawDocument], Iterable[tuple[str, str]]]
+
+CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
+    ("GltfReferences", mesh.references, "error"),
+    ("GltfNodeTree", mesh.node_tree, "error"),
+    ("GltfAccessors", mesh.accessors, "error"),
+    ("GltfFinite", mesh.finite, "error"),
+    ("GltfMinMax", mesh.bounds, "error"),
+    ("GltfVertexCounts", mesh.vertex_counts, "error"),
+    ("GltfTargetNames", mesh.target_names, "error"),
+    ("GltfJointIndices", skin.joint_indices, "error"),
+    ("GltfWeightsSum", skin.weights_sum, "error"),
+    ("GltfInverseBinds", skin.inverse_binds, "error"),
+    ("GltfJointOrder", skin.joint_order, "error"),
+    ("GltfSkinnedNode", skin.skinned_nodes, "warning"),
+)
+
+
+def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:
+    """What is wrong with a .glb or .gltf.
+
+    :param khronos: also run the Khronos validator; a note says so where it is not installed
+    :raises InputError: no such file, or no glTF at all
+    """
+    document = RawDocument(Path(path))
+    findings = [
+        Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {where}", message=message)
+        for name, check, severity in CHECKS
+        for where, message in check(document)
+    ]
+    return tuple(findings + (check_khronos(document.path) if khronos else []))
