@@ -80,7 +80,7 @@ def test_tables_agree_with_the_packed_ones() -> None:
     assert list(topology.LANDMARKS) == data["landmarks_multipie68"].tolist()
     assert list(topology.EXPRESSIONS) == data["expression_names"].tolist()
     assert list(topology.EXTRAS) == data["extra_names"].tolist()
-    assert set(topology.MATERIALS) == set(data["material_names"].tolist())
+    assert set(topology.MATERIALS) == {*data["material_names"].tolist(), "Cornea", "Pupil"}
 
 
 def test_meshes_keep_points_faces_uvs_and_materials(face: FaceParts) -> None:
@@ -97,6 +97,21 @@ def test_meshes_keep_points_faces_uvs_and_materials(face: FaceParts) -> None:
     for mesh in face.meshes:
         covered = np.sort(np.concatenate([group.faces for group in mesh.material_faces]))
         assert np.array_equal(covered, np.arange(len(mesh.face_vertex_counts)))
+
+
+def test_the_pupil_is_seen_through_the_cornea(face: FaceParts) -> None:
+    for mesh in face.meshes:
+        if mesh.name.startswith("Eyeball"):
+            groups = {group.material: group.faces for group in mesh.material_faces}
+            starts = np.cumsum(mesh.face_vertex_counts) - mesh.face_vertex_counts
+            cornea, pupil = (
+                mesh.points[mesh.face_vertex_indices[starts[groups[name]]]] for name in ("Cornea", "Pupil")
+            )
+            assert len(cornea) > 50
+            assert cornea[:, 2].min() > pupil[:, 2].min() - 0.3
+            assert cornea[:, :2].min() <= pupil[:, :2].min()
+            assert cornea[:, :2].max() >= pupil[:, :2].max()
+            assert np.ptp(pupil[:, 0]) < 0.6 < np.ptp(cornea[:, 0]) < 1.4
 
 
 def test_regions_sum_to_one_and_hold_their_landmarks(face: FaceParts) -> None:

@@ -16,12 +16,13 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
+from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
 from facepipe.importers.ict_regions import head_regions, whole_region
 from facepipe.importers.imported import Imported, check_ranges, import_recipe
 from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, face_corners, material_faces, sparse_shape
 from facepipe.importers.wavefront import read_text
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Mesh
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -74,17 +75,19 @@ def read(source: Path, options: Options) -> Imported:
     check_ranges(options)
     weights = identity_weights(options)
     model = read_model(source, weights, topology.EXPRESSIONS + (topology.EXTRAS if options.extras else ()))
-    materials, warnings = _materials(model)
+    materials = face_materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(
         meters_per_unit=0.01,
         up_axis="Y",
-        meshes=_meshes(source, model, options),
-        materials=materials,
+        meshes=_meshes(source, model, materials, options),
+        materials=tuple(
+            material for number, material in enumerate(topology.MATERIALS.values()) if (materials == number).any()
+        ),
         attribution=topology.ATTRIBUTION,
         recipe=import_recipe("ict", sources, options),
     )
-    return Imported(parts=parts, warnings=model.warnings + warnings)
+    return Imported(parts=parts, warnings=model.warnings + _unknown_materials(model))
 
 
 def identity_weights(options: Options) -> dict[str, float]:
@@ -134,18 +137,17 @@ def _weights_of_file(path: Path) -> dict[str, float]:
     return {name: float(value) for name, value in content.items()}
 
 
-def _materials(model: IctModel) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    unknown = [name for name in model.materials if name not in topology.MATERIALS]
-    used = tuple(material for name, material in topology.MATERIALS.items() if name in model.materials)
-    return used, ((f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ())
+def _unknown_materials(model: IctModel) -> tuple[str, ...]:
+    unknown = [ascii(name)[:40] for name in model.materials if name not in topology.MATERIALS]
+    return (f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()
 
 
-def _meshes(source: Path, model: IctModel, options: Options) -> tuple[Mesh, ...]:
+def _meshes(source: Path, model: IctModel, materials: IntArray, options: Options) -> tuple[Mesh, ...]:
     names = dict.fromkeys(part.mesh for part in topology.PARTS)
-    return tuple(_mesh(source, name, model, options) for name in names)
+    return tuple(_mesh(source, name, model, materials, options) for name in names)
 
 
-def _mesh(source: Path, name: str, model: IctModel, options: Options) -> Mesh:
+def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     pieces = [part for part in topology.PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
@@ -165,7 +167,7 @@ def _mesh(source: Path, name: str, model: IctModel, options: Options) -> Mesh:
         regions=head_regions(model.neutral) if head else whole_region(pieces[0].region, last - first),
         landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
         anchor=back_of_border(model.neutral[first:last], counts, indices) if head else None,
-        material_faces=_material_faces(model, faces),
+        material_faces=material_faces(list(topology.MATERIALS), materials[faces]),
     )
 
 
@@ -175,9 +177,3 @@ def _blendshapes(model: IctModel, points: slice, options: Options) -> tuple[Blen
         for name, offsets in model.shapes.items()
     )
     return tuple(shape for shape in shapes if shape is not None)
-
-
-def _material_faces(model: IctModel, faces: IntArray) -> tuple[MaterialFaces, ...]:
-    names = list(topology.MATERIALS)
-    number = np.array([names.index(name) if name in names else -1 for name in model.materials] + [-1])
-    return material_faces(names, number[model.face_material[faces]])
