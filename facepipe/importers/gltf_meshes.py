@@ -9,7 +9,8 @@ import numpy as np
 from facepipe.importers import gltf_morphs, gltf_weld
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_names import Names
-from facepipe.importers.gltf_primitives import Geometry, Vertices
+from facepipe.importers.gltf_primitives import Geometry
+from facepipe.importers.gltf_vertices import Vertices
 from facepipe.importers.gltf_weld import Weld
 from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
 

@@ -15,7 +15,8 @@ from facepipe.importers.gltf_accessors import Deltas
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value, members
 from facepipe.importers.gltf_names import Names
-from facepipe.importers.gltf_primitives import Geometry, Target
+from facepipe.importers.gltf_primitives import Geometry
+from facepipe.importers.gltf_vertices import Target
 from facepipe.importers.gltf_weld import Weld
 from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
 

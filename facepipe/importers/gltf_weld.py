@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from facepipe.importers.gltf_primitives import Geometry, Target, Vertices
+from facepipe.importers.gltf_primitives import Geometry
+from facepipe.importers.gltf_vertices import Target, Vertices
 from facepipe.parts import FloatArray, IntArray
 
 
