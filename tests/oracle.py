@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from facepipe.rig.animation import decompose
 from facepipe.stage import Face
@@ -14,30 +14,33 @@ from facepipe.stage.values import floats, matrix, to_quatf, to_vec3f, to_vec3h
 
 def bake(face: Face, weights: Mapping[str, float], joint_transforms: np.ndarray | None = None) -> np.ndarray:
     """(n, 3) world points that `UsdSkel.BakeSkinning` gives; transforms are local, without shear."""
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.TransferContent(face.stage.Flatten())
+    return bake_all(face, [(weights, joint_transforms)])[0]
+
+
+def bake_all(face: Face, poses: Sequence[tuple[Mapping[str, float], np.ndarray | None]]) -> np.ndarray:
+    """(poses, n, 3) world points that `UsdSkel.BakeSkinning` gives for poses at successive times."""
+    layer = face.stage.Flatten()
     stage = Usd.Stage.Open(layer)
     skeleton = next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton))
     animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("OraclePose"))
-    if weights:
-        animation.CreateBlendShapesAttr(list(weights))
-        animation.CreateBlendShapeWeightsAttr([float(weight) for weight in weights.values()])
-    local = face.skeleton.rest_transforms if joint_transforms is None else joint_transforms
-    if len(local):
+    animation.CreateBlendShapesAttr(list(face.shapes))
+    animation.CreateJointsAttr(list(face.skeleton.joints))
+    for time, (weights, transforms) in enumerate(poses):
+        values = [float(weights.get(name, 0.0)) for name in face.shapes]
+        animation.CreateBlendShapeWeightsAttr().Set(values, time)
+        local = face.skeleton.rest_transforms if transforms is None else transforms
         translations, rotations, scales = decompose(local)
-        animation.CreateJointsAttr(list(face.skeleton.joints))
-        animation.CreateTranslationsAttr(to_vec3f(translations))
-        animation.CreateRotationsAttr(to_quatf(rotations))
-        animation.CreateScalesAttr(to_vec3h(scales))
+        animation.CreateTranslationsAttr().Set(to_vec3f(translations), time)
+        animation.CreateRotationsAttr().Set(to_quatf(rotations), time)
+        animation.CreateScalesAttr().Set(to_vec3h(scales), time)
     UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     root = UsdSkel.Root(stage.GetPrimAtPath(face.prim.GetPath()))
-    assert UsdSkel.BakeSkinning(root, Gf.Interval.GetFullInterval())
+    assert UsdSkel.BakeSkinning(root, Gf.Interval(0, len(poses) - 1))
     meshes = [one for one in Usd.PrimRange(root.GetPrim()) if one.IsA(UsdGeom.Mesh)]
-    return np.concatenate([_world_points(mesh) for mesh in meshes])
+    return np.stack([np.concatenate([_world_points(mesh, t) for mesh in meshes]) for t in range(len(poses))])
 
 
-def _world_points(prim: Usd.Prim) -> np.ndarray:
-    time = Usd.TimeCode.EarliestTime()
+def _world_points(prim: Usd.Prim, time: float) -> np.ndarray:
     points = floats(UsdGeom.Mesh(prim).GetPointsAttr().Get(time), 3).astype(np.float64)
     world = matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
     return points @ world[:3, :3].T + world[:3, 3]

@@ -70,7 +70,7 @@ def test_import_and_help_bring_nothing_heavy() -> None:
         (["import", "fbx", "a", "b.usda"], "invalid choice"),
         (["import", "obj", "gone", "b.usda"], "gone"),
         (["render", "gone.usda", "-o", "x.jpg"], "expected .png"),
-        (["landmarks", "gone.usda", "--from", "gone.json", "-o", "x.usda"], "gone.json: can't be read"),
+        (["landmarks", "gone.usda", "--from", "gone.json", "-o", "x.usda"], "gone.usda: no such file"),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_2(
@@ -115,9 +115,9 @@ def test_inspect_counts(capsys: pytest.CaptureFixture[str], face: Path) -> None:
 
 def test_landmarks_of_every_form(capsys: pytest.CaptureFixture[str], face: Path) -> None:
     source, out = face.with_name("points.json"), face.with_name("out.usda")
-    source.write_text(json.dumps({"scheme": "brows", "mesh": "Teeth", "indices": [3, 1], "names": ["l", "r"]}))
-    code, text, _ = run(capsys, "landmarks", face, "--from", source, "-o", out, "--json")
-    assert (code, json.loads(text)["count"]) == (0, 2)
+    source.write_text(json.dumps({"scheme": "brows", "indices": [3, 1], "names": ["l", "r"]}))
+    code, text, _ = run(capsys, "landmarks", face, "--from", source, "-o", out, "--mesh", "Teeth", "--json")
+    assert (code, json.loads(text)["schemes"]) == (0, {"brows": 2})
     mesh, landmarks = facepipe.open(out).landmarks("brows")
     assert (mesh.name, landmarks.indices.tolist(), landmarks.names) == ("Teeth", [3, 1], ("l", "r"))
     source.write_text(json.dumps({"left": 4, "right": 5}))
@@ -130,16 +130,15 @@ def test_landmarks_of_every_form(capsys: pytest.CaptureFixture[str], face: Path)
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("[1, 99]", "landmark at point 99, expected 0 to 35"),
-        ("[]", "no landmarks"),
-        ("[1.5]", "expected point indices"),
-        ("[true]", "expected point indices"),
-        ('{"a": "b"}', "expected point indices"),
-        ('{"indices": [1, 2], "names": ["a", "a"]}', "expected 2 different ones"),
-        ('{"indices": [1], "mesh": "Nose"}', "no mesh 'Nose'"),
-        ('{"indices": [1], "scheme": "a b"}', "scheme 'a b'"),
-        ("not json", "no JSON"),
-        ("[" * 100000, "no JSON"),
+        ("[1, 99]", "point 99, expected a whole number from 0 to 35"),
+        ("[]", "expected a list of points"),
+        ("[1.5]", "expected a whole number"),
+        ("[true]", "expected a whole number"),
+        ('{"a": "b"}', "point b, expected a whole number"),
+        ('{"indices": [1, 2], "names": ["a", "a"]}', "as many different names as indices"),
+        ('{"indices": [1], "scheme": "a b"}', "expected a scheme name"),
+        ("not json", "is not JSON"),
+        ("[" * 100000, "is not JSON"),
     ],
 )
 def test_bad_landmarks(capsys: pytest.CaptureFixture[str], face: Path, content: str, message: str) -> None:

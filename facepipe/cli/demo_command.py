@@ -117,7 +117,7 @@ def _sheet(face: Face, out: Path) -> None:
     from facepipe.render import PictureOptions, contact_sheet, picture, save_png
 
     parts = face.parts()
-    options = PictureOptions(size=320, view="three-quarter")
+    options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())
     shapes = [name for name in SHEET if name in face.shapes]
     poses = [("neutral", {}), *((name, {name: 1.0}) for name in shapes)]
     images = [(name, picture(parts, face.evaluate(weights), options)) for name, weights in poses]

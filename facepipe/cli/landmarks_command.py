@@ -1,7 +1,7 @@
 """Author named landmarks on a face; OUT is an override layer over FACE.
 
-The file holds a list of point indices, an object {"name": index}, or
-{"scheme": "multipie68", "mesh": "Head", "indices": [...], "names": [...]}.
+The file holds a list of point indices, an object {"name": index}, {"scheme": ..., "indices": [...], "names": [...]},
+or an object of several schemes, each a list or an object. A scheme without name is multipie68.
 
 example: facepipe landmarks head.usda --from points.json -o head.landmarks.usda
 """
@@ -9,16 +9,11 @@ example: facepipe landmarks head.usda --from points.json -o head.landmarks.usda
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_output, output_of
 from facepipe.cli.show import emit
 from facepipe.errors import InputError
-
-if TYPE_CHECKING:
-    from facepipe.processors.landmarks import SetLandmarks
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -26,44 +21,29 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     parser.add_argument("--from", dest="source", type=Path, required=True, metavar="JSON", help="landmarks to author")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
-    parser.add_argument("--scheme", help="name of the scheme (default: the file's, else multipie68)")
-    parser.add_argument("--mesh", help="mesh they lie on (default: the file's, else the one with most points)")
+    parser.add_argument("--scheme", help="name of the scheme, where the file holds one (default: the file's)")
+    parser.add_argument("--mesh", help="mesh they lie on (default: the one with most points)")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.add_argument("--json", action="store_true", help="print what was authored as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read the file, author the layer."""
     import facepipe
+    from facepipe.importers.landmark_file import read_landmarks
+    from facepipe.processors.landmarks import SetLandmarks, mesh_of
 
     out = output_of(arguments, [arguments.face, arguments.source])
-    set_landmarks = read_landmarks(arguments.source, arguments.scheme, arguments.mesh)
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        report = set_landmarks(face)
-    emit(report, f"{out}: {report.count} landmarks of {report.scheme} on {report.mesh}", as_json=arguments.json)
+    source = facepipe.open(arguments.face)
+    schemes = read_landmarks(arguments.source, len(mesh_of(source, arguments.mesh).points))
+    if arguments.scheme and len(schemes) > 1:
+        raise InputError(arguments.source, f"{len(schemes)} schemes, expected one where --scheme names it")
+    with source.deriving(out, flatten=arguments.flatten) as face:
+        reports = [
+            SetLandmarks(scheme=arguments.scheme or scheme, landmarks=landmarks, mesh=arguments.mesh)(face)
+            for scheme, landmarks in schemes.items()
+        ]
+    result = {"path": str(out), "schemes": {one.scheme: one.count for one in reports}, "mesh": reports[0].mesh}
+    lines = [f"{out}: {one.count} landmarks of {one.scheme} on {one.mesh}" for one in reports]
+    emit(result, "\n".join(lines), as_json=arguments.json)
     return 0
-
-
-def read_landmarks(path: Path, scheme: str | None, mesh: str | None) -> SetLandmarks:
-    """The processor that a landmarks file describes.
-
-    :raises InputError: no readable JSON of one of the three forms
-    """
-    from facepipe.processors.landmarks import SetLandmarks
-
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror}") from None
-    except (ValueError, RecursionError):
-        raise InputError(path, "no JSON, expected a list or an object of point indices") from None
-    names: Any = ()
-    if isinstance(content, dict) and "indices" in content:
-        scheme, mesh = scheme or content.get("scheme"), mesh or content.get("mesh")
-        content, names = content["indices"], content.get("names") or ()
-    elif isinstance(content, dict):
-        content, names = list(content.values()), tuple(content)
-    whole = isinstance(content, list) and all(type(index) is int and abs(index) < 2**31 for index in content)
-    if not whole or not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
-        raise InputError(path, "expected point indices: a list, an object {name: index}, or {indices, names, scheme}")
-    return SetLandmarks(scheme=str(scheme or "multipie68"), mesh=mesh, indices=tuple(content), names=tuple(names))

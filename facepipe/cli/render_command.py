@@ -15,9 +15,8 @@ from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from facepipe.parts import FloatArray
+    from facepipe.render import HeatMap
     from facepipe.stage import Face
 
 VIEWS = ("front", "side", "three-quarter")
@@ -53,7 +52,6 @@ def run(arguments: argparse.Namespace) -> int:
         size=arguments.size,
         view=arguments.view,
         heatmap=_heatmap(face, points, arguments.heatmap),
-        heatmap_label=arguments.heatmap or "",
         landmarks=arguments.landmarks,
     )
     save_png(picture(face.parts(), points, options), out)
@@ -73,11 +71,16 @@ def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
     return face.evaluate({**own, **weights}, joint_transforms=transforms)
 
 
-def _heatmap(face: Face, points: FloatArray, name: str | None) -> np.ndarray | None:
+def _heatmap(face: Face, points: FloatArray, name: str | None) -> HeatMap | None:
+    import numpy as np
+
+    from facepipe import tokens
+    from facepipe.render import HeatMap
+
     if name is None:
         return None
     if name == "displacement":
-        import numpy as np
-
-        return np.asarray(np.linalg.norm(points - face.evaluate(), axis=1) * face.mm_per_unit)
-    return face.primvar(name)
+        moved = np.linalg.norm(points - face.evaluate(), axis=1) * face.mm_per_unit
+        return HeatMap(values=moved, label="displacement")
+    unit = "" if name.startswith(tokens.REGION_PRIMVAR) else "mm"
+    return HeatMap(values=face.primvar(name), label=name, unit=unit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections import Counter
 
-from facepipe.importers import names
+from facepipe import names
 
 _LONGEST = 80
 

@@ -22,8 +22,8 @@ from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import loose_regions, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
 from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape
-from facepipe.importers.names import identifier
 from facepipe.importers.npz import LARGEST
+from facepipe.names import identifier
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
 
 FloatArray = npt.NDArray[np.floating]

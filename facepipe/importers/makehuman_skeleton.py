@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.importers.makehuman_data import MakeHumanData
-from facepipe.importers.names import unique_identifiers
+from facepipe.names import unique_identifiers
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import matrix_coefficients
 

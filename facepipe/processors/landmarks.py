@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from facepipe.errors import InputError
-from facepipe.parts import Landmarks
+from facepipe.parts import Landmarks, Mesh
 from facepipe.reports import Report
 from facepipe.stage import Face
 from facepipe.stage.author_mesh import author_landmarks
@@ -26,38 +24,39 @@ class LandmarksReport(Report):
 class SetLandmarks:
     """Landmarks of one scheme on one mesh; those it had of that scheme are replaced.
 
-    :param indices: point index of every landmark, in the order of the scheme
-    :param names: empty, or one unique name per landmark
     :param mesh: name of the mesh; default the one with most points
     """
 
+    landmarks: Landmarks
     scheme: str = "multipie68"
-    indices: tuple[int, ...] = ()
-    names: tuple[str, ...] = ()
     mesh: str | None = None
 
     def __call__(self, face: Face) -> LandmarksReport:
         """Author them.
 
-        :raises InputError: no such mesh, indices out of range or repeated, or names that don't pair
+        :raises InputError: no such mesh, no landmarks, indices out of range, or names that don't pair
         """
-        if not face.meshes:
-            raise InputError(face.where, "no meshes, expected one that landmarks can lie on")
-        named = {mesh.name: mesh for mesh in face.meshes}
-        name = self.mesh or max(named, key=lambda one: len(named[one].points))
-        prim = face.mesh_prim(name)
-        self._check(f"{face.where} -> {name}", len(named[name].points))
-        landmarks = Landmarks(indices=np.array(self.indices, dtype=np.int32), names=self.names)
-        author_landmarks(prim, replace(named[name], landmarks={self.scheme: landmarks}, anchor=None))
-        return LandmarksReport(scheme=self.scheme, mesh=name, count=len(self.indices))
+        mesh = mesh_of(face, self.mesh)
+        self._check(f"{face.where} -> {mesh.name}", len(mesh.points))
+        author_landmarks(face.mesh_prim(mesh.name), replace(mesh, landmarks={self.scheme: self.landmarks}, anchor=None))
+        return LandmarksReport(scheme=self.scheme, mesh=mesh.name, count=len(self.landmarks.indices))
 
     def _check(self, where: str, points: int) -> None:
-        if not self.scheme.isidentifier():
+        indices, names = self.landmarks.indices, self.landmarks.names
+        if not (self.scheme.isascii() and self.scheme.isidentifier()):
             raise InputError(where, f"scheme '{self.scheme}', expected letters, digits and underscores")
-        if not self.indices:
-            raise InputError(where, "no landmarks, expected at least one")
-        outside = [index for index in self.indices if not 0 <= index < points]
-        if outside:
-            raise InputError(where, f"landmark at point {outside[0]}, expected 0 to {points - 1}")
-        if self.names and (len(self.names) != len(self.indices) or len(set(self.names)) != len(self.names)):
-            raise InputError(where, f"{len(self.names)} names, expected {len(self.indices)} different ones")
+        if not len(indices) or indices.min() < 0 or indices.max() >= points:
+            raise InputError(where, f"{len(indices)} landmarks, expected at least one, all at points 0 to {points - 1}")
+        if names and (len(names) != len(indices) or len(set(names)) != len(names)):
+            raise InputError(where, f"{len(names)} names, expected {len(indices)} different ones")
+
+
+def mesh_of(face: Face, name: str | None) -> Mesh:
+    """The mesh called `name`, or the one with most points.
+
+    :raises InputError: no such mesh, or none at all
+    """
+    named = {mesh.name: mesh for mesh in face.meshes}
+    if not named or (name is not None and name not in named):
+        raise InputError(face.where, f"no mesh '{name or ''}', expected one of {', '.join(named) or 'at least one'}")
+    return named[name] if name is not None else max(named.values(), key=lambda mesh: len(mesh.points))
