@@ -1,1 +1,11 @@
-"""."""
+"""ONNX deformer: the rig of a face as one graph that game engines evaluate, and its reference runtime.
+
+`export` writes the graph and its sidecar; `Deformer` runs it with onnxruntime; `validate` checks a file.
+"""
+
+from facepipe_onnx.options import Options
+from facepipe_onnx.runtime import Deformer
+from facepipe_onnx.verify import validate
+from facepipe_onnx.writer import export, export_parts
+
+__all__ = ["Deformer", "Options", "export", "export_parts", "validate"]

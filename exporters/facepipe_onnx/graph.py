@@ -1,0 +1,183 @@
+"""From a rig to an ONNX graph.
+
+Inputs, where the face has what they move: ``weights`` [batch, shapes]; ``coefficients`` [batch, joints, 9] or
+``joint_transforms`` [batch, joints, 4, 4]; ``parent`` [batch, 4, 4] by option. Outputs: ``points`` [batch, points, 3],
+world space, stage units, in the order of `Rig.points`; ``joint_matrices`` [batch, joints, 4, 4] and ``normals``
+[batch, points, 3] by option. Matrices are for column vectors, row by row (the translation is the last column).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from facepipe import __version__
+from facepipe.errors import ExportError
+from facepipe.rig import Rig
+from facepipe_onnx import morph, skin
+from facepipe_onnx.joints import tree_order, world_nodes
+from facepipe_onnx.nodes import Nodes
+from facepipe_onnx.normals import normal_nodes
+from facepipe_onnx.operators import IR_VERSION, MAX_BYTES, OPSET
+from facepipe_onnx.options import Options
+from facepipe_onnx.partition import Partition, block_size, partition
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def select_shapes(rig: Rig, names: tuple[str, ...]) -> Rig:
+    """The rig with only the shapes `names`."""
+    number = {name: i for i, name in enumerate(names)}
+    kept = [t for t in rig.targets if rig.shapes[t.shape] in number]
+    targets = tuple(dataclasses.replace(t, shape=number[rig.shapes[t.shape]]) for t in kept)
+    return dataclasses.replace(rig, shapes=names, targets=targets)
+
+
+def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | None = None) -> Any:
+    """The graph of a rig as an `onnx.ModelProto`, without metadata.
+
+    :param triangles: (t, 3) point indices; needed for the `normals` option
+    :raises InputError: an option out of range, or a shape glob that matches nothing
+    :raises ExportError: nothing that deforms, or more than the 2 GB that a file can hold
+    """
+    options = options or Options()
+    options.check()
+    rig = select_shapes(rig, options.selected(rig.shapes))
+    _check(rig, options)
+    nodes = Nodes()
+    worlds = None
+    if rig.joints:
+        matrices = options.inputs == "matrices"
+        worlds = world_nodes(nodes, rig, matrices=matrices, parent=options.parent, batch=options.batch)
+    if rig.joints or options.parent:
+        _skinned(nodes, rig, worlds, options)
+    else:
+        _rigid(nodes, rig, options.batch)
+    if worlds and options.joint_matrices:
+        nodes.add(
+            "Gather", worlds, nodes.indices(np.argsort(tree_order(rig.parents)[0])), axis=1, name="joint_matrices"
+        )
+    if options.normals:
+        normal_nodes(nodes, "points", len(rig.points), _triangles(rig, triangles), options.batch)
+    return _model(nodes, rig, options)
+
+
+def _check(rig: Rig, options: Options) -> None:
+    if not len(rig.points):
+        raise ExportError(rig.name, "no points, expected a mesh")
+    if not (rig.shapes or rig.joints or options.parent):
+        raise ExportError(rig.name, "no blendshapes and no joints, expected something that deforms the points")
+    if options.joint_matrices and not rig.joints:
+        raise ExportError(rig.name, "no joints, expected some for the output joint_matrices")
+
+
+def _triangles(rig: Rig, triangles: IntArray | None) -> IntArray:
+    if triangles is None or not len(triangles):
+        raise ExportError(rig.name, "no faces, expected some for the output normals")
+    return triangles
+
+
+def _rigid(nodes: Nodes, rig: Rig, batch: int) -> None:
+    """`points` of a face that only blendshapes move: the skeleton's place is part of the constants."""
+    linear, offset = rig.parent_world[:3, :3], rig.parent_world[:3, 3]
+    targets = tuple(dataclasses.replace(t, offsets=t.offsets @ linear.T) for t in rig.targets)
+    world = dataclasses.replace(rig, targets=targets)
+    moved = morph.moved(world)
+    parts = partition(moved, block_size([(moved, morph.ENTRY_BYTES)], len(rig.points)), morph.ENTRY_BYTES)
+    blocks = morph.morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch)
+    _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
+
+
+def _skinned(nodes: Nodes, rig: Rig, worlds: str | None, options: Options) -> None:
+    """`points` of a face that joints or a parent move, in two orders: the morph's groups, then the skin's."""
+    batch = options.batch
+    centre = (rig.points.min(axis=0) + rig.points.max(axis=0)) / 2
+    moved = morph.moved(rig)
+    influences = sparse.csr_array(rig.influences[:, skin.joint_columns(rig)])
+    size = block_size([(moved, morph.ENTRY_BYTES), (influences, skin.ENTRY_BYTES)], len(rig.points))
+    parts = partition(influences, size, skin.ENTRY_BYTES)
+    homogeneous = _homogeneous(nodes, rig, rig.points - centre, moved, parts, batch)
+    matrices = skin.skinning_nodes(nodes, rig, worlds, centre, parent=options.parent, batch=batch)
+    planes = skin.skin_nodes(nodes, rig, matrices, homogeneous, parts, batch)
+    rows = nodes.add("Transpose", planes, perm=[0, 2, 1])
+    blocks = nodes.reshape(rows, batch, len(parts.order), 3 * size)
+    _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
+
+
+def _homogeneous(
+    nodes: Nodes, rig: Rig, neutral: FloatArray, moved: sparse.csr_array, parts: Partition, batch: int
+) -> str:
+    """[batch, 4, points] morphed points with a 1 each, in the order of the skin's groups `parts`."""
+    order = np.concatenate([parts.members(group) for group in parts.groups])
+    ones = np.ones((1, 1, len(order)))
+    if not rig.targets:
+        return nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
+    morphs = partition(moved, parts.size, morph.ENTRY_BYTES)
+    blocks = morph.morph_nodes(nodes, rig, neutral, morphs, batch)
+    blocks = _reorder(nodes, blocks, morphs.position[parts.order])
+    rows = nodes.reshape(blocks, batch, len(order), 3)
+    planes = nodes.add("Transpose", rows, perm=[0, 2, 1])
+    return nodes.concat([planes, nodes.constant("ones", np.tile(ones, (batch, 1, 1)))], 1)
+
+
+def _reorder(nodes: Nodes, blocks: str, indices: IntArray) -> str:
+    if np.array_equal(indices, np.arange(len(indices))):
+        return blocks
+    return nodes.gather(blocks, 1, indices)
+
+
+def _in_point_order(nodes: Nodes, blocks: str, parts: Partition, batch: int) -> None:
+    """`points` from blocks in their own order: the filling of the last one is cut off."""
+    total = len(parts.order) * parts.size
+    if total == parts.points:
+        nodes.reshape(blocks, batch, total, 3, name="points")
+        return
+    rows = nodes.reshape(blocks, batch, total, 3)
+    bounds = [nodes.indices([value]) for value in (0, parts.points, 1)]
+    nodes.add("Slice", rows, *bounds, name="points")
+
+
+def signature(rig: Rig, options: Options) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+    """Names and shapes of the graph's inputs and of its outputs; `rig` holds the exported shapes only."""
+    joints, points = len(rig.joints), len(rig.points)
+    inputs: dict[str, tuple[int, ...]] = {}
+    if rig.shapes:
+        inputs["weights"] = (options.batch, len(rig.shapes))
+    if joints and options.inputs == "coefficients":
+        inputs["coefficients"] = (options.batch, joints, 9)
+    if joints and options.inputs == "matrices":
+        inputs["joint_transforms"] = (options.batch, joints, 4, 4)
+    if options.parent:
+        inputs["parent"] = (options.batch, 4, 4)
+    outputs: dict[str, tuple[int, ...]] = {"points": (options.batch, points, 3)}
+    if options.joint_matrices:
+        outputs["joint_matrices"] = (options.batch, joints, 4, 4)
+    if options.normals:
+        outputs["normals"] = (options.batch, points, 3)
+    return inputs, outputs
+
+
+def _model(nodes: Nodes, rig: Rig, options: Options) -> Any:
+    from onnx import TensorProto, helper, numpy_helper
+
+    total = sum(values.nbytes for values in nodes.constants.values())
+    if total > MAX_BYTES - (1 << 20):
+        raise ExportError(rig.name, f"{total} bytes of tensors, expected less than the 2 GB that an ONNX file holds")
+    for name, values in nodes.constants.items():
+        if not np.isfinite(values).all():
+            raise ExportError(f"{rig.name} -> {name}", "values beyond the range of float32, expected finite numbers")
+    inputs, outputs = (
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in side.items()]
+        for side in signature(rig, options)
+    )
+    tensors = [numpy_helper.from_array(values, name) for name, values in nodes.constants.items()]
+    graph = helper.make_graph(nodes.nodes, "deformer", inputs, outputs, tensors)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
+    model.ir_version = IR_VERSION
+    model.producer_name, model.producer_version = "facepipe", __version__
+    return model

@@ -1,0 +1,13 @@
+"""The operators that a facepipe graph may use, and its versions (DESIGN section 6)."""
+
+from __future__ import annotations
+
+OPSET = 15
+IR_VERSION = 8
+MAX_BYTES = (1 << 31) - 1  # of a protobuf file
+
+PER_FRAME = frozenset(
+    {"Clip", "Gemm", "MatMul", "Add", "Sub", "Mul", "Relu", "Tanh", "Sigmoid", "Sin", "Cos"}
+    | {"Concat", "Slice", "Reshape", "Transpose", "Gather"}
+)
+FURTHER = frozenset({"Div", "Sqrt"})  # normals only; declared in the sidecar where a graph uses them

@@ -1,0 +1,58 @@
+"""What the user can ask of the ONNX exporter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Literal
+
+from facepipe.errors import InputError
+
+INPUTS = ("coefficients", "matrices")
+BATCHES = (1, 256)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the ONNX exporter."""
+
+    inputs: Literal["coefficients", "matrices"] = field(
+        default="coefficients",
+        metadata={
+            "help": "what moves the joints: 9 bone coefficients each, or local 4x4 joint transforms",
+            "choices": INPUTS,
+        },
+    )
+    joint_matrices: bool = field(default=False, metadata={"help": "also output the world matrices of all joints"})
+    normals: bool = field(
+        default=False, metadata={"help": "also output area-weighted point normals (needs the operators Div and Sqrt)"}
+    )
+    parent: bool = field(
+        default=False, metadata={"help": "add an input: the world matrix of the body joint that the face hangs under"}
+    )
+    shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
+    batch: int = field(
+        default=1, metadata={"help": "poses per evaluation, fixed in the graph", "range": BATCHES, "unit": "poses"}
+    )
+
+    def check(self) -> None:
+        """Check the values.
+
+        :raises InputError: a value outside its choices or range
+        """
+        if self.inputs not in INPUTS:
+            raise InputError("option inputs", f"is {self.inputs!r}, expected one of {', '.join(INPUTS)}")
+        low, high = BATCHES
+        if isinstance(self.batch, bool) or not isinstance(self.batch, int) or not low <= self.batch <= high:
+            raise InputError("option batch", f"is {self.batch!r}, expected a whole number from {low} to {high}")
+
+    def selected(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The `names` that the globs match, in their order.
+
+        :raises InputError: a glob that matches none
+        """
+        patterns = [one.strip() for one in self.shapes.split(",")]
+        for pattern in patterns:
+            if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
+                raise InputError("option shapes", f"'{pattern}' matches none of {len(names)} blendshapes")
+        return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))

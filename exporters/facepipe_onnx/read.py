@@ -1,0 +1,218 @@
+"""Reads an ONNX file of unknown origin and says what keeps it from being a facepipe deformer.
+
+Nothing is handed to onnx's checker or to onnxruntime before its parts have been found to be plain: tensors inside the
+file, of the size their shape says, no subgraphs, no custom operators.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe_onnx import sidecar
+from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
+
+MAX_ELEMENTS = 1 << 30  # of all values that one evaluation makes
+
+_TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}  # TensorProto.FLOAT, INT64
+_PLAIN_ATTRIBUTES = {1, 2, 6, 7}  # AttributeProto.FLOAT, INT, FLOATS, INTS
+
+
+class Problem(NamedTuple):
+    """What is wrong with a model."""
+
+    check: str
+    where: str
+    message: str
+
+
+def read(path: Path) -> Any:
+    """The `onnx.ModelProto` in a file, unchecked.
+
+    :raises InputError: no such file, or no ONNX
+    """
+    import onnx
+
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, f"more than {MAX_BYTES} bytes, expected an ONNX file")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(data)
+    except Exception as error:  # protobuf's errors share no other base
+        raise InputError(path, "is damaged or no ONNX file") from error
+    if not model.HasField("graph"):
+        raise InputError(path, "no graph, expected an ONNX model")
+    return model
+
+
+def problems(model: Any) -> Iterator[Problem]:
+    """Everything that keeps a model from being run; later checks need the earlier ones to pass."""
+    stages: tuple[tuple[tuple[str, Callable[[Any], Iterable[tuple[str, str]]]], ...], ...] = (
+        (("OnnxVersion", _version), ("OnnxSelfContained", _self_contained), ("OnnxOperators", _operators)),
+        (("OnnxFinite", _finite), ("OnnxChecker", _checker)),
+        (("OnnxSize", _sizes), ("OnnxMetadata", _metadata)),
+    )
+    for stage in stages:
+        found = [Problem(name, where, message) for name, check in stage for where, message in check(model)]
+        yield from found
+        if found:
+            return
+
+
+def properties(model: Any) -> dict[str, str]:
+    """The model's metadata_props."""
+    return {one.key: one.value for one in model.metadata_props}
+
+
+def operators(model: Any) -> list[str]:
+    """The operators of a graph, sorted."""
+    return sorted({node.op_type for node in model.graph.node})
+
+
+def _version(model: Any) -> Iterator[tuple[str, str]]:
+    if model.ir_version != IR_VERSION:
+        yield "ir_version", f"is {model.ir_version}, expected {IR_VERSION}"
+    opsets = [(one.domain, one.version) for one in model.opset_import]
+    if opsets not in ([("", OPSET)], [("ai.onnx", OPSET)]):
+        yield "opset_import", f"{opsets[:4]}, expected opset {OPSET} of the default domain alone"
+
+
+def _self_contained(model: Any) -> Iterator[tuple[str, str]]:
+    graph = model.graph
+    for what, found in (
+        ("functions", model.functions),
+        ("training_info", model.training_info),
+        ("sparse_initializer", graph.sparse_initializer),
+        ("quantization_annotation", graph.quantization_annotation),
+    ):
+        if len(found):
+            yield what, "present, expected none"
+    for tensor in graph.initializer:
+        if problem := _tensor_problem(tensor):
+            yield f"tensor {tensor.name}", problem
+    names = [tensor.name for tensor in graph.initializer]
+    if len(set(names)) != len(names):
+        yield "tensors", "several of one name"
+
+
+def _tensor_problem(tensor: Any) -> str | None:
+    if tensor.data_location or len(tensor.external_data):
+        return "data outside of the file, expected it inside"
+    if tensor.data_type not in _TYPES:
+        return f"of type {tensor.data_type}, expected float32 or int64"
+    if any(size < 0 for size in tensor.dims) or len(tensor.dims) > 8:
+        return f"shape {list(tensor.dims)[:9]}, expected at most 8 sizes of 0 or more"
+    expected = math.prod(tensor.dims) * _TYPES[tensor.data_type].itemsize
+    if len(tensor.raw_data) != expected:
+        return f"{len(tensor.raw_data)} bytes of raw data, expected {expected} for shape {list(tensor.dims)}"
+    return None
+
+
+def _operators(model: Any) -> Iterator[tuple[str, str]]:
+    for number, node in enumerate(model.graph.node):
+        where = f"node {node.name or number}"
+        if node.domain not in ("", "ai.onnx"):
+            yield where, f"operator of domain '{node.domain}', expected the default domain"
+        elif node.op_type not in PER_FRAME | FURTHER:
+            yield where, f"operator {node.op_type}, expected one of {', '.join(sorted(PER_FRAME | FURTHER))}"
+        for attribute in node.attribute:
+            if attribute.type not in _PLAIN_ATTRIBUTES or attribute.ref_attr_name:
+                yield f"{where} -> {attribute.name}", "attribute is no plain number or list of numbers"
+
+
+def _finite(model: Any) -> Iterator[tuple[str, str]]:
+    for tensor in model.graph.initializer:
+        if not np.isfinite(np.frombuffer(tensor.raw_data, _TYPES[tensor.data_type])).all():
+            yield f"tensor {tensor.name}", "holds NaN or infinity, expected finite numbers"
+
+
+def _checker(model: Any) -> Iterator[tuple[str, str]]:
+    from onnx import checker, shape_inference
+
+    try:
+        checker.check_model(model, full_check=True)
+    except (checker.ValidationError, shape_inference.InferenceError, ValueError, RuntimeError) as error:
+        yield "graph", _first_line(error)
+
+
+def _sizes(model: Any) -> Iterator[tuple[str, str]]:
+    from onnx import shape_inference
+
+    inferred = shape_inference.infer_shapes(model, strict_mode=True, data_prop=True).graph
+    shapes = {one.name: _shape(one) for side in (inferred.input, inferred.output, inferred.value_info) for one in side}
+    total = 0
+    for name in [one.name for one in model.graph.input] + [name for node in model.graph.node for name in node.output]:
+        shape = shapes.get(name)
+        if shape is None:
+            yield f"value {name}", "its size is not fixed by the graph"
+            return
+        total += math.prod(shape)
+    if total > MAX_ELEMENTS:
+        yield "graph", f"{total} numbers in an evaluation, expected at most {MAX_ELEMENTS}"
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    tensor = value.type.tensor_type
+    if tensor.elem_type not in _TYPES or not tensor.HasField("shape"):
+        return None
+    if any(not size.HasField("dim_value") or size.dim_value < 0 for size in tensor.shape.dim):
+        return None
+    return tuple(size.dim_value for size in tensor.shape.dim)
+
+
+def _metadata(model: Any) -> Iterator[tuple[str, str]]:
+    try:
+        metadata = sidecar.from_properties(properties(model))
+    except InputError as error:
+        yield error.where, error.what
+        return
+    missing = [key for key in sidecar.REQUIRED if key not in metadata]
+    if missing:
+        yield "metadata", f"no {sidecar.PREFIX}{missing[0]}, expected the metadata of a facepipe deformer"
+        return
+    if metadata["format"] != sidecar.FORMAT:
+        yield f"metadata {sidecar.PREFIX}format", f"is {str(metadata['format'])[:80]}, expected {sidecar.FORMAT}"
+        return
+    for side, values in (("inputs", model.graph.input), ("outputs", model.graph.output)):
+        yield from _described(metadata[side], {one.name: _shape(one) for one in values}, side)
+    if metadata["operators"] != operators(model):
+        yield f"metadata {sidecar.PREFIX}operators", "not the operators of the graph"
+    further = [name for name in operators(model) if name in FURTHER]
+    if metadata.get("further_operators", []) != further:
+        yield f"metadata {sidecar.PREFIX}further_operators", f"expected {further}"
+
+
+def _described(described: Any, values: dict[str, tuple[int, ...] | None], side: str) -> Iterator[tuple[str, str]]:
+    """Whether the inputs or outputs that the metadata describes are those of the graph."""
+    where = f"metadata {sidecar.PREFIX}{side}"
+    if not isinstance(described, list) or not all(isinstance(one, dict) for one in described):
+        yield where, "expected a list of objects"
+        return
+    shapes = {str(one.get("name")): one.get("shape") for one in described}
+    if len(shapes) != len(described) or shapes != {name: list(shape or ()) for name, shape in values.items()}:
+        yield where, f"names and shapes are not those of the graph's {side}"
+        return
+    for one in described:
+        for key in ("names", "joints"):
+            names = one.get(key)
+            if names is not None and not _is_names(names, one["shape"]):
+                yield f"{where} -> {one['name']} -> {key}", f"expected distinct names, one for each of {one['shape']}"
+
+
+def _is_names(names: Any, shape: list[int]) -> bool:
+    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    return texts and len(set(names)) == len(names) and len(shape) > 1 and len(names) == shape[1]
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[0] if lines else type(error).__name__)[:300]

@@ -1,0 +1,147 @@
+"""The reference runtime: evaluates a deformer with onnxruntime on the CPU."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe_onnx import sidecar
+from facepipe_onnx.read import problems, properties, read
+
+Array = npt.NDArray[Any]
+
+
+class Deformer:
+    """A loaded deformer. `shapes` and `joints` name what its inputs move, `outputs` what it gives."""
+
+    def __init__(self, path: str | os.PathLike[str], *, threads: int = 1) -> None:
+        """:raises InputError: no such file, or no sound facepipe deformer"""
+        self.path = Path(path)
+        model = read(self.path)
+        for problem in problems(model):
+            raise InputError(f"{self.path} -> {problem.where}", problem.message)
+        self.metadata: dict[str, Any] = sidecar.from_properties(properties(model))
+        self._inputs = {one["name"]: one for one in self.metadata["inputs"]}
+        self.shapes: tuple[str, ...] = tuple(self._inputs.get("weights", {}).get("names", ()))
+        jointed = self._inputs.get("coefficients", self._inputs.get("joint_transforms", {}))
+        self.joints: tuple[str, ...] = tuple(jointed.get("joints", ()))
+        self.outputs: tuple[str, ...] = tuple(one["name"] for one in self.metadata["outputs"])
+        self._defaults = {name: self._default(name) for name in self._inputs}
+        self._session = self._start(model.SerializeToString(), threads)
+
+    def evaluate(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        coefficients: npt.ArrayLike | Mapping[str, npt.ArrayLike] | None = None,
+        joint_transforms: npt.ArrayLike | None = None,
+        parent: npt.ArrayLike | None = None,
+    ) -> dict[str, Array]:
+        """The outputs of one pose by name, float32, without batch axis: ``points`` (n, 3), ...
+
+        :param weights: shape weights by name; those not named are 0
+        :param coefficients: (joints, 9), or 9 numbers by joint path; joints not named stay at rest
+        :param joint_transforms: (joints, 4, 4) local transforms, for graphs made with matrix inputs
+        :param parent: (4, 4) world matrix that roots hang under, for graphs with that input
+        :raises InputError: names, counts or inputs that the graph has not, or numbers that are not finite
+        """
+        feeds: dict[str, npt.ArrayLike] = {}
+        if weights:
+            feeds["weights"] = self._by_name("weights", weights, self.shapes)
+        if isinstance(coefficients, Mapping):
+            if coefficients:
+                feeds["coefficients"] = self._by_name("coefficients", coefficients, self.joints)
+        elif coefficients is not None:
+            feeds["coefficients"] = coefficients
+        if joint_transforms is not None:
+            feeds["joint_transforms"] = joint_transforms
+        if parent is not None:
+            feeds["parent"] = parent
+        return {name: values[0] for name, values in self.run(feeds).items()}
+
+    def run(self, feeds: Mapping[str, npt.ArrayLike]) -> dict[str, Array]:
+        """All outputs by name, with batch axis.
+
+        :param feeds: inputs by name, with or without batch axis; those not given have their defaults
+        :raises InputError: unknown inputs, wrong shapes, or numbers that are not finite in float32
+        """
+        full = dict(self._defaults)
+        for name, values in feeds.items():
+            full[name] = self._fed(name, values)
+        try:
+            results = self._session.run(list(self.outputs), full)
+        except Exception as error:  # onnxruntime's errors share no other base
+            raise InputError(self.path, f"can't be evaluated ({_line(error)})") from error
+        for name, values in zip(self.outputs, results, strict=True):
+            if not np.isfinite(values).all():
+                raise InputError(f"{self.path} -> {name}", "NaN or infinity came out; are the inputs too large?")
+        return dict(zip(self.outputs, results, strict=True))
+
+    def _fed(self, name: str, values: npt.ArrayLike) -> Array:
+        where = f"{self.path} -> {name}"
+        if name not in self._inputs:
+            raise InputError(where, f"no such input, expected one of {', '.join(self._inputs) or 'none'}")
+        shape = tuple(self._inputs[name]["shape"])
+        try:
+            with np.errstate(over="ignore"):
+                array = np.asarray(values, dtype=np.float64).astype(np.float32)
+        except (TypeError, ValueError) as error:
+            raise InputError(where, f"expected numbers of shape {shape[1:]}") from error
+        if array.shape not in (shape, shape[1:]):
+            raise InputError(where, f"shape {array.shape}, expected {shape[1:]}")
+        if not np.isfinite(array).all():
+            raise InputError(where, "NaN, infinity or beyond float32, expected finite numbers")
+        return np.ascontiguousarray(np.broadcast_to(array, shape))
+
+    def _by_name(self, name: str, values: Mapping[str, Any], names: tuple[str, ...]) -> Array:
+        """(names, ...) defaults of an input with `values` put in by name."""
+        where = f"{self.path} -> {name}"
+        if name not in self._inputs:
+            raise InputError(where, f"no such input, expected one of {', '.join(self._inputs) or 'none'}")
+        full: Array = self._defaults[name][0].astype(np.float64)
+        number = {one: i for i, one in enumerate(names)}
+        for one, value in values.items():
+            if one not in number:
+                some = ", ".join(names[:6]) + (f", ... ({len(names)} in all)" if len(names) > 6 else "")
+                raise InputError(where, f"no '{one}', expected one of {some}")
+            try:
+                full[number[one]] = np.asarray(value, dtype=np.float64).reshape(full.shape[1:])
+            except (TypeError, ValueError) as error:
+                size = full[0].size
+                raise InputError(f"{where} -> {one}", f"expected {size} number{'s' if size > 1 else ''}") from error
+        return full
+
+    def _default(self, name: str) -> Array:
+        """An input's default: of its whole shape, or of its last axes."""
+        one = self._inputs[name]
+        try:
+            values = np.asarray(one["default"], dtype=np.float64)
+            if not np.isfinite(values).all():
+                raise ValueError("not finite")
+            default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(one["shape"])), dtype=np.float32)
+            return default
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            where = f"{self.path} -> metadata {sidecar.PREFIX}inputs -> {name}"
+            raise InputError(where, f"no default that fits shape {one['shape']}") from error
+
+    def _start(self, data: bytes, threads: int) -> Any:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # what fails is raised, and said once
+        try:
+            return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime's errors share no other base
+            raise InputError(self.path, f"onnxruntime can't load it ({_line(error)})") from error
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

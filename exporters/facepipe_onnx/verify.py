@@ -1,0 +1,49 @@
+"""Named checks of an exported graph, for `facepipe validate`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from facepipe.errors import InputError
+from facepipe.reports import Finding
+from facepipe_onnx import sidecar
+from facepipe_onnx.read import Problem, problems, properties, read
+
+
+def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
+    """What is wrong with a .onnx deformer and its sidecar.
+
+    :raises InputError: no such file, or no ONNX at all
+    """
+    file = Path(path)
+    model = read(file)
+    found = list(problems(model))
+    if not found:
+        found = list(_sidecar(file, properties(model)))
+    return tuple(
+        Finding(
+            check=f"facepipe:{one.check}",
+            severity="error" if one.check != "OnnxSidecarMissing" else "warning",
+            where=f"{file.name} -> {one.where}",
+            message=one.message,
+        )
+        for one in found
+    )
+
+
+def _sidecar(file: Path, stored: dict[str, str]) -> Iterator[Problem]:
+    beside = sidecar.path_of(file)
+    try:
+        text = beside.read_bytes()
+    except OSError:
+        yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
+        return
+    try:
+        same = sidecar.parse(text, beside.name) == sidecar.from_properties(stored)
+    except InputError as error:
+        yield Problem("OnnxSidecar", error.where, error.what)
+        return
+    if not same:
+        yield Problem("OnnxSidecar", beside.name, "differs from the metadata in the model")

@@ -1,0 +1,115 @@
+"""Writes the graph of a face and its sidecar."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from facepipe.atomic import replacing
+from facepipe.errors import ExportError, InputError
+from facepipe.geometry.polygons import point_triangles
+from facepipe.parts import FaceParts, IntArray
+from facepipe.reports import ExportReport
+from facepipe.rig import Rig
+from facepipe.rig import build as build_rig
+from facepipe_onnx import sidecar
+from facepipe_onnx.graph import build, select_shapes
+from facepipe_onnx.operators import MAX_BYTES
+from facepipe_onnx.options import Options
+from facepipe_onnx.read import operators, problems
+
+
+class HasParts(Protocol):
+    """What the writer needs of a face; `facepipe.stage.Face` has it."""
+
+    def parts(self) -> FaceParts:
+        """The face as arrays."""
+
+
+def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:
+    """Write a face as an ONNX deformer, with its metadata also beside it as ``<path>.json``.
+
+    :raises ExportError: nothing that deforms, numbers beyond float32, or more than 2 GB
+    :raises InputError: another suffix than .onnx, a folder that does not exist, or a bad option
+    """
+    return export_parts(face.parts(), path, options)
+
+
+def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:
+    """`export` of a face given as arrays.
+
+    :raises TopologyError: indices and counts that don't fit, or a singular bind transform
+    """
+    start = time.perf_counter()
+    target, options = Path(path), options or Options()
+    if target.suffix.lower() != ".onnx":
+        raise InputError(target, f"suffix '{target.suffix}', expected .onnx")
+    whole = build_rig(parts)
+    model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
+    rig = select_shapes(whole, options.selected(whole.shapes))
+    metadata = sidecar.describe(parts, rig, options, operators(model))
+    data = _serialised(model, metadata, parts.name)
+    beside = sidecar.path_of(target)
+    with replacing(target) as graph_file, replacing(beside) as text_file:
+        graph_file.write_bytes(data)
+        text_file.write_text(sidecar.to_text(metadata), encoding="utf-8", newline="\n")
+    return ExportReport(
+        path=target,
+        files=(target, beside),
+        counts=_counts(rig, model),
+        bytes=len(data),
+        seconds=time.perf_counter() - start,
+        dropped=_dropped(parts),
+    )
+
+
+def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
+    for key, value in sidecar.to_properties(metadata).items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    if model.ByteSize() > MAX_BYTES:
+        raise ExportError(name, f"{model.ByteSize()} bytes, expected at most {MAX_BYTES}: what an ONNX file holds")
+    for problem in problems(model):
+        raise ExportError(f"{name} -> {problem.where}", problem.message)
+    return bytes(model.SerializeToString(deterministic=True))
+
+
+def _triangles(parts: FaceParts, rig: Rig) -> IntArray:
+    """(t, 3) triangles of all meshes."""
+    return np.concatenate(
+        [
+            point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).reshape(-1, 3) + start
+            for mesh, start in zip(parts.meshes, rig.mesh_offsets[:-1], strict=True)
+        ]
+        or [np.zeros((0, 3), dtype=np.int64)]
+    )
+
+
+def _counts(rig: Rig, model: Any) -> dict[str, int]:
+    return {
+        "points": len(rig.points),
+        "shapes": len(rig.shapes),
+        "sculpts": len(rig.targets),
+        "joints": len(rig.joints),
+        "nodes": len(model.graph.node),
+    }
+
+
+def _dropped(parts: FaceParts) -> tuple[str, ...]:
+    """What a graph of points does not hold."""
+    sculpted = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
+    counts = (
+        (len(parts.animations), "animations"),
+        (len(parts.materials), "materials"),
+        (sum(len(mesh.uv_sets) for mesh in parts.meshes), "UV sets"),
+        (sum(mesh.normals is not None for mesh in parts.meshes), "meshes' authored normals"),
+        (len(sculpted), "blendshapes' normal offsets"),
+        (sum(mesh.colors is not None for mesh in parts.meshes), "meshes' display colours"),
+        (len({name for mesh in parts.meshes for name in (*mesh.regions, *mesh.point_subsets)}), "regions"),
+        (len({scheme for mesh in parts.meshes for scheme in mesh.landmarks}), "landmark schemes"),
+    )
+    return tuple(f"{count} {what}" for count, what in counts if count)
