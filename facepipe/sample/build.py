@@ -55,6 +55,7 @@ def _skins(neutral: Neutral, masks: fields.Fields, bones: Rig) -> dict[str, Skin
         "Tongue": weights.tongue(neutral.tongue.points, bones),
         "Brows": weights.strongest(neutral.brow_strips.attachment.carry(head)),
         "Lashes": weights.strongest(head[strips.rim]),
+        "Hair": weights.rigid(len(neutral.hair.points), bones.index(HEAD)),
     }
     for eye in neutral.eyeballs:
         skins[eye.name] = weights.rigid(len(eye.points), bones.index("e" + eye.name[1:]))
@@ -72,7 +73,7 @@ def _finished(neutral: Neutral, skins: dict[str, Skin], blendshapes: dict[str, l
     )
     loose = [(eye, "eyes") for eye in neutral.eyeballs]
     loose += [(neutral.teeth[0], "mouth"), (neutral.teeth[1], "mouth"), (neutral.tongue, "mouth")]
-    loose += [(neutral.brows, "eyebrows"), (neutral.lashes, "eyes")]
+    loose += [(neutral.brows, "eyebrows"), (neutral.lashes, "eyes"), (neutral.hair, "forehead")]
     masked = [replace(mesh, regions=regions.whole(len(mesh.points), name)) for mesh, name in loose]
     return tuple(
         replace(mesh, skin=skins[mesh.name], blendshapes=tuple(blendshapes.get(mesh.name, ())))

@@ -12,15 +12,22 @@ RINGS = 8
 _CENTER = np.array([1.35, 0.15])  # of the outline, in the ear's plane: backwards, upwards
 # Outline of the ear around its centre: angle in degrees (0 back, 90 up, 180 front, 270 down) and distance.
 _OUTLINE_ANGLE = (0, 30, 60, 90, 118, 150, 180, 215, 245, 268, 290, 318, 340, 360)
-_OUTLINE_RADIUS = (1.85, 2.2, 2.75, 2.95, 2.55, 1.65, 1.25, 1.45, 2.35, 2.95, 2.75, 2.05, 1.85, 1.85)
+_OUTLINE_RADIUS = (1.8, 2.15, 2.65, 2.85, 2.5, 1.65, 1.2, 1.3, 1.95, 2.7, 2.65, 2.0, 1.8, 1.8)
 
 
-def place(outline: FloatArray, who: Identity) -> FloatArray:
-    """(rings + 1, spokes, 3) points of the left ear's patch; `outline` (spokes, 3) is its ring 0."""
+def root(outline: FloatArray) -> FloatArray:
+    """(spokes, 2) surface coordinates of the ear's root from those of the patch's outline: an upright oval."""
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    offset = outline - middle
+    reach = np.linalg.norm(offset / np.abs(offset).max(axis=0), axis=1, keepdims=True)
+    return np.asarray(middle + offset / reach * (0.84, 0.97))
+
+
+def place(outline: FloatArray, root_points: FloatArray, who: Identity) -> FloatArray:
+    """(rings + 1, spokes, 3) points of the left ear's patch; its rings 0 and 1 (spokes, 3) lie on the head."""
     spokes = outline.shape[0]
     turn = 2 * np.pi * np.arange(spokes) / spokes
     middle = outline.mean(axis=0)
-    root = middle + (outline - middle) * (0.8, 0.78, 0.55)
     edge = _edge(turn) * (1.1 + 0.07 * who.ear_size)
     angle = np.radians(27 + 6 * who.ear_angle)
     frame = _frame(angle)
@@ -29,10 +36,11 @@ def place(outline: FloatArray, who: Identity) -> FloatArray:
     back = 1 - front
     lobe = np.clip(-np.sin(turn) - 0.55, 0, 1) / 0.45
     center = _CENTER
-    rows = [root]
+    rows = [root_points]
     for scale, height in _shell(front, back, lobe):
         flat = center + (edge - center) * scale[:, None]
         rows.append(origin + flat @ frame[:2] + height[:, None] * frame[2])
+    rows.insert(1, 0.4 * rows[0] + 0.6 * rows[1] - 0.24 * back[:, None] * frame[2])
     shell = np.stack(rows)
     return np.concatenate([outline[None], shell])
 
@@ -54,11 +62,10 @@ def _frame(angle: float) -> FloatArray:
 
 
 def _shell(front: FloatArray, back: FloatArray, lobe: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Scale of the outline and height over the ear's plane of rings 2..8."""
+    """Scale of the outline and height over the ear's plane of rings 3..8."""
     one = np.ones_like(front)
     return [
-        (one * 0.86, -0.32 * back - 0.05),
-        (one * 1.0, -0.05 * back + 0.05 * front),
+        (one * 1.0, -0.05 * back + 0.12 * front),
         (one * 0.97, 0.20 * back * (1 - lobe) + 0.14 * front),
         (one * 0.84 + 0.04 * front, 0.12 * back * (1 - lobe) + 0.1 * lobe + 0.2 * front),
         (one * 0.70 + 0.06 * front, -0.1 * back * (1 - lobe) + 0.1 * lobe + 0.2 * front),

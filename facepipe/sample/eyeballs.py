@@ -12,7 +12,7 @@ from facepipe.sample.solids import Solid, sphere
 
 PUPIL = 9.5  # degrees from the eye's axis
 IRIS = 25.5
-_SEGMENTS = 28
+_SEGMENTS = 24
 _RINGS = np.array(
     [5.0, PUPIL - 0.5, PUPIL + 0.5, 14.0, 19.0, 23.0, IRIS - 0.8, IRIS + 0.8, 32.0, 42, 55, 70, 90, 115, 145]
 )
@@ -34,7 +34,7 @@ def colors(who: Identity) -> FloatArray:
     iris = np.array(who.iris)
     white = np.array([0.72, 0.70, 0.68])
     stops = np.array([0, PUPIL - 0.5, PUPIL + 0.5, 14, 19, 23, IRIS - 0.8, IRIS + 0.8, 32, 60, 180])
-    table = np.array([iris * 0, iris * 0, iris * 0.6, iris * 1.25, iris * 1.5, iris * 0.9, iris * 0.35, white * 0.85])
+    table = np.array([iris * 0, iris * 0, iris * 0.4, iris * 0.8, iris * 1.0, iris * 0.65, iris * 0.25, white * 0.85])
     table = np.concatenate([table, [white, white * (1.0, 0.88, 0.85), white * (0.9, 0.6, 0.55)]])
     return np.stack([np.interp(polar, stops, table[:, i]) for i in range(3)], axis=1) + 0.004
 

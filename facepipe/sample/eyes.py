@@ -34,7 +34,7 @@ def eye(who: Identity) -> Eye:
     """The left eye of an identity."""
     return Eye(
         center=np.array([3.15 + 0.11 * who.eye_spacing, 0.0, 6.84]),
-        radius=1.3 * (1 + 0.025 * who.eye_size),
+        radius=1.33 * (1 + 0.025 * who.eye_size),
         opening=1 + 0.09 * who.eye_opening,
         tilt=0.035 * who.eye_tilt,
     )
@@ -64,7 +64,7 @@ def rim_angles(shape: Eye, spokes: int) -> tuple[FloatArray, FloatArray]:
     longitude = np.radians(-3 + 58 * linear)
     u = np.sin(np.pi * across**0.92) ** 0.8
     v = np.sin(np.pi * across**1.12) ** 0.85
-    height = np.where(upper, 24.5 * u, -19.0 * v) * shape.opening
+    height = np.where(upper, 23.0 * u, -19.5 * v) * shape.opening
     corners = 2.5 * (1 - across) - 6.0 * across
     return longitude, np.radians(height + corners) + shape.tilt * np.sin(longitude)
 
@@ -79,7 +79,7 @@ def place_lids(outline: FloatArray, shape: Eye) -> FloatArray:
     upper = (np.arange(spokes) <= spokes // 2)[None]
     fall = np.where(upper, 1.9, 1.45)
     radius = lid + (distance - lid) * (1 - share) ** fall
-    crease = np.array([0.0, 0.0, 0.02, -0.13, 0.0, 0.02, 0.0])[:, None] * (
+    crease = np.array([0.0, 0.02, 0.08, -0.20, -0.03, 0.02, 0.0])[:, None] * (
         np.sin(np.pi * np.arange(spokes) / (spokes // 2)).clip(0) ** 0.5
     )
     outer = from_sphere(lon + (rim_lon - lon) * share, lat + (rim_lat - lat) * share, radius + crease, shape.center)

@@ -12,10 +12,7 @@ def displace(base: FloatArray, who: Identity) -> FloatArray:
     """(n, 3) base points moved onto the featured face; lips, lids and ears are placed afterwards."""
     points = base.copy()
     points += _bones(base, who)
-    points[:, 2] = _with_nose(base, points[:, 2], who)
-    low = 0.2 * who.nose_length
-    points[:, 1] -= 0.2 * bump(base, (0.3, -4.12 - low), (0.8, 0.36))
-    points[:, 0] += 0.1 * np.sign(base[:, 0]) * bump(base, (1.45, -4.0 - low), (0.4, 0.5))
+    points += _nose(base, who)
     return points
 
 
@@ -37,7 +34,7 @@ def _bones(base: FloatArray, who: Identity) -> FloatArray:
     move[:, 2] += (0.30 + 0.16 * who.brow_depth) * bump(base, (2.3, brow_y), (2.3, 0.75))
     move[:, 2] += 0.12 * bump(base, (0.0, brow_y - 0.1), (1.0, 0.8))
     move[:, 2] -= 0.55 * bump(base, (2.5 + 0.1 * who.eye_spacing, 0.1), (1.35, 0.95))
-    move[:, 2] -= 0.45 * bump(base, (1.35, 0.15), (0.55, 0.8))
+    move[:, 2] -= 0.25 * bump(base, (1.4, 0.15), (0.6, 0.8))
     move[:, 2] -= 0.16 * bump(base, (2.6, -2.1), (1.3, 0.7))
     cheek = _ball(base, (5.1, -2.0, 5.6), 2.2) * (0.42 + 0.22 * who.cheekbones)
     move += cheek[:, None] * np.stack([0.75 * x_sign, 0 * x_sign, 0.7 + 0 * x_sign], axis=1)
@@ -75,35 +72,61 @@ def _neck(base: FloatArray) -> FloatArray:
     return move
 
 
-def nose_profile(who: Identity) -> tuple[FloatArray, FloatArray]:
-    """(k,), (k,) heights y (descending) and depths z of the nose's ridge, from the glabella to the upper lip."""
-    length = 0.22 * who.nose_length
-    deep = 0.16 * who.nose_depth
-    tip = 0.14 * who.nose_tip
-    y = np.array(
-        [1.7, 0.75, 0.0, -1.3, -2.6, -3.25 - length, -3.75 - length + tip, -4.1 - length + tip, -4.75 - length, -5.3]
-    )
-    z = np.array([9.3, 9.15, 9.4, 10.0, 10.65 + deep, 11.1 + deep, 11.25 + deep, 10.95 + deep, 9.75, 9.3])
-    z[2:5] += 0.15 * who.nose_bridge
-    return y, z
+# The nose's ridge: height on the base surface, and where the nose takes it (height, depth).
+_RIDGE = np.array(
+    [
+        (1.7, 1.70, 9.30),
+        (0.75, 0.75, 9.15),
+        (0.0, 0.00, 9.42),
+        (-1.3, -1.35, 10.05),
+        (-2.2, -2.50, 10.72),
+        (-2.8, -3.28, 11.15),
+        (-3.2, -3.76, 11.25),
+        (-3.55, -4.14, 11.05),
+        (-3.9, -4.42, 10.62),
+        (-4.35, -4.66, 10.10),
+        (-4.75, -4.80, 9.70),
+        (-5.3, -5.30, 9.40),
+    ]
+)
+_BASE_DEPTH = 9.1  # of the face without its nose
 
 
-def _with_nose(base: FloatArray, z: FloatArray, who: Identity) -> FloatArray:
+def ridge(who: Identity) -> FloatArray:
+    """(k, 3) the table above for an identity."""
+    table = _RIDGE.copy()
+    height = table[:, 0]
+    low = np.exp(-(((height + 3.6) / 1.1) ** 2))
+    tip = np.exp(-(((height + 3.3) / 0.6) ** 2))
+    table[:, 1] -= 0.22 * who.nose_length * low
+    table[:, 1] += 0.16 * who.nose_tip * tip
+    table[:, 2] += 0.17 * who.nose_depth * low + 0.15 * who.nose_bridge * np.exp(-(((height + 1.2) / 1.1) ** 2))
+    return table
+
+
+def _nose(base: FloatArray, who: Identity) -> FloatArray:
+    """(n, 3) the pull of the nose: its ridge and tip, its wings, and the crease behind them."""
     from scipy.interpolate import PchipInterpolator
 
-    heights, depths = nose_profile(who)
-    x, y = np.abs(base[:, 0]), base[:, 1]
-    ridge = PchipInterpolator(heights[::-1], depths[::-1], extrapolate=True)(np.clip(y, -5.3, 1.7))
-    narrow = (
-        np.interp(y, [-4.6, -3.5, -2.6, -1.2, 0.5, 1.6], [0.8, 0.98, 0.86, 0.82, 0.72, 0.9]) + 0.05 * who.nose_width
+    table = ridge(who)[::-1]
+    x, y = np.abs(base[:, 0]), np.clip(base[:, 1], -5.3, 1.7)
+    to = PchipInterpolator(table[:, 0], table[:, 1:])(y)
+    wide = np.interp(y, [-4.7, -4.1, -3.7, -3.2, -2.4, -1.2, 0.5, 1.6], [0.5, 0.5, 0.82, 1.0, 0.95, 0.92, 0.85, 1.0])
+    fall = np.exp(-((x / (wide * (1 + 0.05 * who.nose_width))) ** 2.4))
+    within = (
+        np.clip((1.7 - base[:, 1]) / 0.8, 0, 1)
+        * np.clip((base[:, 1] + 5.3) / 0.5, 0, 1)
+        * np.clip(base[:, 2] / 2, 0, 1)
     )
-    rise = np.maximum(ridge - 9.1, 0.0) * np.exp(-((x / narrow) ** 2.3))
-    within = np.clip((1.7 - y) / 0.8, 0, 1) * np.clip((y + 5.3) / 0.5, 0, 1) * np.clip(base[:, 2] / 2.0, 0, 1)
-    wing_x, wing_y = 1.12 + 0.14 * who.nose_width, -3.95 - 0.18 * who.nose_length
-    wing = 1.0 * bump(base, (wing_x, wing_y), (0.6, 0.6), 1.4)
-    side = 0.25 * bump(base, (1.15, -2.6), (0.8, 1.5))
-    crease = 0.14 * bump(base, (wing_x + 0.7, wing_y + 0.1), (0.22, 0.6))
-    return np.asarray(z + _smooth_max(rise * within, wing, 0.12) + side - crease)
+    low = 0.16 * who.nose_length
+    wing_x = 1.18 + 0.15 * who.nose_width
+    wing = bump(base, (wing_x, -3.66 - low), (0.56, 0.66), 1.6)
+    side = 0.22 * bump(base, (1.15, -2.4), (0.8, 1.4))
+    crease = 0.22 * bump(base, (wing_x + 0.68, -3.6 - low), (0.2, 0.7))
+    ahead = _smooth_max(np.maximum(to[:, 1] - _BASE_DEPTH, 0) * fall, 1.12 * wing, 0.12)
+    down = (to[:, 0] - y) * fall - 0.34 * wing * (1 - fall)
+    out = 0.16 * np.sign(base[:, 0]) * bump(base, (wing_x + 0.3, -3.75 - low), (0.45, 0.6))
+    return np.stack([out, down * within, ahead * within + side - crease], axis=1)
 
 
 def _smooth_max(a: FloatArray, b: FloatArray, width: float) -> FloatArray:

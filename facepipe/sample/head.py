@@ -36,7 +36,9 @@ def points(who: Identity) -> FloatArray:
     result[rings["nostrilLeft"]] = _nostril(result[rings["nostrilLeft"][0]])
     result[rings["mouth"]] = mouth.place(result[rings["mouth"][0]], skull, who)
     result[rings["eyeLeft"]] = eyes.place_lids(result[rings["eyeLeft"][0]], eyes.eye(who))
-    result[rings["earLeft"]] = ears.place(result[rings["earLeft"][0]], who)
+    root = ears.root(_coordinates("earLeft"))
+    root_points = features.displace(skull.surface(root[:, 0], root[:, 1]), who)
+    result[rings["earLeft"]] = ears.place(result[rings["earLeft"][0]], root_points, who)
     return _symmetric(_smoothed(result, layout), layout)
 
 
@@ -46,8 +48,8 @@ def _smoothed(result: FloatArray, layout: topology.Topology) -> FloatArray:
     for name, depths in (
         ("eyeLeft", (0.6, 0.6, 0.4, 0.2)),
         ("mouth", (0.5, 0.5, 0.3)),
-        ("earLeft", (0.6, 0.6, 0.2)),
-        ("nostrilLeft", (0.3,)),
+        ("earLeft", (0.0, 0.0, 0.15)),
+        ("nostrilLeft", (0.4,)),
     ):
         for ring, depth in zip(layout.rings[name], depths, strict=False):
             amount[ring] = np.maximum(amount[ring], depth)
@@ -57,6 +59,12 @@ def _smoothed(result: FloatArray, layout: topology.Topology) -> FloatArray:
     for _ in range(6):
         result = result + around[:, None] * (average @ result - result)
     return result
+
+
+def _coordinates(patch: str) -> FloatArray:
+    """(spokes, 2) angle and level of a patch's outline."""
+    columns, rows = np.array(topology.BLOCKS[patch].perimeter()).T
+    return np.stack([column_angles()[columns], topology.row_levels()[rows]], axis=1)
 
 
 def _cap(skull: Skull) -> FloatArray:
@@ -78,11 +86,14 @@ def _cap(skull: Skull) -> FloatArray:
 
 
 def _nostril(outline: FloatArray) -> FloatArray:
-    """(4, spokes, 3) points of the left nostril's patch."""
+    """(4, spokes, 3) points of the left nostril's patch: a rounded rim and a hole upwards and back."""
     middle = outline.mean(axis=0)
-    inward = np.array([-0.1, 0.8, -0.6])
-    inset = [(1.0, 0.0), (0.8, -0.02), (0.66, 0.1), (0.5, 0.4)]
-    return np.stack([middle + (outline - middle) * scale + depth * inward for scale, depth in inset])
+    offset = outline - middle
+    distance = np.linalg.norm(offset, axis=1, keepdims=True)
+    rounded = offset * (distance.mean() / distance) ** 0.7
+    inward = np.array([-0.1, 0.85, -0.5])
+    inset = [(0.84, 0.0), (0.68, 0.1), (0.5, 0.45)]
+    return np.concatenate([outline[None], [middle + rounded * scale + depth * inward for scale, depth in inset]])
 
 
 def _symmetric(result: FloatArray, layout: topology.Topology) -> FloatArray:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import FloatArray, MaterialFaces, Mesh
-from facepipe.sample import colors, eyeballs, eyes, hair, head, teeth, topology, uv
+from facepipe.sample import colors, eyeballs, eyes, head, scalp, skull, strands, teeth, topology, uv
 from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid
 
@@ -22,8 +24,9 @@ class Neutral:
     tongue: Mesh
     brows: Mesh
     lashes: Mesh
-    brow_strips: hair.Brows
-    lash_strips: hair.Lashes
+    hair: Mesh
+    brow_strips: strands.Brows
+    lash_strips: strands.Lashes
 
 
 def build(who: Identity) -> Neutral:
@@ -41,7 +44,8 @@ def build(who: Identity) -> Neutral:
         colors=colors.head(points, who),
         material="Skin",
     )
-    brow_strips, lash_strips = hair.brows(points, who), hair.lashes(points, who)
+    brow_strips, lash_strips = strands.brows(points, who), strands.lashes(points, who)
+    shell = scalp.build(skull.build(who), who)
     upper, lower, tongue = teeth.row(who, upper=True), teeth.row(who, upper=False), teeth.tongue(who)
     return Neutral(
         who=who,
@@ -49,8 +53,9 @@ def build(who: Identity) -> Neutral:
         eyeballs=(_eyeball("EyeLeft", who, 1.0), _eyeball("EyeRight", who, -1.0)),
         teeth=(_solid("TeethUpper", *upper, "Teeth"), _solid("TeethLower", *lower, "Teeth")),
         tongue=_solid("Tongue", *tongue, "Tongue"),
-        brows=_hairs("Brows", brow_strips.solid, who),
-        lashes=_hairs("Lashes", lash_strips.solid, who),
+        brows=_hairs("Brows", brow_strips.solid, strands.brow_colors(who)),
+        lashes=_hairs("Lashes", lash_strips.solid, np.tile(who.hair, (len(lash_strips.solid.points), 1)) * 0.6),
+        hair=_hairs("Hair", shell, scalp.colors(who)),
         brow_strips=brow_strips,
         lash_strips=lash_strips,
     )
@@ -80,6 +85,5 @@ def _eyeball(name: str, who: Identity, side: float) -> Mesh:
     return replace(mesh, material_faces=groups)
 
 
-def _hairs(name: str, solid: Solid, who: Identity) -> Mesh:
-    hair_colors = solid.points * 0.0 + [channel * 0.8 for channel in who.hair]
-    return _solid(name, solid, hair_colors, "Hair", double_sided=True)
+def _hairs(name: str, solid: Solid, point_colors: FloatArray) -> Mesh:
+    return _solid(name, solid, point_colors, "Hair", double_sided=True)

@@ -46,7 +46,7 @@ class Lips:
 def lips(who: Identity) -> Lips:
     """The lips of an identity."""
     return Lips(
-        half_width=2.5 + 0.17 * who.mouth_width,
+        half_width=2.4 + 0.17 * who.mouth_width,
         height=-6.6 - 0.12 * who.mouth_height,
         upper=0.78 + 0.15 * who.upper_lip,
         lower=0.95 + 0.17 * who.lower_lip,
@@ -94,8 +94,8 @@ def _raise(flat: FloatArray, skull: Skull, who: Identity, shape: Lips, upper: Fl
     taper = np.clip(1 - (np.abs(flat[OUTLINE - 1, :, 0]) / shape.half_width) ** 2, 0, 1) ** 0.6
     full = np.where(upper, 1 + 0.12 * who.upper_lip, 1 + 0.12 * who.lower_lip)
     skin = np.array([0.0, 0.01, 0.04, 0.11])
-    upper_profile = np.append(skin, [0.24, 0.38, 0.45, 0.38, 0.05])
-    lower_profile = np.append(skin, [0.18, 0.42, 0.56, 0.48, 0.05])
+    upper_profile = np.append(skin, [0.22, 0.33, 0.41, 0.40, 0.15])
+    lower_profile = np.append(skin, [0.17, 0.40, 0.54, 0.50, 0.15])
     rings[..., 2] += np.where(upper, upper_profile[:, None], lower_profile[:, None]) * taper * full
     return rings
 

@@ -15,7 +15,7 @@ HEAD = "root/neck/head"
 JAW = "root/neck/head/jaw"
 # Joints on the skin: path, grid column and row of the point they sit at. "Left" ones get a twin on the right.
 _ON_GRID = (
-    (f"{HEAD}/forehead", 0, 4),
+    (f"{HEAD}/forehead", 0, 5),
     (f"{HEAD}/browInnerLeft", 7, 8),
     (f"{HEAD}/browMidLeft", 13, 8),
     (f"{HEAD}/browOuterLeft", 18, 8),
@@ -23,9 +23,9 @@ _ON_GRID = (
     (f"{HEAD}/noseTip", 0, 25),
     (f"{HEAD}/noseTip/nostrilLeft", 6, 25),
     (f"{HEAD}/cheekUpperLeft", 17, 23),
-    (f"{HEAD}/cheekLowerLeft", 19, 33),
-    (f"{JAW}/jowlLeft", 20, 45),
-    (f"{JAW}/chin", 0, 47),
+    (f"{HEAD}/cheekLowerLeft", 19, 34),
+    (f"{JAW}/jowlLeft", 20, 46),
+    (f"{JAW}/chin", 0, 48),
 )
 # Joints on the lips: path, spoke of the mouth patch as a share of the way from the left corner to the right one.
 _ON_LIPS = (

@@ -10,7 +10,7 @@ from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid, sphere, strip
 
 _TEETH = 14
-_SAMPLES = 4  # per tooth
+_SAMPLES = 3  # per tooth
 # Cross-section of the upper row, front to back: y above the lip line, depth behind the front, share of gum colour.
 _HEIGHT = np.array([1.5, 0.92, 0.86, 0.3, -0.12, -0.1, 0.5, 0.9, 1.3])
 _DEPTH = np.array([0.25, 0.02, 0.0, -0.04, 0.05, 0.2, 0.45, 0.55, 0.75])

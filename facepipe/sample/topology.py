@@ -59,12 +59,13 @@ _SPANS = (
     (3.0, 4.6, 4),
     (4.6, 6.0, 6),
     (6.0, 7.64, 10),
-    (7.64, 8.72, 6),
-    (8.72, 9.02, 4),
+    (7.64, 8.6, 6),
+    (8.6, 8.92, 4),
+    (8.92, 9.02, 1),
     (9.02, 11.14, 14),
     (11.14, 13.0, 7),
 )
-_NECK_SPANS = ((13.0, 15.0, 6), (15.0, 17.0, 4))
+_NECK_SPANS = ((13.0, 15.0, 5), (15.0, 17.0, 3))
 
 
 @cache
@@ -75,10 +76,10 @@ def row_levels() -> FloatArray:
 
 
 BLOCKS = {
-    "mouth": Block(-14, 14, 30, 44, 15),
+    "mouth": Block(-14, 14, 31, 45, 15),
     "eyeLeft": Block(6, 19, 10, 20, 10),
     "nostrilLeft": Block(1, 4, 26, 30, 3),
-    "earLeft": Block(26, 31, 15, 31, 8),
+    "earLeft": Block(26, 31, 14, 32, 8),
 }
 BLOCKS["eyeRight"] = BLOCKS["eyeLeft"].mirrored()
 BLOCKS["nostrilRight"] = BLOCKS["nostrilLeft"].mirrored()

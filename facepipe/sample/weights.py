@@ -14,13 +14,13 @@ from facepipe.sample.rig import HEAD, JAW, Rig
 INFLUENCES = 4
 # Reach (cm along the surface) and greatest share of the joints that sit on the skin, by the start of their name.
 _REACH = {
-    "forehead": (5.0, 0.75),
+    "forehead": (3.4, 0.75),
     "browInner": (2.4, 0.85),
     "browMid": (2.3, 0.85),
     "browOuter": (2.4, 0.85),
-    "noseBridge": (2.0, 0.8),
-    "noseTip": (2.1, 0.9),
-    "nostril": (1.2, 0.85),
+    "noseBridge": (2.6, 0.8),
+    "noseTip": (2.8, 0.9),
+    "nostril": (1.5, 0.8),
     "cheekUpper": (2.7, 0.85),
     "cheekLower": (2.7, 0.75),
     "jowl": (3.0, 0.7),
@@ -74,7 +74,7 @@ def _base(masks: Fields, rig: Rig) -> FloatArray:
     y, z = masks.points[:, 1], masks.points[:, 2]
     # The border between head and neck runs from under the chin up to the nape.
     above = smoothstep(-14.2, -9.4, y + 0.3 * z)
-    low = smoothstep(-13.0, -15.8, y)
+    low = smoothstep(-11.8, -16.4, y)
     dense = np.zeros((len(y), len(rig.skeleton.joints)))
     dense[:, rig.index("root")] = (1 - above) * low
     dense[:, rig.index("neck")] = (1 - above) * (1 - low)

@@ -1,4 +1,4 @@
-"""Brows and lashes as loose strips, and the scalp's cropped hair as a mask on the head."""
+"""Brows and lashes as loose strips."""
 
 from __future__ import annotations
 
@@ -13,21 +13,8 @@ from facepipe.sample.attach import Attachment, frontal
 from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid, joined, strip
 
-# Hairline: degrees around the head (0 front, 180 back) and height y.
-_LINE_ANGLE = (0, 22, 36, 46, 55, 62, 67, 72, 80, 95, 108, 116, 125, 145, 180)
-_LINE_HEIGHT = (6.5, 6.7, 5.9, 4.6, 3.3, 1.6, -0.4, -1.0, 1.2, 2.6, 2.0, -1.5, -4.8, -6.0, -6.6)
 _ACROSS = 15
 _ALONG = 4
-
-
-def scalp(points: FloatArray) -> FloatArray:
-    """(n,) 1 where the head bears hair, 0 on skin."""
-    around = np.degrees(np.arctan2(np.abs(points[:, 0]), points[:, 2] + 0.5))
-    mask = layout.smoothstep(-0.35, 0.45, points[:, 1] - np.interp(around, _LINE_ANGLE, _LINE_HEIGHT))
-    labels = layout.build()
-    for side in ("earLeft", "earRight"):
-        mask = np.where(labels.ring[side] >= 1, 0.0, mask)
-    return np.asarray(mask)
 
 
 @dataclass(frozen=True)
@@ -86,7 +73,7 @@ def lashes(head: FloatArray, who: Identity) -> Lashes:
     out = head[rim] - eye.center
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     t = np.linspace(0, 1, len(spokes))
-    length = 0.34 * np.sin(np.pi * (0.12 + 0.83 * t)) ** 0.6 * np.where(np.arange(len(spokes)) % 2, 1.0, 0.66)
+    length = 0.28 * np.sin(np.pi * (0.12 + 0.83 * t)) ** 0.6 * np.where(np.arange(len(spokes)) % 2, 1.0, 0.66)
     fan = np.stack([0.75 * (t - 0.35), np.full_like(t, 0.25), np.full_like(t, 0.75)], axis=1)
     tip = np.stack([0.9 * (t - 0.35), np.full_like(t, 0.75), np.full_like(t, 0.6)], axis=1)
     root = head[rim] - 0.03 * out
@@ -103,3 +90,13 @@ def lashes(head: FloatArray, who: Identity) -> Lashes:
         spoke=np.concatenate([np.tile(spokes, 3), np.tile(spokes[::-1], 3)]),
         side=np.repeat([1.0, -1.0], count),
     )
+
+
+def brow_colors(who: Identity) -> FloatArray:
+    """(n, 3) colours of both brows: hair that thins out into the skin along the edges and at the inner ends."""
+    t = np.linspace(0, 1, _ACROSS)[None, :]
+    s = np.linspace(-1, 1, _ALONG)[:, None]
+    share = (1 - 0.62 * s**4) * np.interp(t, [0, 0.12, 0.8, 1], [0.35, 0.95, 0.9, 0.7])
+    share = np.concatenate([share.ravel(), share[:, ::-1].ravel()])[:, None]
+    skin, hair = np.array(who.skin) * 0.8, np.array(who.hair) * 1.1
+    return np.asarray(skin + 0.92 * share * (hair - skin))
