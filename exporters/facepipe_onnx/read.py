@@ -22,6 +22,11 @@ MAX_ELEMENTS = 1 << 30  # of all values that one evaluation makes
 _TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}  # TensorProto.FLOAT, INT64
 _PLAIN_ATTRIBUTES = {1, 2, 6, 7}  # AttributeProto.FLOAT, INT, FLOATS, INTS
 
+_NAMES = {
+    "inputs": {"weights", "coefficients", "joint_transforms", "parent"},
+    "outputs": {"points", "joint_matrices", "normals"},
+}
+
 
 class Problem(NamedTuple):
     """What is wrong with a model."""
@@ -57,12 +62,15 @@ def read(path: Path) -> Any:
 def problems(model: Any) -> Iterator[Problem]:
     """Everything that keeps a model from being run; later checks need the earlier ones to pass."""
     stages: tuple[tuple[tuple[str, Callable[[Any], Iterable[tuple[str, str]]]], ...], ...] = (
+        (("OnnxText", _text),),
         (("OnnxVersion", _version), ("OnnxSelfContained", _self_contained), ("OnnxOperators", _operators)),
         (("OnnxFinite", _finite), ("OnnxChecker", _checker)),
         (("OnnxSize", _sizes), ("OnnxMetadata", _metadata)),
     )
     for stage in stages:
-        found = [Problem(name, where, message) for name, check in stage for where, message in check(model)]
+        found = [
+            Problem(name, _shown(where), _shown(message)) for name, check in stage for where, message in check(model)
+        ]
         yield from found
         if found:
             return
@@ -76,6 +84,18 @@ def properties(model: Any) -> dict[str, str]:
 def operators(model: Any) -> list[str]:
     """The operators of a graph, sorted."""
     return sorted({node.op_type for node in model.graph.node})
+
+
+def _text(model: Any) -> Iterator[tuple[str, str]]:
+    """Protobuf gives names that are no UTF-8 as bytes."""
+    graph = model.graph
+    named = [*graph.node, *graph.initializer, *graph.input, *graph.output, *graph.value_info]
+    texts = [one.name for one in (*named, *(one for node in graph.node for one in node.attribute))]
+    texts += [text for node in graph.node for text in (node.op_type, node.domain, *node.input, *node.output)]
+    texts += [text for one in model.metadata_props for text in (one.key, one.value)]
+    texts += [one.domain for one in model.opset_import]
+    if not all(isinstance(text, str) for text in texts):
+        yield "names", "not UTF-8"
 
 
 def _version(model: Any) -> Iterator[tuple[str, str]]:
@@ -197,6 +217,10 @@ def _described(described: Any, values: dict[str, tuple[int, ...] | None], side: 
     if not isinstance(described, list) or not all(isinstance(one, dict) for one in described):
         yield where, "expected a list of objects"
         return
+    unknown = set(values) - _NAMES[side]
+    if unknown or (side == "outputs" and "points" not in values):
+        yield side, f"{', '.join(sorted(values))[:100]}: expected some of {', '.join(sorted(_NAMES[side]))}"
+        return
     shapes = {str(one.get("name")): one.get("shape") for one in described}
     if len(shapes) != len(described) or shapes != {name: list(shape or ()) for name, shape in values.items()}:
         yield where, f"names and shapes are not those of the graph's {side}"
@@ -215,4 +239,9 @@ def _is_names(names: Any, shape: list[int]) -> bool:
 
 def _first_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return (lines[0] if lines else type(error).__name__)[:300]
+    return lines[0] if lines else type(error).__name__
+
+
+def _shown(text: str) -> str:
+    """Text with names out of the file as one printable line."""
+    return "".join(one if one.isprintable() else " " for one in text)[:300]
