@@ -7,6 +7,7 @@ from dataclasses import replace
 from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skin
 from facepipe.sample import (
     clips,
+    colors,
     controls,
     fields,
     identity,
@@ -40,7 +41,7 @@ def make(seed: int = 0) -> FaceParts:
         animations=clips.build(bones),
         sliders=controls.sliders(),
         bone_limits=controls.bone_limits(bones.skeleton),
-        materials=materials.build(who),
+        materials=materials.build(who, colors.head(neutral.head.points, who)),
         recipe=Recipe(verb="sample", options={"seed": seed}),
     )
 

@@ -31,7 +31,7 @@ def head(points: FloatArray, who: Identity) -> FloatArray:
 def _haired(points: FloatArray) -> FloatArray:
     """(n,) 1 under the hair, 0 on skin; softer than the hair's edge, like stubble."""
     angle = np.arctan2(points[:, 0], points[:, 2] + 0.5)
-    mask = layout.smoothstep(-0.1, 1.3, points[:, 1] - scalp.line(angle))
+    mask = layout.smoothstep(0.4, 1.4, points[:, 1] - scalp.line(angle))
     labels = layout.build()
     ears = (labels.ring["earLeft"] >= 1) | (labels.ring["earRight"] >= 1)
     return np.where(ears, 0.0, mask)

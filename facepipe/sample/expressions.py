@@ -101,7 +101,7 @@ BOTH: dict[str, Expression] = {
     "jawOpen": lambda f: open_jaw(f.points, f.jaw),
     "jawForward": lambda f: _push(f.jaw, (0.0, 0.0, 0.7)),
     "mouthClose": mouth_close,
-    "mouthFunnel": lambda f: _gather(f, 0.20, 0.62, 0.42),
+    "mouthFunnel": lambda f: _gather(f, 0.26, 0.66, 0.34),
     "mouthPucker": lambda f: _gather(f, 0.38, 0.75, 0.0),
     "mouthRollLower": lambda f: _roll(f, upper=False),
     "mouthRollUpper": lambda f: _roll(f, upper=True),

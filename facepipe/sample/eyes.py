@@ -33,7 +33,7 @@ class Eye:
 def eye(who: Identity) -> Eye:
     """The left eye of an identity."""
     return Eye(
-        center=np.array([3.15 + 0.11 * who.eye_spacing, 0.0, 6.84]),
+        center=np.array([3.15 + 0.11 * who.eye_spacing, 0.0, 7.02]),
         radius=1.33 * (1 + 0.025 * who.eye_size),
         opening=1 + 0.09 * who.eye_opening,
         tilt=0.035 * who.eye_tilt,

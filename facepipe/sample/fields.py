@@ -84,6 +84,8 @@ def _jaw_bounds(labels: layout.Layout) -> tuple[topology.BoolArray, FloatArray]:
     below = lip_side & (labels.upper["mouth"] < 0.5)
     chin = ~patch & (level > 11.1) & (level < 13.6) & (column <= 13)
     edge = ~patch & (level > 12.3) & (level < 13.2) & (column > 13) & (column < 25)
-    value = np.where(below | chin, 1.0, 0.0)
+    # The lower lip follows less towards its corners, so that an open mouth is an oval.
+    rounded = 0.45 + 0.55 * smoothstep(0.0, 0.4, np.nan_to_num(np.minimum(across, 1 - across)))
+    value = np.where(below, rounded, np.where(chin, 1.0, 0.0))
     value = np.where(edge, smoothstep(27.0, 15.0, column.astype(np.float64)), value)
     return above | below | chin | edge, value

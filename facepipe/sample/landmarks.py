@@ -11,7 +11,7 @@ from facepipe.sample import eyes, mouth, topology
 
 # Grid column and level of the jaw's points from the chin (8) to the subject's left ear (16).
 _JAW = ((0, 12.85), (5, 12.75), (10, 12.6), (15, 12.35), (19, 12.0), (22, 11.4), (24, 10.5), (25, 9.2), (25, 7.6))
-_BROW = ((6, 6.0), (9, 5.75), (12, 5.5), (15, 5.5), (19, 5.75))  # left brow, inner to outer
+_BROW = ((6, 6.0), (9, 5.77), (12, 5.77), (15, 5.77), (19, 6.0))  # left brow, inner to outer
 _BRIDGE = (7.0, 7.5, 8.0, 8.38)  # levels on the midline
 _NOSTRILS = ((6, 8.84), (3, 9.02), (0, 9.02))  # left wing to the middle
 

@@ -11,7 +11,7 @@ from facepipe.sample import layout, topology
 from facepipe.sample.topology import BoolArray
 
 NAMES = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")
-_SOFTENING = 8  # steps of averaging over neighbours
+_SOFTENING = 6  # steps of averaging over neighbours
 
 
 @cache
@@ -30,7 +30,7 @@ def hard() -> IntArray:
     assign("chin", (level > 11.0) & (level <= 13.7) & (column <= 15))
     assign("neck", (level > 13.2) | (behind & (level > 9.5)))
     assign("chin", (level > 13.0) & (level <= 13.9) & (column <= 13))
-    assign("eyebrows", (level > 5.2) & (level <= 6.12) & (column >= 3) & (column <= 21))
+    assign("eyebrows", (level > 5.4) & (level <= 6.12) & (column >= 3) & (column <= 21))
     assign("nose", (level > 6.2) & (level <= 9.0) & (column <= np.interp(level, [6.2, 7.5, 8.7], [4, 5, 8])))
     patches = (("mouth", "mouth"), ("eye", "eyes"), ("nostril", "nose"), ("ear", "ears"))
     for patch, name in patches:

@@ -13,20 +13,22 @@ from facepipe.sample.solids import Solid
 
 # Hairline: degrees around the head (0 front, 180 back) and height y.
 _ANGLE = (0, 10, 22, 36, 44, 52, 58, 63, 67, 71, 76, 82, 92, 104, 112, 118, 125, 145, 180)
-_HEIGHT = (6.0, 6.15, 6.3, 5.75, 4.9, 3.8, 2.7, 1.3, -0.4, -1.0, 0.4, 1.9, 2.7, 2.5, 1.0, -1.8, -4.8, -6.0, -6.5)
-_AROUND = 44
-_DEPTH = np.array(
-    [-0.12, 0.14, 0.27, 0.36, 0.43, 0.48, 0.52, 0.54, 0.55, 0.56]
+_HEIGHT = (6.1, 6.15, 6.15, 5.65, 4.9, 3.8, 2.7, 1.3, -0.4, -1.0, 0.4, 1.9, 2.7, 2.5, 1.0, -1.8, -4.8, -6.0, -6.5)
+_AROUND = 40
+_DEPTH = np.interp(
+    np.arange(16), [0, 1, 2, 3, 5, 8, 15], [-0.12, 0.14, 0.26, 0.34, 0.43, 0.5, 0.56]
 )  # of the shell over the skull, from the border up
-_UP = np.array(
-    [0.0, 0.025, 0.08, 0.17, 0.28, 0.40, 0.53, 0.67, 0.81, 0.93]
+_UP = np.interp(
+    np.arange(16), [0, 1, 2, 3, 15], [0.0, 0.022, 0.065, 0.12, 0.965]
 )  # share of the way from the hairline to the crown
 
 
 def line(angle: FloatArray) -> FloatArray:
     """y of the hairline at angles (n,) around the head in radians."""
+    from scipy.interpolate import PchipInterpolator
+
     turned = np.degrees(np.abs(np.arctan2(np.sin(angle), np.cos(angle))))
-    return np.interp(turned, _ANGLE, _HEIGHT)
+    return np.asarray(PchipInterpolator(_ANGLE, _HEIGHT)(turned))
 
 
 def build(skull: Skull, who: Identity) -> Solid:

@@ -12,10 +12,10 @@ from facepipe.sample.solids import Solid, sphere, strip
 _TEETH = 14
 _SAMPLES = 3  # per tooth
 # Cross-section of the upper row, front to back: y above the lip line, depth behind the front, share of gum colour.
-_HEIGHT = np.array([1.5, 0.92, 0.86, 0.3, -0.12, -0.1, 0.5, 0.9, 1.3])
-_DEPTH = np.array([0.25, 0.02, 0.0, -0.04, 0.05, 0.2, 0.45, 0.55, 0.75])
-_IS_GUM = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
-_IVORY = np.array([0.72, 0.66, 0.52])
+_HEIGHT = np.array([1.5, 0.92, 0.86, 0.3, -0.12, -0.1, 0.6, 1.2])
+_DEPTH = np.array([0.25, 0.02, 0.0, -0.04, 0.05, 0.2, 0.48, 0.7])
+_IS_GUM = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+_IVORY = np.array([0.82, 0.76, 0.64])
 _GUM = np.array([0.42, 0.12, 0.11])
 
 
@@ -25,7 +25,7 @@ def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
     u = np.linspace(-1, 1, _TEETH * _SAMPLES + 1)
     gap = np.abs(np.cos(np.pi * u * _TEETH / 2)) ** 6
     width = 2.3 if upper else 2.15
-    front = 8.95 if upper else 8.68
+    front = 9.1 if upper else 8.85
     turn = u * np.radians(88)
     arch = np.stack([width * np.sin(turn), np.zeros_like(u), front - 2.9 * (1 - np.cos(turn))], axis=1)
     out = np.stack([np.sin(turn), np.zeros_like(u), np.cos(turn)], axis=1)
@@ -48,7 +48,7 @@ def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
 
 def tongue(who: Identity) -> tuple[Solid, FloatArray]:
     """The tongue and its (n, 3) colours."""
-    solid = sphere(np.radians([14, 30, 48, 66, 90, 115, 145]), 16)
+    solid = sphere(np.radians([14, 30, 48, 66, 90, 115, 145]), 12)
     points = solid.points * (1.65, 0.55, 2.4)
     points[:, 1] *= np.where(points[:, 1] > 0, 0.75, 1.0)
     points[:, 1] -= 0.10 * np.exp(-((points[:, 0] / 0.4) ** 2)) * (points[:, 1] > 0)

@@ -14,7 +14,7 @@ from facepipe.sample.rig import HEAD, JAW, Rig
 INFLUENCES = 4
 # Reach (cm along the surface) and greatest share of the joints that sit on the skin, by the start of their name.
 _REACH = {
-    "forehead": (3.4, 0.75),
+    "forehead": (2.9, 0.75),
     "browInner": (2.4, 0.85),
     "browMid": (2.3, 0.85),
     "browOuter": (2.4, 0.85),
