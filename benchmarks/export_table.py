@@ -1,0 +1,117 @@
+"""The table of export_gltf.py."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Json = dict[str, Any]
+Row = tuple[str, str, str, str, str]
+
+_TIMES = (
+    ("load_s", "open and read the stage"),
+    ("export_s", "export call alone, first of the process"),
+    ("export_cpu_s", "  its processor time"),
+    ("again_s", "export call alone, again"),
+    ("load_export_s", "read and export"),
+)
+_MEMORY = (
+    ("peak_bytes", "peak memory of read and export"),
+    ("own_bytes", "  the same over the memory after imports"),
+)
+_COUNTS = ("meshes", "vertices", "triangles", "targets", "shapes", "joints")
+
+
+def table(result: Json) -> str:
+    """One table for people: a row a figure, the ratio always Blender / facepipe; what was skipped below."""
+    theirs = next((face["median"]["blender"]["version"] for face in result["faces"] if "ratios" in face), "")
+    rows: list[Row] = [("face", "figure", "facepipe", f"Blender {theirs}".strip(), "ratio")]
+    for face in result["faces"]:
+        rows += _rows(face)
+    lines = _aligned(rows) if result["faces"] else []
+    lines += [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
+    aim = result["aim"]["export_speedup"]
+    runs = result["runs"]
+    return "\n".join(
+        [*lines, f"median of {runs} run{'s' * (runs > 1)}, ratio = Blender / facepipe, aim {aim:g} for exports"]
+    )
+
+
+def _rows(face: Json) -> list[Row]:
+    name = face["name"]
+    median, ratios = face["median"], face.get("ratios", {})
+    ours, theirs, defaults = (median.get(key, {}) for key in ("facepipe", "blender", "blender_defaults"))
+    matched = ratios.get("blender", {})
+    rows = [
+        (name, "import: source to arrays", _ms(median["import"]["read_s"]), "", ""),
+        (name, "import: arrays to a saved stage", _ms(median["import"]["save_s"]), "", ""),
+        (name, "peak memory of the import", _mib(median["import"]["peak_bytes"]), "", ""),
+    ]
+    rows += [(name, text, _ms(ours[key]), _ms(theirs.get(key)), _times(matched.get(key))) for key, text in _TIMES]
+    if defaults:
+        ratio = _times(ratios["blender_defaults"]["export_s"])
+        text = "export call alone, Blender at its defaults"
+        rows.append((name, text, _ms(ours["export_s"]), _ms(defaults["export_s"]), ratio))
+    rows += [(name, text, _mib(ours[key]), _mib(theirs.get(key)), _times(matched.get(key))) for key, text in _MEMORY]
+    return rows + _sizes(face) + _evidence(face)
+
+
+def _sizes(face: Json) -> list[Row]:
+    name, ours, theirs = face["name"], face["sizes"]["facepipe"], face["sizes"].get("blender", {})
+    rows = [
+        (name, f"GLB {key}{note}", _bytes(ours[key]), _bytes(theirs.get(key)), _over(theirs.get(key), ours[key]))
+        for key, note in (("dense", " (facepipe's computed)"), ("sparse", ""), ("quantised", ""))
+    ]
+    errors = [(key, ours["error_mm"][key]) for key in ("sparse", "quantised")]
+    return rows + [(name, f"  error it states, {key}", f"{mm:.4f} mm", "", "") for key, mm in errors if mm is not None]
+
+
+def _evidence(face: Json) -> list[Row]:
+    """What both files hold: figures are worth something where it is the same."""
+    name, ours, theirs = face["name"], face["content"]["facepipe"], face["content"].get("blender")
+    rows = [(name, f"holds {key}", f"{ours[key]:,}", f"{theirs[key]:,}" if theirs else "", "") for key in _COUNTS]
+    if theirs is None:
+        return rows
+    unlike = face["differences"]
+    rows.append(
+        (name, "same mesh by mesh, target by target", "no: " + "; ".join(unlike[:2]) if unlike else "yes", "", "")
+    )
+    off = face["target_reach_difference_mm"]
+    if off is not None:
+        rows.append((name, "largest difference of a target's reach", f"{off:.6f} mm", "", ""))
+    return rows
+
+
+def _aligned(rows: Sequence[Row]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines: list[str] = []
+    shown = ""
+    for row in rows:
+        first = row[0] if row[0] != shown else ""
+        shown = row[0]
+        cells = [first.ljust(widths[0]), row[1].ljust(widths[1])]
+        cells += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        if first and lines:
+            lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def _ms(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds * 1000:,.1f} ms"
+
+
+def _mib(count: float | None) -> str:
+    return "" if count is None else f"{count / 2**20:,.1f} MiB"
+
+
+def _bytes(count: int | None) -> str:
+    return "" if count is None else f"{count:,} B"
+
+
+def _times(ratio: float | None) -> str:
+    return "" if ratio is None else f"{ratio:.2f}x"
+
+
+def _over(theirs: float | None, ours: float) -> str:
+    return _times(None if theirs is None else theirs / ours)

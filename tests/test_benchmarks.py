@@ -1,0 +1,56 @@
+"""The benchmark commands run, and their figures hold together."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from import_data import shared
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+def run(*words: str | Path) -> str:
+    """What export_gltf.py prints."""
+    command = [sys.executable, str(BENCHMARKS / "export_gltf.py"), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_export_benchmark_measures_ict_without_blender(tmp_path: Path) -> None:
+    shared("ict_facekit/ict_facekit.npz")
+    out = tmp_path / "out.json"
+    printed = run("--runs", "1", "--json", out, "--blender-python", "")
+    result: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    face = next(one for one in result["faces"] if one["name"] == "ICT-FaceKit")
+
+    assert "Blender" in result["skipped"]
+    assert "skipped: Blender" in printed
+    assert "blender" not in face["median"]
+    for sample in face["samples"]["facepipe"]:
+        assert sample["load_s"] + sample["export_s"] == pytest.approx(sample["load_export_s"])
+        assert sample["baseline_bytes"] <= sample["loaded_bytes"] <= sample["peak_bytes"]
+    assert min(face["median"]["import"][key] for key in ("read_s", "save_s")) > 0
+
+    content = face["content"]["facepipe"]
+    assert (content["shapes"], content["of_mesh"]["Head"]["targets"]) == (53, 53)
+    sizes = face["sizes"]["facepipe"]
+    assert sizes["quantised"] < sizes["sparse"] < sizes["dense"]
+    heads = content["of_mesh"].values()
+    assert sizes["dense"] > sum(12 * one["targets"] * one["vertices"] for one in heads)
+
+
+def test_export_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    printed = run("--json", out, "--data", tmp_path, "--blender-python", tmp_path / "python")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    assert result["faces"] == []
+    assert set(result["skipped"]) == {"ICT-FaceKit", "MakeHuman", "Blender"}
+    assert str(tmp_path / "python") in result["skipped"]["Blender"]
+    assert printed.count("skipped: ") == 3
