@@ -42,7 +42,7 @@ class Face:
 
     @classmethod
     def from_parts(cls, parts: FaceParts) -> Face:
-        """A face authored on a stage in memory."""
+        """A face authored on a stage in memory; one with textures needs a file (`save_parts`)."""
         return cls(author(parts))
 
     @property

@@ -7,6 +7,10 @@ import { readFileSync } from "node:fs";
 import { Vector3 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 
+// node decodes no images; geometry and motion, which this program is for, need none
+globalThis.self = globalThis;
+globalThis.createImageBitmap = async () => ({ width: 1, height: 1, close() {} });
+
 const [path] = process.argv.slice(2);
 const request = JSON.parse(readFileSync(0, "utf8"));
 const bytes = readFileSync(path);
