@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from facepipe.reports import Finding
 from facepipe_gltf import mesh_validation as mesh
 from facepipe_gltf import skin_validation as skin
@@ -38,9 +40,10 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
     :raises InputError: no such file, or no glTF at all
     """
     document = RawDocument(Path(path))
-    findings = [
-        Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {where}", message=message)
-        for name, check, severity in CHECKS
-        for where, message in check(document)
-    ]
+    with np.errstate(all="ignore"):  # NaN and overflow are what some checks look for
+        findings = [
+            Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {at}", message=message)
+            for name, check, severity in CHECKS
+            for at, message in check(document)
+        ]
     return tuple(findings + (check_khronos(document.path) if khronos else []))

@@ -21,8 +21,7 @@ from facepipe.stage.files import derived_stage, open_stage, save_layer
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
-
-_INSTANCES = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+from facepipe.stage.traversal import INSTANCES, prims_below
 
 
 class Face:
@@ -254,7 +253,7 @@ class Face:
         raise InputError(self.where, f"no mesh '{name}'")
 
     def _below(self) -> Iterator[Usd.Prim]:
-        return iter(Usd.PrimRange(self.prim, _INSTANCES))
+        return prims_below(self.prim, self.where)
 
     @cached_property
     def _material_names(self) -> dict[str, str]:
@@ -267,8 +266,8 @@ class Face:
 
     def _bindings(self) -> dict[str, Binding]:
         cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
-        cache.Populate(root, _INSTANCES)
-        bound = cache.ComputeSkelBindings(root, _INSTANCES)
+        cache.Populate(root, INSTANCES)
+        bound = cache.ComputeSkelBindings(root, INSTANCES)
         return {
             str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
             for binding in bound

@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
-from facepipe.parts import Blendshape, Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.read_blendshapes import read_blendshapes
 from facepipe.stage.values import floats, ints, matrix
 
@@ -28,10 +28,18 @@ class Binding(NamedTuple):
     joints: tuple[str, ...]
 
 
-def read_mesh(prim: Usd.Prim, name: str, binding: Binding | None, material_names: Mapping[str, str]) -> Mesh:
+def read_mesh(
+    prim: Usd.Prim,
+    name: str,
+    binding: Binding | None,
+    material_names: Mapping[str, str],
+    *,
+    unbound_shapes: bool = False,
+) -> Mesh:
     """One mesh.
 
     :param material_names: name of a material by its prim path
+    :param unbound_shapes: read blendshapes of meshes without Skeleton too, which UsdSkel ignores
     :raises SchemaError, TopologyError: attributes that don't fit the mesh
     """
     mesh = UsdGeom.Mesh(prim)
@@ -55,7 +63,7 @@ def read_mesh(prim: Usd.Prim, name: str, binding: Binding | None, material_names
         uv_sets=_uv_sets(prim, len(points), len(indices)),
         colors=_colors(prim, len(points)),
         skin=_skin(where, len(points), binding) if binding else None,
-        blendshapes=_blendshapes(prim, len(points), binding),
+        blendshapes=read_blendshapes(prim, len(points)) if unbound_shapes or _has_shapes(binding) else (),
         regions=_regions(prim, len(points)),
         point_subsets=_point_subsets(prim, len(points)),
         landmarks=_landmarks(prim, len(points)),
@@ -155,10 +163,8 @@ def _in_skeleton_order(
     return np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
 
 
-def _blendshapes(prim: Usd.Prim, points: int, binding: Binding | None) -> tuple[Blendshape, ...]:
-    if binding is None or not binding.query.HasBlendShapes():
-        return ()
-    return read_blendshapes(prim, points)
+def _has_shapes(binding: Binding | None) -> bool:
+    return binding is not None and bool(binding.query.HasBlendShapes())
 
 
 def _regions(prim: Usd.Prim, points: int) -> dict[str, FloatArray]:

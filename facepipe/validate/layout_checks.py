@@ -8,19 +8,9 @@ from typing import Any
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
+from facepipe.stage.bindings import authored_skel_properties
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array
-
-_SKEL_PROPERTIES = (
-    "primvars:skel:jointIndices",
-    "primvars:skel:jointWeights",
-    "primvars:skel:geomBindTransform",
-    "skel:skeleton",
-    "skel:animationSource",
-    "skel:joints",
-    "skel:blendShapes",
-    "skel:blendShapeTargets",
-)
 
 
 def composition(face: FaceView) -> Iterator[Problem]:
@@ -78,7 +68,7 @@ def skel_binding_api(face: FaceView) -> Iterator[Problem]:
     for prim in face.prims:
         if prim.HasAPI(UsdSkel.BindingAPI):
             continue
-        authored = [name for name in _SKEL_PROPERTIES if prim.GetProperty(name) and prim.GetProperty(name).IsAuthored()]
+        authored = authored_skel_properties(prim)
         if authored or (prim.IsA(UsdSkel.Skeleton) and face.prim is not None):
             having = f" but {some(authored)}" if authored else ""
             yield at(prim, f"SkelBindingAPI not applied{having}, expected it")

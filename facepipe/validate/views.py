@@ -11,11 +11,11 @@ import numpy.typing as npt
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
+from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
+from facepipe.stage.traversal import prims_below
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-INSTANCES = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 
 
 def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> Any:
@@ -84,25 +84,13 @@ class MeshView:
         return 0 if indices is None else len(indices)
 
     def inherited(self, name: str) -> Usd.Attribute | None:
-        """An attribute with a value, of the mesh or the nearest prim above that has one (UsdSkel binding rules)."""
-        prim = self.prim
-        while prim and not prim.IsPseudoRoot():
-            attribute = prim.GetAttribute(name)
-            if attribute and attribute.HasAuthoredValue():
-                return attribute
-            prim = prim.GetParent()
-        return None
+        """An attribute with a value, of the mesh or the nearest prim above that has one."""
+        return inherited_attribute(self.prim, name)
 
     @cached_property
     def skeleton_path(self) -> Sdf.Path | None:
         """What skel:skeleton of the mesh or a prim above names."""
-        prim = self.prim
-        while prim and not prim.IsPseudoRoot():
-            named = targets(prim.GetRelationship("skel:skeleton"))
-            if named:
-                return named[0]
-            prim = prim.GetParent()
-        return None
+        return inherited_skeleton(self.prim)
 
     @cached_property
     def joint_indices(self) -> FloatArray | None:
@@ -161,12 +149,14 @@ class FaceView:
     """The face of a stage, or all of the stage where it has none."""
 
     def __init__(self, stage: Usd.Stage) -> None:
+        """:raises InputError: more prims than a face can have"""
         self.stage = stage
-        everything = list(Usd.PrimRange(stage.GetPseudoRoot(), INSTANCES))
+        where = stage.GetRootLayer().realPath or stage.GetRootLayer().identifier
+        everything = list(prims_below(stage.GetPseudoRoot(), where))
         found = [prim for prim in everything if tokens.FACE_API in prim.GetAppliedSchemas()]
         default = stage.GetDefaultPrim()
         self.prim: Usd.Prim | None = default if default in found else next(iter(found), None)
-        self.prims = list(Usd.PrimRange(self.prim, INSTANCES)) if self.prim else everything[1:]
+        self.prims = list(prims_below(self.prim, where)) if self.prim else everything[1:]
 
     def of_type(self, schema: Any) -> Iterator[Usd.Prim]:
         """Prims of a schema class, in stage order."""

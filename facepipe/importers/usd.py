@@ -1,0 +1,208 @@
+"""Import of other tools' UsdSkel files: skeletons, skins, blendshapes, materials and animations of any layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.errors import SchemaError, TopologyError
+from facepipe.importers.imported import Imported, import_recipe
+from facepipe.names import unique_identifiers
+from facepipe.parts import (
+    Animation,
+    FaceParts,
+    FloatArray,
+    IntArray,
+    Material,
+    Mesh,
+    Skeleton,
+    Skin,
+    Texture,
+    TextureInput,
+)
+
+_WEIGHT_SUM_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What of a stage to read."""
+
+    root: str | None = field(
+        default=None,
+        metadata={"help": "path of the prim to read below; the default prim, or else the whole stage, where not given"},
+    )
+    skeleton: str | None = field(
+        default=None,
+        metadata={"help": "path of the Skeleton of the face, where meshes are bound to several"},
+    )
+
+
+def read(source: Path, options: Options) -> Imported:
+    """The face on a UsdSkel stage, as it stands at its default time.
+
+    :raises InputError: no readable USD, no meshes, or a choice of root or Skeleton that has to be made
+    :raises SchemaError: values that are not finite, or names that don't pair
+    :raises TopologyError: counts and indices that don't fit each other, or a singular bind transform
+    """
+    from facepipe.stage.foreign import read_foreign
+
+    foreign = read_foreign(source, root=options.root, skeleton=options.skeleton)
+    warnings = list(foreign.warnings)
+    parts = foreign.parts
+    meshes = tuple(_turned(mesh) if mesh.name in foreign.left_handed else mesh for mesh in parts.meshes)
+    meshes = tuple(_normalised(source, mesh, warnings) for mesh in meshes)
+    skeleton, new_names = _renamed(parts.skeleton, warnings)
+    _check_transforms(source, parts)
+    parts = replace(
+        parts,
+        meshes=meshes,
+        skeleton=skeleton,
+        animations=tuple(
+            kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
+        ),
+        materials=_distinct_textures(parts.materials),
+        recipe=import_recipe("usd", {source: foreign.files}, options),
+    )
+    return Imported(parts=parts, warnings=tuple(warnings))
+
+
+def _shape_names(meshes: tuple[Mesh, ...]) -> set[str]:
+    return {shape.name for mesh in meshes for shape in mesh.blendshapes}
+
+
+def _turned(mesh: Mesh) -> Mesh:
+    """A left-handed mesh with its faces turned round, so that they look outward as those of all others."""
+    counts = np.asarray(mesh.face_vertex_counts, dtype=np.int64)
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    back = 2 * starts + np.repeat(counts, counts) - 1 - np.arange(counts.sum())
+    normals = mesh.normals
+    if normals is not None and len(normals) != len(mesh.points):
+        normals = normals[back]
+    return replace(
+        mesh,
+        face_vertex_indices=mesh.face_vertex_indices[back],
+        normals=normals,
+        uv_sets=tuple(uv if uv.indices is None else replace(uv, indices=uv.indices[back]) for uv in mesh.uv_sets),
+    )
+
+
+def _normalised(source: Path, mesh: Mesh, warnings: list[str]) -> Mesh:
+    """The mesh with weights that sum to 1 at every point."""
+    if mesh.skin is None:
+        return mesh
+    weights: FloatArray = np.asarray(mesh.skin.joint_weights, dtype=np.float64)
+    indices: IntArray = mesh.skin.joint_indices
+    if not np.isfinite(weights).all():
+        raise SchemaError(f"{source} -> {mesh.name}", "joint weights hold NaN or infinity, expected finite numbers")
+    if (weights < 0).any():
+        warnings.append(f"{mesh.name}: weights below 0 taken as 0")
+        weights = np.maximum(weights, 0.0)
+    sums = weights.sum(axis=1)
+    lost = sums <= 0
+    if lost.any():
+        warnings.append(f"{mesh.name}: {int(lost.sum())} points without weight now follow the first joint")
+        weights = np.where(lost[:, None], np.eye(1, weights.shape[1]), weights)
+        indices = np.where(lost[:, None], 0, indices)
+        sums = weights.sum(axis=1)
+    wrong = np.abs(sums - 1) > _WEIGHT_SUM_TOLERANCE
+    if wrong.any():
+        found = f"{sums.min():.4g} to {sums.max():.4g}"
+        warnings.append(f"{mesh.name}: weights of {int(wrong.sum())} points normalised, their sums were {found}")
+    return replace(
+        mesh,
+        skin=Skin(
+            joint_indices=indices.astype(np.int32),
+            joint_weights=(weights / sums[:, None]).astype(np.float32),
+            geom_bind_transform=mesh.skin.geom_bind_transform,
+        ),
+    )
+
+
+def _renamed(skeleton: Skeleton, warnings: list[str]) -> tuple[Skeleton, dict[str, str]]:
+    """Joint paths of identifiers, and the new path of each old one."""
+    paths: dict[str, str] = {}
+    siblings: dict[str, list[str]] = {}
+    for joint in skeleton.joints:
+        siblings.setdefault(joint.rpartition("/")[0], []).append(joint)
+    own = {
+        joint: name
+        for joints in siblings.values()
+        for joint, name in zip(joints, unique_identifiers(one.rpartition("/")[2] for one in joints), strict=True)
+    }
+    for joint in skeleton.joints:
+        above = joint.rpartition("/")[0]
+        parent = paths.get(above) or "/".join(unique_identifiers([name])[0] for name in above.split("/") if name)
+        paths[joint] = f"{parent}/{own[joint]}" if parent else own[joint]
+    changed = [(old, new) for old, new in paths.items() if old != new]
+    if changed:
+        old, new = changed[0]
+        warnings.append(f"{len(changed)} joints renamed to identifiers, like '{old}' to '{new}'")
+    return replace(skeleton, joints=tuple(paths.values())), paths
+
+
+def _kept(animation: Animation, new_names: Mapping[str, str], shapes: set[str]) -> Animation | None:
+    """The animation with only the joints and shapes that the face has; None where nothing is left."""
+    joints = [i for i, joint in enumerate(animation.joints) if joint in new_names]
+    weights = [i for i, shape in enumerate(animation.shapes) if shape in shapes]
+    if not joints and not weights:
+        return None
+
+    def columns(values: FloatArray | None, which: list[int]) -> FloatArray | None:
+        return values[:, which] if values is not None and which else None
+
+    return replace(
+        animation,
+        joints=tuple(new_names[animation.joints[i]] for i in joints),
+        translations=columns(animation.translations, joints),
+        rotations=columns(animation.rotations, joints),
+        scales=columns(animation.scales, joints),
+        coefficients=columns(animation.coefficients, joints),
+        shapes=tuple(animation.shapes[i] for i in weights),
+        shape_weights=columns(animation.shape_weights, weights),
+    )
+
+
+def _check_transforms(source: Path, parts: FaceParts) -> None:
+    """:raises TopologyError: a matrix that can't be inverted"""
+    skeleton = parts.skeleton
+    named = [
+        (f"{skeleton.name} -> {joint}", one)
+        for joint, one in zip(skeleton.joints, skeleton.bind_transforms, strict=True)
+    ]
+    named += [(skeleton.name, skeleton.transform)]
+    named += [(mesh.name, mesh.skin.geom_bind_transform) for mesh in parts.meshes if mesh.skin]
+    for name, matrix in named:
+        if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+            raise TopologyError(f"{source} -> {name}", "singular or non-finite matrix, expected an invertible one")
+    for mesh in parts.meshes:
+        if not np.isfinite(mesh.transform).all():
+            raise SchemaError(f"{source} -> {mesh.name}", "transform with NaN or infinity, expected finite numbers")
+
+
+def _distinct_textures(materials: Iterable[Material]) -> tuple[Material, ...]:
+    """Different images that share a file name get names of their own."""
+    names: dict[tuple[str, bytes], str] = {}
+
+    def own_name(texture: Texture) -> str:
+        key = (texture.name, texture.data)
+        if key not in names:
+            stem, dot, suffix = texture.name.rpartition(".")
+            taken, number, candidate = set(names.values()), 2, texture.name
+            while candidate in taken:
+                candidate, number = f"{stem if dot else suffix}_{number}{dot}{suffix if dot else ''}", number + 1
+            names[key] = candidate
+        return names[key]
+
+    def renamed(value: object) -> object:
+        if not isinstance(value, TextureInput):
+            return value
+        return replace(value, texture=replace(value.texture, name=own_name(value.texture)))
+
+    return tuple(
+        replace(one, **{part.name: renamed(getattr(one, part.name)) for part in fields(one)})  # type: ignore[arg-type]
+        for one in materials
+    )

@@ -1,0 +1,135 @@
+"""Which meshes of a foreign stage are the face's, and what they need to be read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from facepipe import tokens
+from facepipe.stage.foreign.scene import Scene
+from facepipe.stage.values import ints
+
+_UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
+_HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
+
+
+def choose_meshes(scene: Scene) -> list[Usd.Prim]:
+    """Meshes that are shown and have faces; what else is drawn is named in warnings."""
+    found = [prim for prim in scene.prims if prim.IsA(UsdGeom.Mesh)]
+    hidden = [prim for prim in found if UsdGeom.Imageable(prim).ComputeVisibility() == UsdGeom.Tokens.invisible]
+    helpers = [prim for prim in found if UsdGeom.Imageable(prim).ComputePurpose() in _HIDDEN_PURPOSES]
+    shown = [prim for prim in found if prim not in {*hidden, *helpers}]
+    empty = [prim for prim in shown if not _has_faces(UsdGeom.Mesh(prim))]
+    for prims, what in ((hidden, "invisible"), (helpers, "of purpose guide or proxy"), (empty, "without faces")):
+        if prims:
+            scene.warn(f"mesh {what}: left out", prims)
+    _name_others(scene)
+    return [prim for prim in shown if prim not in set(empty)]
+
+
+def _has_faces(mesh: UsdGeom.Mesh) -> bool:
+    return bool(mesh.GetPointsAttr().Get()) and bool(mesh.GetFaceVertexIndicesAttr().Get())
+
+
+def _name_others(scene: Scene) -> None:
+    drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer)
+    others = [prim for prim in scene.prims if any(prim.IsA(one) for one in drawn) and not prim.IsA(UsdGeom.Mesh)]
+    for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
+        scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
+
+
+def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
+    """Blocks what our parts can't hold, and names it."""
+    dropped: dict[str, list[Usd.Prim]] = {}
+    for prim in meshes:
+        for what in [*_block_primvars(prim), *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]:
+            dropped.setdefault(what, []).append(prim)
+    for what, prims in sorted(dropped.items()):
+        scene.warn(what, prims)
+
+
+def _block_primvars(prim: Usd.Prim) -> list[str]:
+    """Blocks primvars that don't fit the mesh or that nothing of a face holds."""
+    notes = []
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
+        name = str(primvar.GetPrimvarName())
+        if name.startswith(("skel:", tokens.REGION_PRIMVAR)) or name == "normals":
+            continue
+        problem = None if name == "displayColor" and _fits_color(prim, primvar) else _uv_problem(prim, primvar)
+        if problem:
+            primvar.GetAttr().Block()
+            notes.append(f"primvar {name} {problem}: left out")
+    return notes
+
+
+def _fits_color(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> bool:
+    count = len(primvar.ComputeFlattened() or ())
+    return count == 1 or (primvar.GetInterpolation() in ("vertex", "varying") and count == len(_points(prim)))
+
+
+def _uv_problem(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> str | None:
+    """Why a primvar is no UV set; None where it is one."""
+    if str(primvar.GetTypeName()) not in _UV_TYPES:
+        return f"of type {primvar.GetTypeName()}"
+    interpolation = str(primvar.GetInterpolation())
+    if interpolation not in ("vertex", "varying", "faceVarying"):
+        return f"of {interpolation} interpolation"
+    values = primvar.Get()
+    indices = ints(primvar.GetIndices()) if primvar.IsIndexed() else None
+    count = len(values if indices is None else indices)
+    expected = len(
+        UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr().Get() if interpolation == "faceVarying" else _points(prim)
+    )
+    if count != expected:
+        return f"with {count} values, expected {expected}"
+    if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
+        return f"with indices outside 0..{len(values) - 1}"
+    return None if np.isfinite(np.array(values)).all() else "with NaN or infinity"
+
+
+def _points(prim: Usd.Prim) -> Any:
+    return UsdGeom.Mesh(prim).GetPointsAttr().Get()
+
+
+def _block_normals(prim: Usd.Prim) -> list[str]:
+    """Blocks normals of other than point or face-vertex interpolation; the reader tells these apart by their count."""
+    mesh, notes = UsdGeom.Mesh(prim), []
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    given = [(mesh.GetNormalsAttr(), mesh.GetNormalsInterpolation())]
+    if primvar and primvar.HasAuthoredValue():
+        given.append((primvar.GetAttr(), primvar.GetInterpolation()))
+    for attribute, interpolation in given:
+        if attribute.HasAuthoredValue() and interpolation not in ("vertex", "varying", "faceVarying"):
+            attribute.Block()
+            notes.append(f"normals of {interpolation} interpolation: left out")
+    return notes
+
+
+def _details(mesh: UsdGeom.Mesh) -> list[str]:
+    """What a mesh has beyond its polygons."""
+    notes = []
+    scheme = mesh.GetSubdivisionSchemeAttr().Get()
+    if scheme != UsdGeom.Tokens.none:
+        notes.append(f"subdivision surface ({scheme}): kept as its base cage")
+    creased = mesh.GetCreaseIndicesAttr().Get() or mesh.GetCornerIndicesAttr().Get()
+    if creased and scheme != UsdGeom.Tokens.none:
+        notes.append("creases and corners: left out")
+    if mesh.GetHoleIndicesAttr().Get():
+        notes.append("holes: their faces are kept")
+    return notes
+
+
+def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
+    """The skinning query of every bound mesh by its path."""
+    found: dict[str, UsdSkel.SkinningQuery] = {}
+    for root in scene.roots:
+        if not root.IsA(UsdSkel.Root):
+            continue
+        cache = UsdSkel.Cache()
+        cache.Populate(UsdSkel.Root(root), Usd.PrimDefaultPredicate)
+        for binding in cache.ComputeSkelBindings(UsdSkel.Root(root), Usd.PrimDefaultPredicate):
+            found |= {str(query.GetPrim().GetPath()): query for query in binding.GetSkinningTargets()}
+    return found

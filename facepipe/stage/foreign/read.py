@@ -1,0 +1,148 @@
+"""A foreign stage as parts: the table of contents."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Usd, UsdGeom, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import FacepipeError, InputError, SchemaError, TopologyError
+from facepipe.names import identifier, unique_identifiers
+from facepipe.parts import Animation, FaceParts, Mesh, Skeleton
+from facepipe.stage.files import quiet_diagnostics
+from facepipe.stage.foreign.materials import bound_materials
+from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes
+from facepipe.stage.foreign.scene import Scene
+from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
+from facepipe.stage.read_mesh import Binding, read_mesh
+from facepipe.stage.read_skeleton import read_animation, read_skeleton
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreign:
+    """A face read from a stage of another tool."""
+
+    parts: FaceParts
+    left_handed: frozenset[str]  # names of the meshes whose faces turn the other way round
+    files: tuple[Path, ...]  # layers that were read
+    warnings: tuple[str, ...]
+
+
+def read_foreign(path: Path, *, root: str | None = None, skeleton: str | None = None) -> Foreign:
+    """The face of a UsdSkel stage, mended as far as it says what it means.
+
+    :param root: path of the prim to read below; default the default prim, or the whole stage
+    :param skeleton: path of the Skeleton, needed where meshes are bound to several
+    :raises InputError: no readable stage, no meshes, or a choice that has to be made
+    :raises SchemaError, TopologyError: data that doesn't hold together
+    """
+    with quiet_diagnostics(), _trail(path):
+        scene = Scene(path, root)
+        meshes = choose_meshes(scene)
+        prim = choose_skeleton(scene, meshes, skeleton)
+        if prim is not None:
+            meshes = bind_to(scene, prim, meshes)
+            mend_skeleton(scene, prim, meshes)
+        if not meshes:
+            raise scene.error("no mesh to read, expected a face")
+        mend_meshes(scene, meshes)
+        parts = _parts(scene, meshes, prim)
+        names = [mesh.name for mesh in parts.meshes]
+        orientations = [UsdGeom.Mesh(one).GetOrientationAttr().Get() for one in meshes]
+        return Foreign(
+            parts=parts,
+            left_handed=frozenset(
+                name for name, one in zip(names, orientations, strict=True) if one == UsdGeom.Tokens.leftHanded
+            ),
+            files=tuple(sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)),
+            warnings=tuple(scene.warnings),
+        )
+
+
+@contextlib.contextmanager
+def _trail(path: Path) -> Iterator[None]:
+    """Errors name the file first."""
+    try:
+        yield
+    except (SchemaError, TopologyError) as error:
+        raise error.under(path) from None
+    except InputError as error:
+        raise error if error.where.startswith(str(path)) else error.under(path) from None
+
+
+def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
+    skeleton = Skeleton() if prim is None else read_skeleton(prim)
+    names = unique_identifiers(
+        [skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE, *(str(one.GetName()) for one in meshes)]
+    )[3:]
+    material_names, materials = bound_materials(scene, meshes)
+    queries = bindings(scene)
+    read = tuple(
+        _mesh(scene, one, name, queries.get(str(one.GetPath())), skeleton, material_names)
+        for one, name in zip(meshes, names, strict=True)
+    )
+    return FaceParts(
+        name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
+        meters_per_unit=_meters_per_unit(scene),
+        up_axis="Z" if _up_axis(scene) == "Z" else "Y",
+        meshes=read,
+        skeleton=skeleton,
+        animations=_animations(scene, skeleton, read),
+        materials=materials,
+    )
+
+
+def _mesh(
+    scene: Scene,
+    prim: Usd.Prim,
+    name: str,
+    query: UsdSkel.SkinningQuery | None,
+    skeleton: Skeleton,
+    materials: dict[str, str],
+) -> Mesh:
+    binding = Binding(query, skeleton.joints) if query is not None else None
+    mesh = read_mesh(prim, name, binding, materials, unbound_shapes=True)
+    if mesh.blendshapes and (query is None or not query.HasBlendShapes()):
+        scene.warn("blendshapes of a mesh without Skeleton, which UsdSkel never shows: read all the same", [prim])
+    return mesh
+
+
+def _animations(scene: Scene, skeleton: Skeleton, meshes: tuple[Mesh, ...]) -> tuple[Animation, ...]:
+    shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
+    found = []
+    for prim in scene.prims:
+        if not prim.IsA(UsdSkel.Animation):
+            continue
+        try:
+            animation = read_animation(prim)
+        except FacepipeError as error:
+            scene.warn(f"{error}: animation left out")
+            continue
+        unknown = sorted({*animation.joints} - {*skeleton.joints}) + sorted({*animation.shapes} - shapes)
+        if unknown:
+            scene.warn(f"moves {', '.join(unknown[:3])} ({len(unknown)} in all), which the face lacks", [prim])
+        missing = [name for name in ("translations", "rotations", "scales") if getattr(animation, name) is None]
+        if missing and animation.joints:
+            scene.warn(f"no {' and '.join(missing)}: taken from rest", [prim])
+        found.append(animation)
+    return tuple(found)
+
+
+def _meters_per_unit(scene: Scene) -> float:
+    unit = float(UsdGeom.GetStageMetersPerUnit(scene.stage))
+    if not UsdGeom.StageHasAuthoredMetersPerUnit(scene.stage):
+        scene.warn(f"metersPerUnit not authored: taken as {unit:g}")
+    if not 0 < unit < float("inf"):
+        raise scene.error(f"metersPerUnit {unit:g}, expected a finite number above 0")
+    return unit
+
+
+def _up_axis(scene: Scene) -> str:
+    axis = str(UsdGeom.GetStageUpAxis(scene.stage))
+    if not scene.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
+        scene.warn(f"upAxis not authored: taken as {axis}")
+    return axis

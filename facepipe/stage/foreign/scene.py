@@ -1,0 +1,114 @@
+"""The part of a stage that is read, with its session layer as the place for mends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from pxr import Usd, UsdGeom, UsdSkel
+
+from facepipe.errors import InputError
+from facepipe.stage.bindings import authored_skel_properties
+from facepipe.stage.files import open_stage
+from facepipe.stage.traversal import prims_below
+
+_CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
+
+
+class Scene:
+    """Prims of a stage that may belong to a face."""
+
+    def __init__(self, path: Path, root: str | None) -> None:
+        """:raises InputError: no readable stage, no such root, or more prims than a face can have"""
+        self.path = path
+        self.stage = open_stage(path)
+        self.stage.SetEditTarget(self.stage.GetSessionLayer())
+        self.warnings: list[str] = []
+        self.roots = self._find_roots(root)
+        self._open_instances()
+        self.prims = list(self._below())
+        self._default_values()
+        self._skel_roots()
+        self._binding_api()
+
+    def warn(self, what: str, culprits: Iterable[object] = ()) -> None:
+        """Note something, with a few of the prims it is about."""
+        listed = [f"<{one.GetPath()}>" if isinstance(one, Usd.Prim) else str(one) for one in culprits]
+        more = f" and {len(listed) - 3} more" if len(listed) > 3 else ""
+        self.warnings.append(f"{', '.join(listed[:3])}{more}: {what}" if listed else what)
+
+    def error(self, what: str) -> InputError:
+        """An error about the file."""
+        return InputError(self.path, what)
+
+    def _find_roots(self, root: str | None) -> list[Usd.Prim]:
+        if root is not None:
+            prim = self.stage.GetPrimAtPath(root) if root.startswith("/") and root != "/" else None
+            if not prim:
+                raise self.error(f"no prim at root '{root}', expected the path of one")
+            return [prim]
+        default = self.stage.GetDefaultPrim()
+        if default and any(prim.IsA(UsdGeom.Mesh) for prim in prims_below(default, self.path)):
+            return [default]
+        top = [prim for prim in self.stage.GetPseudoRoot().GetChildren() if prim.IsActive() and prim.IsDefined()]
+        if default:
+            self.warn("the default prim has no meshes: the whole stage is read", [default])
+        return top
+
+    def _below(self) -> Iterator[Usd.Prim]:
+        for root in self.roots:
+            yield from prims_below(root, self.path)
+
+    def _open_instances(self) -> None:
+        """Instances become plain prims: what is mended below one is not mended below all."""
+        while True:
+            found = [prim for root in self.roots for prim in Usd.PrimRange(root) if prim.IsInstance()]
+            if not found:
+                return
+            list(self._below())  # counts what they will become
+            for prim in found:
+                prim.SetInstanceable(False)
+
+    def _default_values(self) -> None:
+        """Values of the first time sample where there are only time samples."""
+        moving: dict[str, list[Usd.Prim]] = {}
+        above = [ancestor for root in self.roots for ancestor in _ancestors(root)]
+        for prim in [*self.prims, *above]:
+            if prim.IsA(UsdSkel.Animation):
+                continue
+            for attribute in prim.GetAuthoredAttributes():
+                samples = attribute.GetNumTimeSamples()
+                if samples and attribute.Get() is None:
+                    attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
+                if samples > 1:
+                    name = attribute.GetName()
+                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
+        for name, prims in sorted(moving.items()):
+            self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
+
+    def _skel_roots(self) -> None:
+        """Each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone."""
+        for root in self.roots:
+            if root.GetTypeName() not in _CONTAINERS:
+                continue
+            for prim in Usd.PrimRange(root):
+                if prim != root and prim.GetTypeName() == "SkelRoot":
+                    prim.SetTypeName("Xform")
+            root.SetTypeName("SkelRoot")
+
+    def _binding_api(self) -> None:
+        """UsdSkel reads skel properties only where their API is applied; files before 2021 have none."""
+        lacking = [
+            prim for prim in self.prims if not prim.HasAPI(UsdSkel.BindingAPI) and authored_skel_properties(prim)
+        ]
+        for prim in lacking:
+            UsdSkel.BindingAPI.Apply(prim)
+        if lacking:
+            self.warn("SkelBindingAPI is not applied: skel properties are read all the same", lacking)
+
+
+def _ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    prim = prim.GetParent()
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
