@@ -1,0 +1,121 @@
+"""One picture of a face."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.atomic import replacing
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts
+from facepipe.render import overlay
+from facepipe.render.camera import Camera, Frame, View, portrait
+from facepipe.render.draw import draw
+from facepipe.render.heatmap import HeatMap
+from facepipe.render.scene import Scene, build_scene, world_points
+from facepipe.render.shade import Shader
+from facepipe.render.textures import TextureCache, linear_to_srgb, srgb_to_linear
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FloatArray = npt.NDArray[np.floating]
+Color = tuple[float, float, float]
+
+SMALLEST, LARGEST = 16, 8192  # pixels a side
+SMALLEST_WITH_TEXT = 128  # below, bar, numbers and title are left out
+LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corners
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions:
+    """How a picture is taken.
+
+    :raises InputError: a size, sample count or background out of range
+    """
+
+    size: int = 800  # pixels a side, 16 to 8192
+    view: View = "front"  # or yaw and pitch of the camera, radians; yaw turns to the subject's left
+    background: Color | tuple[Color, Color] = LIGHT_GREY  # sRGB 0..1: one colour, or middle and corners
+    samples: int = 3  # per pixel and direction, 1 to 8
+    heatmap: HeatMap | None = None
+    landmarks: str | None = None  # scheme whose points get dots with their number in the scheme, from 0
+    title: str = ""
+    framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
+
+    def __post_init__(self) -> None:
+        if not SMALLEST <= self.size <= LARGEST:
+            raise InputError("size", f"{self.size} pixels, expected {SMALLEST} to {LARGEST}")
+        if not 1 <= self.samples <= 8:
+            raise InputError("samples", f"{self.samples}, expected 1 to 8")
+        colors = np.array(self.background, dtype=np.float64)
+        if colors.shape not in ((3,), (2, 3)) or not ((colors >= 0) & (colors <= 1)).all():
+            raise InputError("background", f"{self.background}, expected one or two sRGB colours in 0..1")
+
+    @property
+    def written(self) -> bool:
+        """Whether the picture is large enough for text."""
+        return self.size >= SMALLEST_WITH_TEXT
+
+
+def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions) -> Image:
+    """A shaded picture of a face.
+
+    :param points: (n, 3) posed world-space points of all meshes in mesh order, stage units; None: the neutral
+    :raises InputError: points that don't fit or aren't finite, an unknown view or landmark scheme, a broken texture
+    :raises TopologyError: a mesh refers to points or materials that it does not have
+    """
+    from PIL import Image
+
+    scene = build_scene(parts, points)
+    count = len(scene.points)
+    if options.heatmap is not None and options.heatmap.values.shape != (count,):
+        raise InputError(f"{parts.name} -> heat map", f"shape {options.heatmap.values.shape}, expected ({count},)")
+    camera = _camera(parts, scene, options)
+    textures = TextureCache(largest=2 * options.size)
+    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap)
+    linear = draw(shader, backdrop(options.size, options.background), options.samples)
+    image = Image.fromarray((linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8))
+    if options.landmarks is not None:
+        overlay.landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
+    if options.heatmap is not None and options.written:
+        overlay.color_bar(image, options.heatmap)
+    if options.title and options.written:
+        overlay.title(image, options.title)
+    return image
+
+
+def save_png(image: Image, path: str | os.PathLike[str]) -> None:
+    """Write a picture as PNG: whole or not at all, the same bytes for the same pixels.
+
+    :raises InputError: the folder does not exist or can't be written
+    """
+    with replacing(path) as temporary:
+        image.save(temporary, format="PNG", compress_level=6)
+
+
+def backdrop(size: int, colors: Color | tuple[Color, Color]) -> npt.NDArray[np.float32]:
+    """(size, size, 3) linear background: one sRGB colour, or a soft blend from the middle to the corners."""
+    ends = np.broadcast_to(np.array(colors, dtype=np.float64), (2, 3))
+    across = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
+    distance = np.sqrt(across[None, :] ** 2 + across[:, None] ** 2) / np.sqrt(2)
+    share = (distance**2 * (3 - 2 * distance)).astype(np.float32)[..., None]
+    middle, corner = ends.astype(np.float32)
+    blend = middle + (corner - middle) * share
+    return np.asarray(srgb_to_linear(blend), dtype=np.float32)
+
+
+def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
+    used = np.unique(scene.triangles)
+    points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
+    frame = Frame(
+        width=options.size,
+        height=options.size,
+        right=overlay.bar_width(options.size) if options.heatmap is not None and options.written else 0,
+        top=overlay.title_height(options.size) if options.title and options.written else 0,
+    )
+    return portrait(points[used], options.view, frame)
