@@ -447,7 +447,7 @@ def test_materials_are_all_defined() -> None:
     used = {part.material for part in face.meshes}
     used |= {group.material for part in face.meshes for group in part.material_faces}
     assert used == defined
-    for name in ("EyeLeft", "EyeRight"):
+    for name in ("EyeLeft", "EyeRight", "TeethUpper", "TeethLower"):
         part = mesh(face, name)
         faces = np.concatenate([group.faces for group in part.material_faces])
         assert sorted(faces) == list(range(len(part.face_vertex_counts)))

@@ -6,13 +6,16 @@ from functools import cache
 
 import numpy as np
 
-from facepipe.parts import FloatArray, IntArray
+from facepipe.parts import FloatArray, IntArray, Texture, TextureInput
+from facepipe.sample import texture as baking
 from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid, sphere
 
 PUPIL = 9.5  # degrees from the eye's axis
 IRIS = 25.5
 _SEGMENTS = 24
+_SPREAD = 0.6  # gives the iris more of the texture
+_TEXTURE = 256  # pixels a side
 _RINGS = np.array(
     [5.0, PUPIL - 0.5, PUPIL + 0.5, 14.0, 19.0, 23.0, IRIS - 0.8, IRIS + 0.8, 32.0, 42, 55, 70, 90, 115, 145]
 )
@@ -21,7 +24,7 @@ _RINGS = np.array(
 @cache
 def unit() -> Solid:
     """A unit eyeball that looks along +Z."""
-    return sphere(np.radians(_RINGS), _SEGMENTS)
+    return sphere(np.radians(_RINGS), _SEGMENTS, _SPREAD)
 
 
 def _polar() -> FloatArray:
@@ -30,12 +33,30 @@ def _polar() -> FloatArray:
 
 def colors(who: Identity) -> FloatArray:
     """(n, 3) linear colours: pupil, iris with a dark edge, white with a little red towards the back."""
-    polar = _polar()
+    return _at(_polar(), who)
+
+
+def texture(who: Identity) -> TextureInput:
+    """The same colours as a picture, with the iris's fibres."""
+    middle = 2 * (np.arange(_TEXTURE) + 0.5) / _TEXTURE - 1
+    y, x = np.meshgrid(middle[::-1], middle, indexing="ij")
+    polar = 180 * np.minimum(np.hypot(x, y) / 0.98, 1.0) ** (1 / _SPREAD)
+    around = np.arctan2(y, x)
+    fibres = sum(np.cos(n * around + phase + 0.06 * polar) for n, phase in ((23, 0.3), (37, 1.7), (53, 4.1), (61, 2.2)))
+    iris = (polar > PUPIL + 0.5) & (polar < IRIS - 0.8)
+    linear = _at(polar.ravel(), who) * (1 + 0.13 * fibres * iris).reshape(-1, 1)
+    pixels = (baking.srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8).reshape(_TEXTURE, _TEXTURE, 3)
+    return TextureInput(texture=Texture(name="eye.png", data=baking.png(pixels)))
+
+
+def _at(polar: FloatArray, who: Identity) -> FloatArray:
+    """(n, 3) linear colours at angles (n,) from the eye's axis in degrees."""
     iris = np.array(who.iris)
     white = np.array([0.72, 0.70, 0.68])
     stops = np.array([0, PUPIL - 0.5, PUPIL + 0.5, 14, 19, 23, IRIS - 0.8, IRIS + 0.8, 32, 60, 180])
-    table = np.array([iris * 0, iris * 0, iris * 0.4, iris * 0.8, iris * 1.0, iris * 0.65, iris * 0.25, white * 0.85])
-    table = np.concatenate([table, [white, white * (1.0, 0.88, 0.85), white * (0.9, 0.6, 0.55)]])
+    inner = np.array([0.0, 0.0, 0.4, 0.8, 1.0, 0.65, 0.25])[:, None] * iris
+    outer = np.array([(0.85, 0.85, 0.85), (1.0, 1.0, 1.0), (1.0, 0.88, 0.85), (0.9, 0.6, 0.55)]) * white
+    table = np.concatenate([inner, outer])
     return np.stack([np.interp(polar, stops, table[:, i]) for i in range(3)], axis=1) + 0.004
 
 

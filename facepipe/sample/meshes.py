@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.parts import FloatArray, MaterialFaces, Mesh
+from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh
 from facepipe.sample import colors, eyeballs, eyes, head, scalp, skull, strands, teeth, topology, uv
 from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid
@@ -51,9 +52,12 @@ def build(who: Identity) -> Neutral:
         who=who,
         head=skin,
         eyeballs=(_eyeball("EyeLeft", who, 1.0), _eyeball("EyeRight", who, -1.0)),
-        teeth=(_solid("TeethUpper", *upper, "Teeth"), _solid("TeethLower", *lower, "Teeth")),
+        teeth=(
+            _grouped(_solid("TeethUpper", *upper, "Teeth"), teeth.face_groups(upper=True)),
+            _grouped(_solid("TeethLower", *lower, "Teeth"), teeth.face_groups(upper=False)),
+        ),
         tongue=_solid("Tongue", *tongue, "Tongue"),
-        brows=_hairs("Brows", brow_strips.solid, strands.brow_colors(who)),
+        brows=_hairs("Brows", brow_strips.solid, strands.brow_colors(who), "Brows"),
         lashes=_hairs("Lashes", lash_strips.solid, np.tile(who.hair, (len(lash_strips.solid.points), 1)) * 0.6),
         hair=_hairs("Hair", shell, scalp.colors(who)),
         brow_strips=brow_strips,
@@ -81,9 +85,15 @@ def _eyeball(name: str, who: Identity, side: float) -> Mesh:
     points = shape.center * (side, 1.0, 1.0) + shape.radius * unit.points
     solid = Solid(points, unit.counts, unit.indices, unit.uvs)
     mesh = _solid(name, solid, eyeballs.colors(who), "Sclera")
-    groups = tuple(MaterialFaces(material=key, faces=faces) for key, faces in eyeballs.face_groups().items())
-    return replace(mesh, material_faces=groups)
+    return _grouped(mesh, eyeballs.face_groups())
 
 
-def _hairs(name: str, solid: Solid, point_colors: FloatArray) -> Mesh:
-    return _solid(name, solid, point_colors, "Hair", double_sided=True)
+def _grouped(mesh: Mesh, groups: Mapping[str, IntArray]) -> Mesh:
+    """The mesh with a material on each group of faces."""
+    return replace(
+        mesh, material_faces=tuple(MaterialFaces(material=key, faces=faces) for key, faces in groups.items())
+    )
+
+
+def _hairs(name: str, solid: Solid, point_colors: FloatArray, material: str = "Hair") -> Mesh:
+    return _solid(name, solid, point_colors, material, double_sided=True)

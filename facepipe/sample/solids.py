@@ -19,11 +19,11 @@ class Solid:
     uvs: UvSet
 
 
-def sphere(polar: FloatArray, segments: int) -> Solid:
+def sphere(polar: FloatArray, segments: int, spread: float = 1.0) -> Solid:
     """A unit sphere around the origin with poles on +Z (point 0) and -Z (the last point).
 
     `polar` (rings,) are the angles from +Z of its rings of `segments` points. Texture coordinates are azimuthal: the
-    front pole in the middle, the radius proportional to the polar angle.
+    front pole in the middle, the radius growing with the polar angle to the power `spread`.
     """
     turn = 2 * np.pi * np.arange(segments) / segments
     angle, around = (grid.ravel() for grid in np.meshgrid(polar, turn, indexing="ij"))
@@ -40,7 +40,7 @@ def sphere(polar: FloatArray, segments: int) -> Solid:
     middle = turn + np.pi / segments
     flat = np.concatenate([[0.0], angle, np.full(segments, np.pi)])
     around = np.concatenate([[0.0], around, middle])
-    values = 0.5 + 0.49 * (flat / np.pi)[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
+    values = 0.5 + 0.49 * ((flat / np.pi) ** spread)[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
     uv_back = back.copy()
     uv_back[:, 0] = len(points) - 1 + np.arange(segments)
     uv_indices = np.concatenate([front.ravel(), bands.ravel(), uv_back.ravel()]).astype(np.int32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.parts import FloatArray, IntArray
 from facepipe.sample import mouth
 from facepipe.sample.identity import Identity
 from facepipe.sample.solids import Solid, sphere, strip
@@ -15,8 +15,9 @@ _SAMPLES = 3  # per tooth
 _HEIGHT = np.array([1.5, 0.92, 0.86, 0.3, -0.12, -0.1, 0.6, 1.2])
 _DEPTH = np.array([0.25, 0.02, 0.0, -0.04, 0.05, 0.2, 0.48, 0.7])
 _IS_GUM = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-_IVORY = np.array([0.82, 0.76, 0.64])
-_GUM = np.array([0.42, 0.12, 0.11])
+IVORY = (0.82, 0.76, 0.64)
+GUM = (0.42, 0.12, 0.11)
+TONGUE = (0.45, 0.13, 0.12)
 
 
 def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
@@ -25,7 +26,7 @@ def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
     u = np.linspace(-1, 1, _TEETH * _SAMPLES + 1)
     gap = np.abs(np.cos(np.pi * u * _TEETH / 2)) ** 6
     width = 2.3 if upper else 2.15
-    front = 9.1 if upper else 8.85
+    front = 9.25 if upper else 9.0
     turn = u * np.radians(88)
     arch = np.stack([width * np.sin(turn), np.zeros_like(u), front - 2.9 * (1 - np.cos(turn))], axis=1)
     out = np.stack([np.sin(turn), np.zeros_like(u), np.cos(turn)], axis=1)
@@ -42,8 +43,18 @@ def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
     points = arch[None] - inset[..., None] * out[None]
     points[..., 1] = level + side * y
     solid = strip(points if not upper else points[::-1])
-    color = _IVORY * (1 - 0.45 * gap[None, :, None]) * (1 - gum[:, None, None]) + _GUM * gum[:, None, None]
+    color = (
+        np.array(IVORY) * (1 - 0.45 * gap[None, :, None]) * (1 - gum[:, None, None])
+        + np.array(GUM) * gum[:, None, None]
+    )
     return solid, (color if not upper else color[::-1]).reshape(-1, 3)
+
+
+def face_groups(*, upper: bool) -> dict[str, IntArray]:
+    """Faces of a row's teeth and gum, by material."""
+    gum = (_IS_GUM[:-1] + _IS_GUM[1:]) > 0
+    gum = np.repeat(gum[::-1] if upper else gum, _TEETH * _SAMPLES)
+    return {"Gums": np.nonzero(gum)[0].astype(np.int32), "Teeth": np.nonzero(~gum)[0].astype(np.int32)}
 
 
 def tongue(who: Identity) -> tuple[Solid, FloatArray]:
@@ -53,5 +64,5 @@ def tongue(who: Identity) -> tuple[Solid, FloatArray]:
     points[:, 1] *= np.where(points[:, 1] > 0, 0.75, 1.0)
     points[:, 1] -= 0.10 * np.exp(-((points[:, 0] / 0.4) ** 2)) * (points[:, 1] > 0)
     points += (0.0, mouth.lips(who).height - 0.82, 5.75)
-    colors = np.tile((0.45, 0.13, 0.12), (len(points), 1))
+    colors = np.tile(TONGUE, (len(points), 1))
     return Solid(points, solid.counts, solid.indices, solid.uvs), colors

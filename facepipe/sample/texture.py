@@ -16,16 +16,18 @@ SIZE = 512
 def skin(colors: FloatArray) -> TextureInput:
     """The head's (n, 3) linear colours as an sRGB picture of SIZE pixels a side."""
     corners, shares = _pixels()
-    values = np.einsum("pk,pkc->pc", shares, _srgb(colors)[_points()[corners]])
+    values = np.einsum("pk,pkc->pc", shares, srgb(colors)[_points()[corners]])
     pixels = (np.clip(values, 0.0, 1.0) * 255 + 0.5).astype(np.uint8).reshape(SIZE, SIZE, 3)
-    return TextureInput(texture=Texture(name="skin.png", data=_png(pixels)))
+    return TextureInput(texture=Texture(name="skin.png", data=png(pixels)))
 
 
-def _srgb(linear: FloatArray) -> FloatArray:
+def srgb(linear: FloatArray) -> FloatArray:
+    """Linear colours 0..1 in sRGB's encoding."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def _png(pixels: Any) -> bytes:
+def png(pixels: Any) -> bytes:
+    """PNG bytes of (h, w, 3) 8-bit pixels."""
     from io import BytesIO
 
     from PIL import Image
