@@ -13,7 +13,7 @@ from facepipe.parts import Blendshape, FaceParts, FloatArray, Mesh
 from facepipe.sample import eyes, identity, layout, make, mouth, shapes, topology
 from facepipe.sample.meshes import build as build_neutral
 
-SEEDS = (0, 1, 2, 7)
+SEEDS = (0, 1, 2, 24)
 MM = 0.1  # centimetres
 ARKIT = [
     "eyeBlinkLeft",

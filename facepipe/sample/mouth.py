@@ -92,7 +92,10 @@ def _raise(flat: FloatArray, skull: Skull, who: Identity, shape: Lips, upper: Fl
     points[:, 2] -= 0.22 * corner
     rings = points.reshape(*flat.shape[:2], 3)
     taper = np.clip(1 - (np.abs(flat[OUTLINE - 1, :, 0]) / shape.half_width) ** 2, 0, 1) ** 0.6
-    full = np.where(upper, 1 + 0.12 * who.upper_lip, 1 + 0.12 * who.lower_lip)
+    # Full lips bulge more, but meet at the same depth.
+    bulge = np.linspace(1.0, 0.0, CONTACT - OUTLINE + 1) ** 0.5
+    bulge = np.concatenate([np.ones(OUTLINE - 1), bulge])[:, None]
+    full = 1 + 0.12 * bulge * np.where(upper, who.upper_lip, who.lower_lip)
     skin = np.array([0.0, 0.01, 0.04, 0.11])
     upper_profile = np.append(skin, [0.22, 0.33, 0.41, 0.40, 0.15])
     lower_profile = np.append(skin, [0.17, 0.40, 0.54, 0.50, 0.15])
