@@ -12,12 +12,13 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe import tokens
-from facepipe.errors import InputError, SchemaError
+from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.names import identifier
 from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
 from facepipe.stage.files import derived_stage, open_stage, save_layer
+from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
@@ -83,9 +84,8 @@ class Face:
             name if names.count(name) == 1 else identifier(str(prim.GetPath().MakeRelativePath(self.prim.GetPath())))
             for name, prim in zip(names, prims, strict=True)
         ]
-        bindings = self._bindings()
         with self._trail():
-            materials = dict(self._material_names)
+            bindings, materials = self._bindings(), dict(self._material_names)
             return tuple(
                 read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
                 for prim, name in zip(prims, own, strict=True)
@@ -124,7 +124,7 @@ class Face:
     @property
     def attach_joint(self) -> str | None:
         """Joint of a body skeleton that the root joints hang under."""
-        return str(self.prim.GetAttribute(tokens.ATTACH_JOINT).Get() or "") or None
+        return self._text(tokens.ATTACH_JOINT) or None
 
     def landmarks(self, scheme: str = "multipie68") -> tuple[Mesh, Landmarks]:
         """The mesh that has landmarks of `scheme`, and these.
@@ -152,7 +152,7 @@ class Face:
             bone_limits=limits,
             materials=self.materials,
             attach_joint=self.attach_joint,
-            attribution=str(self.prim.GetAttribute(tokens.ATTRIBUTION).Get() or ""),
+            attribution=self._text(tokens.ATTRIBUTION),
             recipe=recipe,
         )
 
@@ -252,6 +252,10 @@ class Face:
                 return prim
         raise InputError(self.where, f"no mesh '{name}'")
 
+    def _text(self, name: str) -> str:
+        with self._trail():
+            return str(self.prim.GetAttribute(name).Get() or "")
+
     def _below(self) -> Iterator[Usd.Prim]:
         return prims_below(self.prim, self.where)
 
@@ -266,6 +270,8 @@ class Face:
 
     def _bindings(self) -> dict[str, Binding]:
         cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
+        if not root:
+            raise SchemaError(self.where, f"is of type '{self.prim.GetTypeName()}', expected SkelRoot")
         cache.Populate(root, INSTANCES)
         bound = cache.ComputeSkelBindings(root, INSTANCES)
         return {
@@ -278,8 +284,11 @@ class Face:
     def _trail(self) -> Iterator[None]:
         try:
             yield
-        except (InputError, SchemaError) as error:
-            raise type(error)(f"{self.where.partition(' -> ')[0]} -> {error.where}", error.what) from None
+        except USD_ERRORS as error:
+            raise InputError(self.where, f"can't be read as USD: {reason(error)}") from None
+        except FacepipeError as error:
+            file = self.where.partition(" -> ")[0]
+            raise error if error.where.startswith(file) else error.under(file) from None
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:
@@ -297,4 +306,5 @@ def open_face(path: str | os.PathLike[str]) -> Face:
     :raises InputError: no such file, or no readable USD
     :raises SchemaError: a stage without a face
     """
-    return Face(open_stage(path))
+    with usd_errors(path):
+        return Face(open_stage(path))

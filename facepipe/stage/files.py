@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
 import facepipe_schemas
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
+from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from facepipe.atomic import replacing
 from facepipe.errors import ExportError, InputError
+from facepipe.stage.guard import USD_ERRORS, reason
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -44,19 +44,13 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     with quiet_diagnostics():
         try:
             stage = Usd.Stage.Open(str(file))
-        except (Tf.ErrorException, RuntimeError) as error:
-            raise InputError(file, f"can't be read as USD: {_reason(error)}") from None
-        problems = stage.GetCompositionErrors() if strict else []
+            problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
+        except (*USD_ERRORS, RuntimeError) as error:
+            raise InputError(file, f"can't be read as USD: {reason(error)}") from None
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
     return stage
-
-
-def _reason(error: Exception) -> str:
-    """The messages of a USD error without its C++ trail."""
-    messages = re.findall(r" : '(.*)'\s*$", str(error), flags=re.MULTILINE)
-    return messages[0] if messages else (str(error).strip() or type(error).__name__)
 
 
 def check_suffix(path: Path) -> None:

@@ -10,12 +10,14 @@ from pxr import Usd, UsdSkel
 
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Blendshape, Inbetween
+from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, ints
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 
+@reads_prim
 def read_blendshapes(prim: Usd.Prim, points: int) -> tuple[Blendshape, ...]:
     """The blendshapes bound to a mesh, in the order of skel:blendShapes.
 

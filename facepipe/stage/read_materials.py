@@ -9,6 +9,7 @@ from pxr import Ar, Usd, UsdShade
 
 from facepipe.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
+from facepipe.stage.guard import reads_prim
 
 _IMAGE_STARTS = (
     b"\x89PNG\r\n\x1a\n",
@@ -23,6 +24,7 @@ _IMAGE_STARTS = (
 _WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "clamp", "useMetadata": "repeat"}
 
 
+@reads_prim
 def read_material(prim: Usd.Prim, name: str) -> Material | None:
     """The UsdPreviewSurface of a Material prim; None where it has none.
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.stage.guard import reads_prim
 from facepipe.stage.read_blendshapes import read_blendshapes
 from facepipe.stage.values import floats, ints, matrix
 
@@ -28,6 +29,7 @@ class Binding(NamedTuple):
     joints: tuple[str, ...]
 
 
+@reads_prim
 def read_mesh(
     prim: Usd.Prim,
     name: str,
@@ -74,6 +76,7 @@ def read_mesh(
     )
 
 
+@reads_prim
 def read_point_values(prim: Usd.Prim, name: str, points: int) -> FloatArray:
     """(n,) values of a float primvar with one value per point; NaN where the mesh has none of that name."""
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)

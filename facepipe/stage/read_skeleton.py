@@ -11,11 +11,13 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton, Slider
+from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, matrix, quaternions
 
 FloatArray = npt.NDArray[np.floating]
 
 
+@reads_prim
 def read_skeleton(prim: Usd.Prim) -> Skeleton:
     """A Skeleton prim.
 
@@ -40,6 +42,7 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
     return result
 
 
+@reads_prim
 def read_limits(prim: Usd.Prim, joint_count: int) -> BoneLimits | None:
     """Bone limits of a Skeleton prim, where it has some."""
     lower = floats(prim.GetAttribute(tokens.LIMITS_LOWER).Get())
@@ -52,6 +55,7 @@ def read_limits(prim: Usd.Prim, joint_count: int) -> BoneLimits | None:
     return BoneLimits(lower=lower.reshape(-1, 9), upper=upper.reshape(-1, 9))
 
 
+@reads_prim
 def read_animation(prim: Usd.Prim) -> Animation:
     """A SkelAnimation prim: its time samples, or its default values as one pose.
 
@@ -95,6 +99,7 @@ def read_animation(prim: Usd.Prim) -> Animation:
     )
 
 
+@reads_prim
 def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
     """The sliders applied to the face prim, by name.
 
@@ -138,6 +143,7 @@ def _slider(prim: Usd.Prim, name: str) -> Slider:
     return slider
 
 
+@reads_prim
 def read_recipe(prim: Usd.Prim) -> Recipe | None:
     """The recipe of the face prim, where it has one."""
     verb = prim.GetAttribute(tokens.RECIPE_VERB).Get()

@@ -8,7 +8,7 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.registry import exporter, suffixes
 from facepipe.reports import Finding
-from facepipe.stage.files import SUFFIXES, open_stage
+from facepipe.stage.files import SUFFIXES, open_stage, quiet_diagnostics
 from facepipe.validate.checks import CHECKS, Check, check_stage
 from facepipe.validate.usd_registry import check_built_in, register
 
@@ -37,5 +37,6 @@ def validate_stage(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
     :raises InputError: no such file, or no readable USD
     """
-    stage = open_stage(path, strict=False)
-    return tuple(check_stage(stage) + check_built_in(stage))
+    with quiet_diagnostics():
+        stage = open_stage(path, strict=False)
+        return tuple(check_stage(stage) + check_built_in(stage))

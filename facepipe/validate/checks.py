@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pxr import Usd
 
 from facepipe.reports import Finding
+from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.validate import control_checks as control
 from facepipe.validate import layout_checks as layout
 from facepipe.validate import point_checks as points
@@ -100,12 +102,23 @@ CHECKS: tuple[Check, ...] = (
 
 def check_stage(stage: Usd.Stage) -> list[Finding]:
     """What our checks find on a stage, in the order of `CHECKS`."""
-    face = FaceView(stage)
-    return [
-        Finding(check=check.full_name, severity=check.severity, where=trail(stage, path), message=_line(message))
-        for check in CHECKS
-        for path, message in check.function(face)
-    ]
+    with usd_errors(stage.GetRootLayer().realPath), np.errstate(all="ignore"):  # NaN is what some checks look for
+        face = FaceView(stage)
+        return [
+            Finding(check=check.full_name, severity=check.severity, where=trail(stage, path), message=_line(message))
+            for check in CHECKS
+            for path, message in problems(check, face)
+        ]
+
+
+def problems(check: Check, face: FaceView) -> list[Problem]:
+    """What a check finds; that it could not be run is a find too."""
+    found: list[Problem] = []
+    try:
+        found.extend(check.function(face))
+    except USD_ERRORS as error:
+        found.append(Problem("/", f"could not be checked: {reason(error)}"))
+    return found
 
 
 def trail(stage: Usd.Stage, path: str) -> str:

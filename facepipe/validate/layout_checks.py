@@ -9,6 +9,7 @@ import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from facepipe.stage.bindings import authored_skel_properties
+from facepipe.stage.guard import UNREADABLE, reason
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array
 
@@ -93,8 +94,8 @@ def readable_values(face: FaceView) -> Iterator[Problem]:
         try:
             time = Usd.TimeCode.EarliestTime() if attribute.ValueMightBeTimeVarying() else Usd.TimeCode.Default()
             found = attribute.Get(time)
-        except (Tf.ErrorException, RuntimeError, TypeError, ValueError) as error:
-            yield at(attribute, f"can't be read ({' '.join(str(error).split())[:120]})")
+        except (*UNREADABLE, RuntimeError) as error:
+            yield at(attribute, f"can't be read ({reason(error)[:200]})")
             continue
         kind = attribute.GetTypeName()
         own = Tf.Type.FindByName(kind.cppTypeName) if found is not None and kind else None
@@ -126,5 +127,5 @@ def _floats(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:
         return None
     try:
         return array(attribute.Get(time))
-    except (Tf.ErrorException, RuntimeError, TypeError, ValueError):
+    except (*UNREADABLE, RuntimeError):
         return None

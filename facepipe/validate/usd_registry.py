@@ -12,7 +12,8 @@ from pxr import Sdf, Usd
 
 from facepipe.reports import Finding
 from facepipe.stage.files import quiet_diagnostics
-from facepipe.validate.checks import CHECKS, Check, Severity, trail
+from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.validate.checks import CHECKS, Check, Severity, problems, trail
 from facepipe.validate.views import FaceView
 
 KEYWORD = "facepipe"
@@ -79,7 +80,7 @@ def _task(check: Check) -> Callable[..., list[Any]]:
             UsdValidation.ValidationError(
                 check.name, kind, [UsdValidation.ValidationErrorSite(stage, Sdf.Path(path))], message
             )
-            for path, message in check.function(FaceView(stage))
+            for path, message in problems(check, FaceView(stage))
         ]
 
     return task
@@ -96,8 +97,15 @@ def check_built_in(stage: Usd.Stage) -> list[Finding]:
     if not validators:
         return []
     with quiet_diagnostics():
-        errors = UsdValidation.ValidationContext(validators).Validate(stage)
-        return sorted((_finding(stage, error) for error in errors), key=lambda one: (one.check, one.where, one.message))
+        try:
+            errors = UsdValidation.ValidationContext(validators).Validate(stage)
+            found = [_finding(stage, error) for error in errors]
+        except USD_ERRORS as error:
+            message = f"USD's own validators could not be run: {reason(error)}"
+            return [
+                Finding(check="facepipe:ReadableValues", severity="error", where=trail(stage, "/"), message=message)
+            ]
+    return sorted(found, key=lambda one: (one.check, one.where, one.message))
 
 
 def _finding(stage: Usd.Stage, error: Any) -> Finding:

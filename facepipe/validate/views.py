@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
+from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.traversal import prims_below
 
 FloatArray = npt.NDArray[np.floating]
@@ -27,7 +28,7 @@ def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> 
             return attribute.Get(time)
         found = attribute.Get()
         return attribute.Get(Usd.TimeCode.EarliestTime()) if found is None else found
-    except (Tf.ErrorException, RuntimeError, TypeError, ValueError):
+    except (*UNREADABLE, RuntimeError):
         return None  # the check of readable values reports it
 
 

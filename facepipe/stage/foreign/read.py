@@ -18,6 +18,7 @@ from facepipe.stage.foreign.materials import bound_materials
 from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
+from facepipe.stage.guard import USD_ERRORS, reason
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.read_skeleton import read_animation, read_skeleton
 
@@ -68,6 +69,8 @@ def _trail(path: Path) -> Iterator[None]:
     """Errors name the file first."""
     try:
         yield
+    except USD_ERRORS as error:
+        raise InputError(path, f"can't be read as USD: {reason(error)}") from None
     except (SchemaError, TopologyError) as error:
         raise error.under(path) from None
     except InputError as error:
