@@ -38,6 +38,7 @@ class Studio:
     compress: bool = True  # bend highlights below white; off where colours must be exact
 
 
+GREY = np.full(3, 1 / 3, np.float32)
 SHARPEST = 0.22  # roughness; a lamp is no point, so that its glint has a size
 # Red light scatters farthest below skin, so the edge of shade is warm.
 SKIN_WRAP = (0.34, 0.20, 0.15)
@@ -94,7 +95,7 @@ def lit(samples: Samples, studio: Studio) -> FloatArray:
         diffuse += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
         if light.highlight:
             shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
-            highlights += (shine * arriving.mean(axis=1))[:, None] * _row(light.color)
+            highlights += (shine * (arriving @ GREY))[:, None] * _row(light.color)
     color = samples.base * diffuse * samples.opacity[:, None] + highlights
     return shoulder(color) if studio.compress else np.minimum(color, 1.0)
 
@@ -112,7 +113,7 @@ def shoulder(color: FloatArray) -> FloatArray:
 def _highlight(samples: Samples, light: Light) -> FloatArray:
     """Normalised Blinn-Phong with Schlick's Fresnel term at 4 % (ior 1.5)."""
     half = samples.towards_eye + light.unit
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    half /= np.sqrt(np.einsum("mc,mc->m", half, half))[:, None]
     alpha = np.maximum(samples.roughness, SHARPEST) ** 2
     exponent = 2 / alpha**2 - 2
     cosine = np.clip(np.einsum("mc,mc->m", samples.normals, half), 0, 1)

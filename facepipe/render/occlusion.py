@@ -46,8 +46,9 @@ def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, reso
     right = np.cross(helper, backward)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(backward, right), backward])
-    used = points[np.unique(triangles)] @ axes.T
-    low, high = used.min(axis=0), used.max(axis=0)
+    drawn = np.zeros(len(points), dtype=bool)
+    drawn[triangles] = True
+    low, high = (limit(axes @ points[drawn].T, axis=1) for limit in (np.min, np.max))
     scale = (resolution - 8) / max(float(np.max(high - low)), 1e-12)
     # Nearness starts at 1: 0 marks an empty pixel.
     origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])

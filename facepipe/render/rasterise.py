@@ -8,7 +8,7 @@ triangles find the crossing of an edge and a row with the same arithmetic, and s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,14 @@ class ScreenTriangles:
 
     ids: IntArray  # (s,) the triangle each one is, or is a piece of
     xy: FloatArray  # (s, 3, 2) pixels, y down; sorted by y
-    nearness: FloatArray  # (s, 3) at the corners; larger is nearer
+    nearness: FloatArray  # (s,) at the first corner; larger is nearer
+    limits: FloatArray  # (s, 2) least and largest nearness of the corners
     gradient: FloatArray  # (s, 2) of nearness per pixel in x and y
 
     def select(self, keep: npt.NDArray[np.bool_]) -> ScreenTriangles:
         """Those whose triangle is marked in `keep` (t,)."""
         at = np.flatnonzero(keep[self.ids])
-        return ScreenTriangles(ids=self.ids[at], xy=self.xy[at], nearness=self.nearness[at], gradient=self.gradient[at])
+        return ScreenTriangles(**{each.name: getattr(self, each.name)[at] for each in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +73,13 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
     kept = np.abs(area) > 1e-12
     ids, screen, u, v, area = ids[kept], screen[kept], u[kept], v[kept], area[kept]
     gradient = np.stack([u[:, 2] * v[:, 1] - v[:, 2] * u[:, 1], v[:, 2] * u[:, 0] - u[:, 2] * v[:, 0]], axis=1)
+    low, high = (pick(pick(screen[:, 0, 2], screen[:, 1, 2]), screen[:, 2, 2]) for pick in (np.minimum, np.maximum))
     return ScreenTriangles(
-        ids=ids, xy=screen[..., :2], nearness=screen[..., 2], gradient=np.asarray(gradient / area[:, None])
+        ids=ids,
+        xy=screen[..., :2],
+        nearness=screen[:, 0, 2],
+        limits=np.stack([low, high], axis=1),
+        gradient=np.asarray(gradient / area[:, None]),
     )
 
 
@@ -135,6 +141,8 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
 def _clip(corners: FloatArray, ids: IntArray) -> tuple[FloatArray, IntArray]:
     """Cut the triangles that pass through the plane w = NEAR; drop those behind it."""
     front = corners[..., 3] > NEAR
+    if front.all():
+        return corners, ids
     whole = front.all(axis=1)
     crossing = np.flatnonzero(front.any(axis=1) & ~whole)
     if not len(crossing):
@@ -192,14 +200,13 @@ def _fragments(
     screen: ScreenTriangles, number: IntArray, row: IntArray, start: IntArray, count: IntArray, top: int, width: int
 ) -> tuple[IntArray, KeyArray]:
     """Flat pixel numbers and keys of the spans' fragments."""
-    corner = screen.xy[number, 0]
-    gradient = screen.gradient[number]
-    offset = np.stack([start + 0.5, row + 0.5], axis=1) - corner
-    at_start = screen.nearness[number, 0] + (offset * gradient).sum(axis=1)
-    low, high = screen.nearness[number].min(axis=1), screen.nearness[number].max(axis=1)
+    corner, gradient, limits = screen.xy[number, 0], screen.gradient[number], screen.limits[number]
+    right, down = start + 0.5 - corner[:, 0], row + 0.5 - corner[:, 1]
+    at_start = screen.nearness[number] + right * gradient[:, 0] + down * gradient[:, 1]
     span, step = _expand(count)
     # Slivers have wild gradients; their nearness stays between that of their corners.
-    nearness = np.clip(at_start[span] + gradient[span, 0] * step, low[span], high[span]).astype(np.float32)
+    nearness = at_start[span] + gradient[:, 0][span] * step
+    nearness = np.clip(nearness, limits[:, 0][span], limits[:, 1][span]).astype(np.float32)
     names = (_ID_MASK - screen.ids[number].astype(np.uint64))[span]
     keys = (nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)) | names
     return ((row - top) * width + start)[span] + step, keys

@@ -177,4 +177,4 @@ def _constant(value: float | TextureInput, otherwise: float) -> float:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
+    return np.asarray(vectors / np.sqrt(np.maximum(np.einsum("mc,mc->m", vectors, vectors), 1e-24))[:, None])
