@@ -23,7 +23,7 @@ _GROUP_BYTES = 50_000  # two small nodes
 _BLOCK_BYTES = 80  # one row of a Gather
 _TRIM_BYTES = 250_000  # cutting the points that fill the last block up
 _BLOCK_SIZES = range(1, 17)
-_MAX_GROUPS = 64
+_MAX_GROUPS = 256
 _MAX_PATTERNS = 2048
 
 

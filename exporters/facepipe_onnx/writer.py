@@ -106,10 +106,10 @@ def _dropped(parts: FaceParts) -> tuple[str, ...]:
         (len(parts.animations), "animations"),
         (len(parts.materials), "materials"),
         (sum(len(mesh.uv_sets) for mesh in parts.meshes), "UV sets"),
-        (sum(mesh.normals is not None for mesh in parts.meshes), "meshes' authored normals"),
-        (len(sculpted), "blendshapes' normal offsets"),
-        (sum(mesh.colors is not None for mesh in parts.meshes), "meshes' display colours"),
+        (sum(mesh.normals is not None for mesh in parts.meshes), "meshes with authored normals"),
+        (len(sculpted), "blendshapes with normal offsets"),
+        (sum(mesh.colors is not None for mesh in parts.meshes), "meshes with display colours"),
         (len({name for mesh in parts.meshes for name in (*mesh.regions, *mesh.point_subsets)}), "regions"),
         (len({scheme for mesh in parts.meshes for scheme in mesh.landmarks}), "landmark schemes"),
     )
-    return tuple(f"{count} {what}" for count, what in counts if count)
+    return tuple(f"{what}: {count}" for count, what in counts if count)
