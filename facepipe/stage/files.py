@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import struct
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from facepipe.atomic import replacing
 from facepipe.errors import ExportError, InputError
 from facepipe.stage.guard import USD_ERRORS, reason
 
+_MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -88,6 +91,19 @@ def _package(layer: Sdf.Layer, target: Path, temporary: Path, folder: Path) -> N
         root.unlink(missing_ok=True)
     if not made:
         raise ExportError(target, "USD could not make the .usdz package")
+    _without_times(temporary)
+
+
+def _without_times(package: Path) -> None:
+    """The same zip with every entry dated 1980-01-01: USD writes the files' times, in the local time zone."""
+    data = bytearray(package.read_bytes())
+    with zipfile.ZipFile(package) as archive:
+        entries, central = archive.infolist(), archive.start_dir
+    for entry in entries:
+        data[entry.header_offset + 10 : entry.header_offset + 14] = _MIDNIGHT_1980
+        data[central + 12 : central + 16] = _MIDNIGHT_1980
+        central += 46 + sum(struct.unpack_from("<3H", data, central + 28))
+    package.write_bytes(data)
 
 
 def _forget(path: Path) -> None:
