@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.render.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
 from facepipe.render.shade import Shader
+from facepipe.render.textures import linear_to_srgb
 
 FloatArray = npt.NDArray[np.floating]
 Image8 = npt.NDArray[np.uint8]
@@ -15,25 +18,23 @@ SAMPLES_PER_BAND = 1_500_000
 LAYERS = 3  # see-through layers that are told apart; what lies behind the third is left out
 
 
-def draw(shader: Shader, background: FloatArray, samples: int) -> npt.NDArray[np.float32]:
-    """(h, w, 3) linear picture of the scene.
+def draw(shader: Shader, size: int, backdrop: Callable[[int, int], FloatArray], samples: int) -> Image8:
+    """(size, size, 3) sRGB pixels of the scene.
 
     :param shader: its camera counts super-samples: `samples` times the pixels of the picture
-    :param background: (h, w, 3) linear
+    :param backdrop: gives the linear background (rows, size, 3) of a half-open range of rows
     :param samples: per pixel and direction
     """
-    height, width = background.shape[:2]
     screen = screen_triangles(shader.homogeneous, shader.scene.triangles)
     opaque, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
-    picture = np.array(background, dtype=np.float32)
-    rows = max(1, SAMPLES_PER_BAND // (width * samples * samples))
-    for top in range(0, height, rows):
-        band = slice(top, min(top + rows, height))
-        size = width * samples, height * samples
-        span = band.start * samples, band.stop * samples
-        fine = np.repeat(np.repeat(picture[band], samples, axis=0), samples, axis=1)
-        _draw_band(shader, opaque, clear, fine, size, span)
-        picture[band] = fine.reshape(-1, samples, width, samples, 3).mean(axis=(1, 3))
+    picture = np.empty((size, size, 3), np.uint8)
+    rows = max(1, SAMPLES_PER_BAND // (size * samples * samples))
+    for top in range(0, size, rows):
+        bottom = min(top + rows, size)
+        fine = backdrop(top, bottom).astype(np.float32).repeat(samples, axis=0).repeat(samples, axis=1)
+        _draw_band(shader, opaque, clear, fine, (size * samples, size * samples), (top * samples, bottom * samples))
+        linear = fine.reshape(-1, samples, size, samples, 3).mean(axis=(1, 3))
+        picture[top:bottom] = (linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8)
     return picture
 
 

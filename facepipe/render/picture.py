@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +17,10 @@ from facepipe.render import overlay
 from facepipe.render.camera import Camera, Frame, View, portrait
 from facepipe.render.draw import draw
 from facepipe.render.heatmap import HeatMap
+from facepipe.render.landmarks import draw_landmarks
 from facepipe.render.scene import Scene, build_scene, world_points
 from facepipe.render.shade import Shader
-from facepipe.render.textures import TextureCache, linear_to_srgb, srgb_to_linear
+from facepipe.render.textures import TextureCache, srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -78,10 +80,10 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
     camera = _camera(parts, scene, options)
     textures = TextureCache(largest=2 * options.size)
     shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap)
-    linear = draw(shader, backdrop(options.size, options.background), options.samples)
-    image = Image.fromarray((linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8))
+    behind = partial(backdrop, options.size, options.background)
+    image = Image.fromarray(draw(shader, options.size, behind, options.samples))
     if options.landmarks is not None:
-        overlay.landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
+        draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.written:
         overlay.color_bar(image, options.heatmap)
     if options.title and options.written:
@@ -98,15 +100,13 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
         image.save(temporary, format="PNG", compress_level=6)
 
 
-def backdrop(size: int, colors: Color | tuple[Color, Color]) -> npt.NDArray[np.float32]:
-    """(size, size, 3) linear background: one sRGB colour, or a soft blend from the middle to the corners."""
-    ends = np.broadcast_to(np.array(colors, dtype=np.float64), (2, 3))
+def backdrop(size: int, colors: Color | tuple[Color, Color], top: int, bottom: int) -> npt.NDArray[np.float32]:
+    """Rows `top` to `bottom` of a linear background: one sRGB colour, or a blend from the middle to the corners."""
+    middle, corner = np.broadcast_to(np.array(colors, dtype=np.float32), (2, 3))
     across = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
-    distance = np.sqrt(across[None, :] ** 2 + across[:, None] ** 2) / np.sqrt(2)
-    share = (distance**2 * (3 - 2 * distance)).astype(np.float32)[..., None]
-    middle, corner = ends.astype(np.float32)
-    blend = middle + (corner - middle) * share
-    return np.asarray(srgb_to_linear(blend), dtype=np.float32)
+    distance = np.sqrt((across[None, :] ** 2 + across[top:bottom, None] ** 2) / 2)
+    share = (distance**2 * (3 - 2 * distance))[..., None]
+    return np.asarray(srgb_to_linear(middle + (corner - middle) * share), dtype=np.float32)
 
 
 def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:

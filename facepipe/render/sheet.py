@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from facepipe.errors import InputError
-from facepipe.render.overlay import INK, font
+from facepipe.render.overlay import INK, fitting_font
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,8 +35,11 @@ def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
         row, column = divmod(number, columns)
         left, top = gap + column * (width + gap), gap + row * (height + strip + gap)
         sheet.paste(image.convert("RGB"), (left + (width - image.width) // 2, top + (height - image.height) // 2))
-        size = letters
-        while size > 8 and font(size).getlength(caption) > width:
-            size -= 1
-        pen.text((left + width / 2, top + height + strip / 2), caption, fill=INK, font=font(size), anchor="mm")
+        pen.text(
+            (left + width / 2, top + height + strip / 2),
+            caption,
+            fill=INK,
+            font=fitting_font(caption, letters, width),
+            anchor="mm",
+        )
     return sheet
