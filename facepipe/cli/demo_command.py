@@ -19,7 +19,7 @@ from facepipe.errors import InputError
 if TYPE_CHECKING:
     from facepipe.stage import Face
 
-FILES = ("head.usda", "head.glb", "head.onnx", "head.json", "points.npz", "sheet.png")
+FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
 POSE = {"jawOpen": 0.7, "mouthSmileLeft": 0.5}
 SHEET = (
     "jawOpen",
