@@ -471,3 +471,25 @@ def test_skin_texture_shows_the_points_colors(seed: int) -> None:
     difference = np.abs(linear[rows, columns_] - head.colors[head.face_vertex_indices]).max(axis=1)
     assert np.percentile(difference, 95) < 0.03
     assert difference.mean() < 0.01
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_shapes_do_not_fold_the_skin(seed: int) -> None:
+    head = mesh(sample(seed), "Head")
+    labels = layout.build()
+    hidden = labels.ring["mouth"] > mouth.OUTLINE
+    for side in ("Left", "Right"):
+        hidden |= (labels.ring["eye" + side] >= 0) | (labels.ring["nostril" + side] >= 1)
+    triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
+    triangles = triangles[~hidden[triangles].any(axis=1)]
+
+    def normals(points: FloatArray) -> FloatArray:
+        a, b, c = (points[triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+    neutral = normals(head.points)
+    for shape in head.blendshapes:
+        if shape.name != "mouthClose":  # belongs on an open jaw
+            turned = np.einsum("ij,ij->i", neutral, normals(posed(head, shape.name)))
+            assert turned.min() > 0, shape.name

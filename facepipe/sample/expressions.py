@@ -10,7 +10,8 @@ from facepipe.parts import FloatArray
 from facepipe.sample.fields import HINGE, Fields
 
 Expression = Callable[[Fields], FloatArray]
-JAW_OPEN = np.radians(17.0)
+JAW_OPEN = np.radians(14.0)
+_MEETING = 0.2  # where the lips of an open jaw meet, from the upper (0) to the lower (1)
 
 
 def _push(mask: FloatArray, direction: tuple[float, float, float]) -> FloatArray:
@@ -29,25 +30,25 @@ def open_jaw(points: FloatArray, share: FloatArray) -> FloatArray:
 
 def _corner(f: Fields, rx: float = 1.5, ry: float = 1.4) -> FloatArray:
     """Around the left corner of the mouth, as far inside as the lips reach."""
-    return f.spot((f.lips.half_width, f.lips.height), (rx, ry)) * np.maximum(f.skin, f.lip)
+    return f.spot((f.lips.half_width, f.lips.height), (rx, ry)) * f.follow
 
 
 def _near_mouth(f: Fields, rx: float = 3.2, ry: float = 2.2) -> FloatArray:
-    return f.spot((0.0, f.lips.height), (rx, ry)) * np.maximum(f.skin, f.lip)
+    return f.spot((0.0, f.lips.height), (rx, ry)) * f.follow
 
 
 def _lip_part(f: Fields, *, upper: bool, ry: float = 1.1) -> FloatArray:
     """The left half of one lip and the skin around it."""
     side = 1.0 if upper else -1.0
-    around = f.spot((1.15, f.lips.height + 0.55 * side), (1.15, ry)) * np.maximum(f.skin, f.lip)
+    around = f.spot((1.15, f.lips.height + 0.55 * side), (1.15, ry)) * f.follow
     return np.asarray(around * (f.upper if upper else 1 - f.upper))
 
 
 def mouth_close(f: Fields) -> FloatArray:
-    """Closes the lips of an open jaw: both come half way towards each other."""
+    """Closes the lips of an open jaw: the lower lip comes up, the upper lip, held by the teeth, down a little."""
     opened = open_jaw(f.points, f.jaw)
     lower_lip = open_jaw(f.points, np.ones(len(f.points)))
-    return np.asarray(f.lip[:, None] * (0.5 * lower_lip - opened))
+    return np.asarray(f.lip[:, None] * (_MEETING * lower_lip - opened))
 
 
 def _smile(f: Fields) -> FloatArray:

@@ -24,7 +24,8 @@ class Fields:
     jaw: FloatArray  # how far a point follows the lower jaw
     upper: FloatArray  # 1 above the lips' slit, 0 below, blending at the corners and in the cheeks
     lip: FloatArray  # 1 on the lips and their inner side, falling to 0 at the patch's outline and in the bag
-    skin: FloatArray  # 1 on the outside, 0 inside mouth bag, sockets and nostrils
+    skin: FloatArray  # 1 on the outside, 0 inside the mouth bag
+    follow: FloatArray  # 1 where the mouth's motion reaches: the outside and the front of the bag, falling behind it
 
     def spot(self, center: tuple[float, float], radii: tuple[float, float]) -> FloatArray:
         """A Gaussian in the frontal plane around a centre on the subject's left, on the front of the head."""
@@ -44,12 +45,13 @@ def build(points: FloatArray, who: Identity) -> Fields:
     patch = labels.upper["mouth"]
     share = np.interp(ring, [0, mouth.OUTLINE - 1], [0.0, 1.0])
     upper = np.where(ring >= 0, upper + share * (np.nan_to_num(patch) - upper), upper)
-    lip = np.interp(ring, [0, mouth.OUTLINE, mouth.CONTACT + 1, mouth.RINGS - 2], [0.0, 1.0, 1.0, 0.0], left=0.0)
+    lip = np.interp(ring, [0, mouth.OUTLINE, mouth.RINGS - 3, mouth.RINGS - 1], [0.0, 1.0, 1.0, 0.0], left=0.0)
     lip = np.where(ring >= 0, smoothstep(0.0, 1.0, lip), 0.0)
     skin = np.where(inside, 0.0, 1.0)
+    follow = np.interp(ring, [mouth.RINGS - 2, mouth.RINGS], [1.0, 0.2])
     for side in ("Left", "Right"):
         skin = np.where(labels.ring["nostril" + side] >= 2, 0.5, skin)
-    return Fields(points=points, lips=shape, jaw=_jaw(), upper=upper, lip=lip, skin=skin)
+    return Fields(points=points, lips=shape, jaw=_jaw(), upper=upper, lip=lip, skin=skin, follow=follow)
 
 
 def _jaw() -> FloatArray:
@@ -76,16 +78,16 @@ def _jaw_bounds(labels: layout.Layout) -> tuple[topology.BoolArray, FloatArray]:
     patch = ring >= 1
     middle = (across > layout.CORNER) & (across < 1 - layout.CORNER)
     lip_side = patch & middle & (ring < mouth.RINGS - 1)
-    above = (lip_side & (labels.upper["mouth"] > 0.5)) | (~patch & ((level <= 9.03) | (column >= 27) | (level >= 15.2)))
+    above = (lip_side & (labels.upper["mouth"] > 0.5)) | (~patch & ((level <= 9.03) | (column >= 29) | (level >= 16.6)))
     for side in ("Left", "Right"):
         above |= (
             (labels.ring["ear" + side] >= 0) | (labels.ring["eye" + side] >= 0) | (labels.ring["nostril" + side] >= 0)
         )
     below = lip_side & (labels.upper["mouth"] < 0.5)
-    chin = ~patch & (level > 11.1) & (level < 13.6) & (column <= 13)
-    edge = ~patch & (level > 12.3) & (level < 13.2) & (column > 13) & (column < 25)
+    chin = ~patch & (level > 11.1) & (level < 13.05) & (column <= 13)
+    edge = ~patch & (level > 12.3) & (level < 12.8) & (column > 13) & (column < 25)
     # The lower lip follows less towards its corners, so that an open mouth is an oval.
     rounded = 0.45 + 0.55 * smoothstep(0.0, 0.4, np.nan_to_num(np.minimum(across, 1 - across)))
     value = np.where(below, rounded, np.where(chin, 1.0, 0.0))
-    value = np.where(edge, smoothstep(27.0, 15.0, column.astype(np.float64)), value)
+    value = np.where(edge, 0.9 * smoothstep(29.0, 13.0, column.astype(np.float64)), value)
     return above | below | chin | edge, value

@@ -108,7 +108,7 @@ def _inside(contact: FloatArray, across_x: FloatArray, side: FloatArray, across:
     arch = np.sin(np.pi * across) ** 0.6 * side
     height = np.array([0.0, 0.32, 0.95, 1.25, 1.2, 0.6])
     half_width = np.array([0.0, 0.0, 0.12, 0.35, 0.15, -0.5])
-    back = np.array([0.3, 0.4, 0.48, 2.1])
+    back = np.array([0.3, 0.42, 0.54, 2.1])
     rings = np.repeat(contact[None], 6, axis=0)
     rings[..., 1] += height[:, None] * arch
     rings[..., 0] += half_width[:, None] * across_x

@@ -26,7 +26,7 @@ def row(who: Identity, *, upper: bool) -> tuple[Solid, FloatArray]:
     u = np.linspace(-1, 1, _TEETH * _SAMPLES + 1)
     gap = np.abs(np.cos(np.pi * u * _TEETH / 2)) ** 6
     width = 2.3 if upper else 2.15
-    front = 9.25 if upper else 9.0
+    front = 9.15 if upper else 8.9
     turn = u * np.radians(88)
     arch = np.stack([width * np.sin(turn), np.zeros_like(u), front - 2.9 * (1 - np.cos(turn))], axis=1)
     out = np.stack([np.sin(turn), np.zeros_like(u), np.cos(turn)], axis=1)
