@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pxr import Ar, Usd, UsdShade
+from pxr import Ar, Sdf, Usd, UsdShade
 
 from facepipe.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
@@ -108,6 +108,8 @@ def _uv_set_of_transform(transform: UsdShade.Shader) -> str:
 
 def _image(shader: UsdShade.Shader, asset: Any) -> Texture:
     where = f"{shader.GetPath()}.inputs:file"
+    if not isinstance(asset, Sdf.AssetPath):
+        raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
     resolved = asset.resolvedPath
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
     if not opened:

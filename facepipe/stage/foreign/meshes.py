@@ -10,6 +10,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.stage.foreign.scene import Scene
+from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import ints
 
 _UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
@@ -22,7 +23,7 @@ def choose_meshes(scene: Scene) -> list[Usd.Prim]:
     hidden = [prim for prim in found if UsdGeom.Imageable(prim).ComputeVisibility() == UsdGeom.Tokens.invisible]
     helpers = [prim for prim in found if UsdGeom.Imageable(prim).ComputePurpose() in _HIDDEN_PURPOSES]
     shown = [prim for prim in found if prim not in {*hidden, *helpers}]
-    empty = [prim for prim in shown if not _has_faces(UsdGeom.Mesh(prim))]
+    empty = [prim for prim in shown if not _has_faces(prim)]
     for prims, what in ((hidden, "invisible"), (helpers, "of purpose guide or proxy"), (empty, "without faces")):
         if prims:
             scene.warn(f"mesh {what}: left out", prims)
@@ -30,7 +31,9 @@ def choose_meshes(scene: Scene) -> list[Usd.Prim]:
     return [prim for prim in shown if prim not in set(empty)]
 
 
-def _has_faces(mesh: UsdGeom.Mesh) -> bool:
+@reads_prim
+def _has_faces(prim: Usd.Prim) -> bool:
+    mesh = UsdGeom.Mesh(prim)
     return bool(mesh.GetPointsAttr().Get()) and bool(mesh.GetFaceVertexIndicesAttr().Get())
 
 
@@ -45,10 +48,15 @@ def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
     """Blocks what our parts can't hold, and names it."""
     dropped: dict[str, list[Usd.Prim]] = {}
     for prim in meshes:
-        for what in [*_block_primvars(prim), *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]:
+        for what in _mend(prim):
             dropped.setdefault(what, []).append(prim)
     for what, prims in sorted(dropped.items()):
         scene.warn(what, prims)
+
+
+@reads_prim
+def _mend(prim: Usd.Prim) -> list[str]:
+    return [*_block_primvars(prim), *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]
 
 
 def _block_primvars(prim: Usd.Prim) -> list[str]:

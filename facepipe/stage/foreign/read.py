@@ -47,7 +47,7 @@ def read_foreign(path: Path, *, root: str | None = None, skeleton: str | None = 
         prim = choose_skeleton(scene, meshes, skeleton)
         if prim is not None:
             meshes = bind_to(scene, prim, meshes)
-            mend_skeleton(scene, prim, meshes)
+            mend_skeleton(prim, scene, meshes)
         if not meshes:
             raise scene.error("no mesh to read, expected a face")
         mend_meshes(scene, meshes)

@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe.errors import TopologyError
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.foreign.scene import Scene
+from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import matrices, to_matrices
 
 FloatArray = npt.NDArray[np.floating]
@@ -58,7 +59,8 @@ def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Us
     return own
 
 
-def mend_skeleton(scene: Scene, prim: Usd.Prim, meshes: list[Usd.Prim]) -> None:
+@reads_prim
+def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
     """Joints parent first, and both kinds of transforms for each.
 
     :raises TopologyError: neither bind nor rest transforms that fit the joints
