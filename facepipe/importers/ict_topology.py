@@ -89,11 +89,11 @@ MATERIALS = {
         Material(name="M_ScleraRight", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
         Material(name="M_IrisLeft", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
         Material(name="M_IrisRight", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
-        Material(name="M_LacrimalFluid", diffuse_color=(0.9, 0.9, 0.9), roughness=0.05, opacity=0.1),
+        Material(name="M_LacrimalFluid", diffuse_color=(0.0, 0.0, 0.0), roughness=0.05, opacity=0.1),
         Material(name="M_EyeBlend", diffuse_color=(0.55, 0.30, 0.25), roughness=0.3, opacity=0.2),
         Material(name="M_EyeOcclusion", diffuse_color=(0.05, 0.02, 0.02), roughness=0.9, opacity=0.15),
-        Material(name="M_EyeLashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.5),
-        Material(name="Cornea", diffuse_color=(1.0, 1.0, 1.0), roughness=0.02, opacity=0.05),  # see ict_eyes
+        Material(name="M_EyeLashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.15),
+        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),  # see ict_eyes
         Material(name="Pupil", diffuse_color=(0.005, 0.005, 0.005), roughness=0.1),
     )
 }

@@ -52,7 +52,7 @@ MATERIALS = (
     Material(name="Eye", diffuse_color=(0.75, 0.72, 0.69), roughness=0.1),
     Material(name="Teeth", diffuse_color=(0.78, 0.73, 0.62), roughness=0.25),
     Material(name="Tongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
-    Material(name="Eyelashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.5),
+    Material(name="Eyelashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.15),
 )
 
 
