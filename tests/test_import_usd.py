@@ -634,6 +634,25 @@ def test_materials_and_textures_in_every_layout(tmp_path: Path) -> None:
     assert validate(tmp_path / "out.usdz") == ()
 
 
+def test_names_that_collide_stay_apart(tmp_path: Path) -> None:
+    """A shape called as a region, and meshes called as what our stages have below a face."""
+    parts = rich_face()
+    head, teeth = parts.meshes
+    subset = np.array([3, 5], np.int32)
+    head = replace_mesh(head, name="Materials", point_subsets={"jawOpen": subset, "Skin_faces": subset})
+    faces = p.MaterialFaces(material="Skin", faces=np.array([1], np.int32))
+    teeth = replace_mesh(teeth, name="Skeleton", material_faces=(faces,))
+    parts = replace(parts, meshes=(replace(head, material_faces=(faces,)), teeth), materials=(p.Material(name="Skin"),))
+    save_parts(parts, tmp_path / "face.usda")
+    assert validate(tmp_path / "face.usda") == ()
+    again = facepipe.open(tmp_path / "face.usda")
+    assert [mesh.name for mesh in again.meshes] == ["Materials_2", "Skeleton_2"]
+    assert set(again.meshes[0].point_subsets) == {"jawOpen", "Skin_faces"}
+    assert again.shapes == ("jawOpen", "mouthSmileLeft")
+    difference_ = again.evaluate({"jawOpen": 1.0}) - Face.from_parts(rich_face()).evaluate({"jawOpen": 1.0})
+    np.testing.assert_allclose(difference_, 0, atol=1e-6)
+
+
 # ---- what can't be read
 
 

@@ -6,14 +6,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import facepipe_gltf
 import numpy as np
 import pytest
 from faces import tiny_face
+from import_data import shared
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from test_stage import full_face
 
+import facepipe
 from facepipe import parts as p
+from facepipe import sample
 from facepipe.errors import InputError
+from facepipe.importers import load
 from facepipe.stage import save_parts
 from facepipe.validate import CHECKS, validate, validate_stage
 from facepipe.validate.usd_registry import available, register
@@ -355,6 +360,24 @@ def test_good_faces_are_clean(suffix: str, tmp_path: Path) -> None:
     for name, parts in (("full", good_face()), ("tiny", tiny_face())):
         save_parts(parts, tmp_path / f"{name}{suffix}")
         assert validate(tmp_path / f"{name}{suffix}") == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "source"),
+    [("ict", "ict_facekit/ict_facekit.npz"), ("makehuman", "makehuman/makehuman_head.npz")],
+)
+def test_real_faces_are_clean(kind: str, source: str, tmp_path: Path) -> None:
+    save_parts(load(kind, shared(source)).parts, tmp_path / "face.usdc")
+    assert validate(tmp_path / "face.usdc") == ()
+    facepipe_gltf.export(facepipe.open(tmp_path / "face.usdc"), tmp_path / "face.glb")
+    assert facepipe_gltf.validate(tmp_path / "face.glb", khronos=False) == ()
+
+
+def test_the_sample_is_clean(tmp_path: Path) -> None:
+    save_parts(sample.make(0), tmp_path / "face.usdc")
+    assert validate(tmp_path / "face.usdc") == ()
+    facepipe_gltf.export(facepipe.open(tmp_path / "face.usdc"), tmp_path / "face.glb")
+    assert facepipe_gltf.validate(tmp_path / "face.glb", khronos=False) == ()
 
 
 def test_every_defect_of_a_stage_is_found_each_with_its_prim(good_file: Path, tmp_path: Path) -> None:

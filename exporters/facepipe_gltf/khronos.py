@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,16 +42,26 @@ def check_khronos(path: Path) -> list[Finding]:
     if report is None:
         message = "gltf-validator for node is not installed: the Khronos validator was not run"
         return [Finding(check="khronos:NotInstalled", severity="info", where=path.name, message=message)]
-    return [
-        Finding(
-            check=f"khronos:{issue['code']}",
-            severity=_SEVERITIES[issue["severity"]],
-            where=f"{path.name} -> {issue.get('pointer') or '/'}",
-            message=" ".join(str(issue["message"]).split()),
-        )
-        for issue in report["issues"]["messages"]
-        if issue["severity"] < len(_SEVERITIES)
-    ]
+    return _findings(path, report["issues"]["messages"])
+
+
+def _findings(path: Path, issues: list[dict[str, Any]]) -> list[Finding]:
+    """A finding per error and warning, and one per kind of note."""
+    notes = Counter(issue["code"] for issue in issues if issue["severity"] == 2)
+    found = []
+    for issue in issues:
+        times = notes.pop(issue["code"], 0) if issue["severity"] == 2 else 1
+        if times and issue["severity"] < len(_SEVERITIES):
+            message = " ".join(str(issue["message"]).split())
+            found.append(
+                Finding(
+                    check=f"khronos:{issue['code']}",
+                    severity=_SEVERITIES[issue["severity"]],
+                    where=f"{path.name} -> {issue.get('pointer') or '/'}",
+                    message=f"{message} ({times} times)" if times > 1 else message,
+                )
+            )
+    return found
 
 
 def _report(node: str, path: Path) -> Any:

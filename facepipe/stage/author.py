@@ -74,7 +74,8 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
         author_limits(skeleton.GetPrim(), parts.bone_limits)
     scope = path.AppendChild(tokens.MATERIALS_SCOPE)
     materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
-    names = unique_identifiers(mesh.name for mesh in parts.meshes)
+    taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
+    names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
     for mesh, name in zip(parts.meshes, names, strict=True):
         author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
     if parts.animations:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
@@ -38,18 +38,31 @@ def author_mesh(
     if not np.array_equal(mesh.transform, np.eye(4)):
         prim.AddTransformOp().Set(to_matrix(mesh.transform))
     _author_primvars(prim, mesh)
-    _author_materials(prim, mesh, materials)
+    names = _ChildNames(mesh)
+    _author_materials(prim, mesh, materials, names.material_faces)
     if mesh.skin or mesh.blendshapes:
         binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
         if mesh.skin and joints:
             _author_skin(binding, mesh.skin, path)
         if mesh.blendshapes:
-            _author_blendshapes(stage, binding, mesh.blendshapes)
-    for name, subset in zip(unique_identifiers(mesh.point_subsets), mesh.point_subsets.values(), strict=True):
+            _author_blendshapes(stage, binding, mesh.blendshapes, names.blendshapes)
+    for name, subset in zip(names.point_subsets, mesh.point_subsets.values(), strict=True):
         UsdGeom.Subset.CreateGeomSubset(prim, name, UsdGeom.Tokens.point, to_ints(subset), "facepipeRegion")
     author_landmarks(prim.GetPrim(), mesh)
     return prim
+
+
+class _ChildNames:
+    """Prim names below a mesh, all distinct; a subset keeps its own, since the name is all that it has."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        faces = [f"{one.material}_faces" for one in mesh.material_faces]
+        subsets, shapes = list(mesh.point_subsets), [shape.name for shape in mesh.blendshapes]
+        names = unique_identifiers([*subsets, *faces, *shapes])
+        self.point_subsets = names[: len(subsets)]
+        self.material_faces = names[len(subsets) : len(subsets) + len(faces)]
+        self.blendshapes = names[len(subsets) + len(faces) :]
 
 
 def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
@@ -84,7 +97,9 @@ def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
         region.Set(to_floats(mask))
 
 
-def _author_materials(prim: UsdGeom.Mesh, mesh: Mesh, materials: Mapping[str, UsdShade.Material]) -> None:
+def _author_materials(
+    prim: UsdGeom.Mesh, mesh: Mesh, materials: Mapping[str, UsdShade.Material], names: Sequence[str]
+) -> None:
     def bind(target: Usd.Prim, name: str) -> None:
         if name not in materials:
             raise InputError(prim.GetPath(), f"no material '{name}'")
@@ -94,9 +109,8 @@ def _author_materials(prim: UsdGeom.Mesh, mesh: Mesh, materials: Mapping[str, Us
         bind(prim.GetPrim(), mesh.material)
     if mesh.material_faces:
         api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
-        names = unique_identifiers(one.material for one in mesh.material_faces)
         for name, one in zip(names, mesh.material_faces, strict=True):
-            subset = api.CreateMaterialBindSubset(f"{name}_faces", to_ints(one.faces))
+            subset = api.CreateMaterialBindSubset(name, to_ints(one.faces))
             bind(subset.GetPrim(), one.material)
         covered = sum(len(one.faces) for one in mesh.material_faces)
         whole = covered == len(mesh.face_vertex_counts)
@@ -111,10 +125,12 @@ def _author_skin(binding: UsdSkel.BindingAPI, skin: Skin, path: Sdf.Path) -> Non
     binding.CreateGeomBindTransformAttr(to_matrix(skin.geom_bind_transform))
 
 
-def _author_blendshapes(stage: Usd.Stage, binding: UsdSkel.BindingAPI, shapes: tuple[Blendshape, ...]) -> None:
+def _author_blendshapes(
+    stage: Usd.Stage, binding: UsdSkel.BindingAPI, shapes: tuple[Blendshape, ...], names: Sequence[str]
+) -> None:
     parent = binding.GetPrim().GetPath()
     targets = []
-    for shape, name in zip(shapes, unique_identifiers(shape.name for shape in shapes), strict=True):
+    for shape, name in zip(shapes, names, strict=True):
         target = UsdSkel.BlendShape.Define(stage, parent.AppendChild(name))
         targets.append(target.GetPath())
         _finite(shape.offsets, target.GetPath(), "offsets")
