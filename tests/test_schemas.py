@@ -17,6 +17,7 @@ from facepipe import tokens
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.skipif(Usd.GetVersion() < (0, 26, 5), reason="usdGenSchema of older usd-core lacks the base schemas")
 def test_generated_files_are_up_to_date() -> None:
     command = [sys.executable, str(ROOT / "schemas" / "generate.py"), "--check"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

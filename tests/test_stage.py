@@ -212,7 +212,7 @@ def test_textures_of_another_stage_are_not_overwritten(tmp_path: Path) -> None:
     [
         ("empty.usda", b"", "can't be read as USD"),
         ("empty.usdc", b"", "can't be read as USD"),
-        ("wrong.usdc", b"PXR-USDC" + bytes(100), "version"),
+        ("wrong.usdc", b"PXR-USDC" + bytes(100), "can't be read as USD"),
         ("noface.usda", b'#usda 1.0\ndef Xform "A" {}\n', "FacepipeFaceAPI"),
         ("loop.usda", b'#usda 1.0\n(defaultPrim="A")\ndef "A" (references=@./loop.usda@</A>){}\n', "Cycle"),
         ("self.usda", b"#usda 1.0\n(subLayers=[@./self.usda@])\n", "composition error"),

@@ -71,5 +71,6 @@ def components(point_count: int, edge_pairs: IntArray) -> IntArray:
     from scipy.sparse.csgraph import connected_components
 
     ones = np.ones(len(edge_pairs), dtype=np.int8)
+    edge_pairs = np.asarray(edge_pairs, dtype=np.int32)  # older scipy takes no 64-bit indices here
     graph = coo_array((ones, (edge_pairs[:, 0], edge_pairs[:, 1])), shape=(point_count, point_count))
     return np.asarray(connected_components(graph, directed=False)[1])

@@ -139,5 +139,6 @@ def _surface_distances(points: FloatArray, sources: IntArray, limit: float) -> F
     corners = top.face_vertex_indices[starts[:, None] + np.arange(4)]
     pairs = np.concatenate([pairs, corners[:, [0, 2]], corners[:, [1, 3]]])
     length = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    pairs = pairs.astype(np.int32)  # older scipy takes no 64-bit indices here
     graph = coo_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
     return np.asarray(dijkstra(graph, directed=False, indices=sources, limit=limit))
