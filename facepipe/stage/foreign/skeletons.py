@@ -31,7 +31,7 @@ def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) ->
     candidates = there or [prim for prim in scene.prims if prim.IsA(UsdSkel.Skeleton)]
     if len(candidates) > 1:
         listed = ", ".join(str(prim.GetPath()) for prim in candidates)
-        raise scene.error(f"{len(candidates)} Skeletons ({listed}), expected one: choose it by its path")
+        raise scene.error(f"{len(candidates)} Skeletons ({listed}), expected one; the option skeleton chooses")
     chosen = candidates[0] if candidates else None
     others = [prim for prim in scene.prims if prim.IsA(UsdSkel.Skeleton) and prim != chosen]
     if others:
