@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from facepipe.atomic import write_bytes
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
@@ -49,13 +48,12 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
 
 def save(document: Document, path: str | os.PathLike[str]) -> list[Path]:
     """Write a document; the paths of all files, the .glb or .gltf first."""
-    from facepipe_gltf.files import glb_bytes, write_gltf
+    from facepipe_gltf.files import write_glb, write_gltf
     from facepipe_gltf.packing import embedded, separate
 
     target = _target(path)
     if target.suffix.lower() == ".glb":
-        write_bytes(target, glb_bytes(*embedded(document)))
-        return [target]
+        return write_glb(target, *embedded(document))
     return write_gltf(target, *separate(document, target))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from facepipe.parts import FaceParts, FloatArray, Mesh
 from facepipe_gltf.encoding import Encoding, Grid, decode, grid_around
 from facepipe_gltf.influences import Influences, limit
+from facepipe_gltf.morphs import Morphs, morphs_of
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import place, smooth_normals
 from facepipe_gltf.sculpts import Sculpt, sculpts_of
@@ -27,8 +28,7 @@ class Baked:
     point_normals: FloatArray  # (n, 3) unit
     corner_normals: FloatArray | None  # (m, 3) unit, by Corners.normal_indices
     sculpts: Sequence[Sculpt]
-    offsets: Sequence[FloatArray]  # per sculpt (k, 3)
-    normal_offsets: Sequence[FloatArray | None]  # per sculpt (k, 3)
+    morphs: Morphs  # of the sculpts
     influences: Influences | None  # None: not skinned in the file
 
 
@@ -57,13 +57,7 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
         point_normals=normals,
         corner_normals=corner_normals,
         sculpts=sculpts,
-        offsets=[placement.offsets(one.offsets, one.point_indices) for one in sculpts],
-        normal_offsets=[
-            None
-            if one.normal_offsets is None
-            else placement.normal_offsets(one.normal_offsets, normals[one.point_indices], one.point_indices)
-            for one in sculpts
-        ],
+        morphs=morphs_of(sculpts, placement, normals),
         influences=limit(mesh.skin, options.influences, f"{parts.name} -> {mesh.name}")
         if mesh.skin is not None and skinned
         else None,
@@ -73,19 +67,17 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
 def grids(meshes: Sequence[Baked]) -> list[Grid]:
     """A quantisation grid per mesh: skinned meshes share one, since they share their inverse binds."""
     skinned = [one for one in meshes if one.influences is not None]
-    common = grid_around([one.points for one in skinned], [array for one in skinned for array in one.offsets])
-    return [common if one.influences is not None else grid_around([one.points], one.offsets) for one in meshes]
+    common = grid_around([one.points for one in skinned], [one.morphs.offsets for one in skinned])
+    return [common if one.influences is not None else grid_around([one.points], [one.morphs.offsets]) for one in meshes]
 
 
 def quantisation_error(baked: Baked, grid: Grid) -> float:
     """Largest distance in metres that quantisation moves a point, at neutral or at any one shape."""
     encoding = Encoding(grid)
     base = decode(encoding.positions(baked.points)) * grid.half + grid.center - baked.points
-    worst = _longest(base)
-    for sculpt, offsets in zip(baked.sculpts, baked.offsets, strict=True):
-        error = decode(encoding.offsets(offsets)) * grid.half - offsets
-        worst = max(worst, _longest(base[sculpt.point_indices] + error))
-    return worst
+    offsets = baked.morphs.offsets
+    error = decode(encoding.offsets(offsets)) * grid.half - offsets
+    return max(_longest(base), _longest(base[baked.morphs.points] + error))
 
 
 def _filled(normals: FloatArray, fallback: FloatArray) -> FloatArray:

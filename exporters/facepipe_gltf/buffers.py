@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -9,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import ExportError
+from facepipe_gltf.morphs import Extent, Rows
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
+Chunk = bytes | memoryview
 Use = Literal["vertex", "index", "matrices", "keys"]
 
 _COMPONENT = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "L": 5125, "f": 5126}
@@ -30,16 +33,21 @@ class _Key(NamedTuple):
 
 @dataclass
 class _View:
-    chunks: list[bytes] = field(default_factory=list)
+    chunks: list[Chunk] = field(default_factory=list)
     size: int = 0
 
-    def append(self, data: bytes) -> int:
+    def append(self, data: Chunk) -> int:
         """Add `data`, aligned; its offset in the view."""
         offset = self.size
         padding = -len(data) % _ALIGNMENT
-        self.chunks.append(data + bytes(padding))
+        self.chunks.append(data)
+        if padding:
+            self.chunks.append(bytes(padding))
         self.size += len(data) + padding
         return offset
+
+
+_SPARSE = _Key("sparse", 0, "")
 
 
 class Buffers:
@@ -56,37 +64,31 @@ class Buffers:
         self._zeros: dict[tuple[int, int, str], int] = {}
 
     def add(self, array: Array, use: Use, *, normalized: bool = False, bounds: bool = False) -> int:
-        """A dense accessor over all of `array`; its index.
+        """A dense accessor over all of `array`, which must not change any more; its index.
 
         :raises ExportError: numbers that left the range of float32 on their way to metres
         """
         _require_finite(array)
-        accessor = self._accessor(array, len(array), normalized)
-        if bounds:
-            accessor |= _bounds(array, len(array))
-        stride = _padded_row(array) if use == "vertex" else 0
-        data = _rows(array, stride) if stride else _little(array).tobytes()
-        accessor["bufferView"], offset = self._append(_Key(use, stride, ""), data)
-        if offset:
-            accessor["byteOffset"] = offset
-        return self._push(accessor)
+        extent = Extent(_listed(array.min(axis=0)), _listed(array.max(axis=0))) if bounds else None
+        return self._add_dense(array, use, normalized, extent)
 
-    def add_morph(self, rows: Array, values: Array, count: int, *, normalized: bool, bounds: bool) -> int:
-        """An accessor of `count` elements that are zero but at ascending `rows`; sparse where that is smaller."""
-        _require_finite(values)
-        if not len(rows):
-            return self._zero(values, count, normalized, bounds)
-        indices = rows.astype(_index_type(int(rows[-1])))
-        if indices.nbytes + values.nbytes >= count * _padded_row(values):
-            dense = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
-            dense[rows] = values
-            return self.add(dense, "vertex", normalized=normalized, bounds=bounds)
-        return self._add_sparse(indices, values, count, normalized, bounds)
+    def add_morph(self, rows: Rows, count: int, *, bounds: bool) -> int:
+        """An accessor of `count` elements that are zero but at some; sparse where that is smaller."""
+        _require_finite(rows.values)
+        extent = rows.extent if bounds else None
+        if not len(rows.vertices):
+            return self._zero(rows, count, extent)
+        indices = rows.vertices.astype(_index_type(int(rows.vertices[-1])))
+        if indices.nbytes + rows.values.nbytes < count * _padded_row(rows.values):
+            return self._add_sparse(indices, rows.values, count, rows.normalized, extent)
+        dense = np.zeros((count, *rows.values.shape[1:]), dtype=rows.values.dtype)
+        dense[rows.vertices] = rows.values
+        return self._add_dense(dense, "vertex", rows.normalized, extent)
 
-    def finish(self) -> tuple[list[Json], bytes]:
-        """The bufferViews, and the bytes of buffer 0."""
+    def finish(self) -> tuple[list[Json], list[Chunk]]:
+        """The bufferViews, and the bytes of buffer 0 in pieces."""
         views: list[Json] = []
-        chunks: list[bytes] = []
+        chunks: list[Chunk] = []
         offset = 0
         for key, view in self._views.items():
             entry: Json = {"buffer": 0, "byteOffset": offset, "byteLength": view.size}
@@ -97,29 +99,35 @@ class Buffers:
             views.append(entry)
             chunks += view.chunks
             offset += view.size
-        return views, b"".join(chunks)
+        return views, chunks
 
-    def _zero(self, values: Array, count: int, normalized: bool, bounds: bool) -> int:
+    def _add_dense(self, array: Array, use: Use, normalized: bool, extent: Extent | None) -> int:
+        accessor = self._accessor(array, len(array), normalized, extent)
+        stride = _padded_row(array) if use == "vertex" else 0
+        accessor["bufferView"], offset = self._append(_Key(use, stride, ""), _rows(array, stride))
+        if offset:
+            accessor["byteOffset"] = offset
+        return self._push(accessor)
+
+    def _zero(self, rows: Rows, count: int, extent: Extent | None) -> int:
         """One shared accessor of zeros per vertex count; stores one zero, since not every loader takes none."""
-        key = (count, int(bounds), values.dtype.char)
+        key = (count, extent is not None, rows.values.dtype.char)
         if key not in self._zeros:
-            one = np.zeros((1, *values.shape[1:]), dtype=values.dtype)
-            self._zeros[key] = self._add_sparse(np.zeros(1, np.uint8), one, count, normalized, bounds)
+            one = np.zeros((1, *rows.values.shape[1:]), dtype=rows.values.dtype)
+            self._zeros[key] = self._add_sparse(np.zeros(1, np.uint8), one, count, rows.normalized, extent)
         return self._zeros[key]
 
-    def _add_sparse(self, indices: Array, values: Array, count: int, normalized: bool, bounds: bool) -> int:
-        accessor = self._accessor(values, count, normalized)
-        if bounds:
-            accessor |= _bounds(values, count)
+    def _add_sparse(self, indices: Array, values: Array, count: int, normalized: bool, extent: Extent | None) -> int:
+        accessor = self._accessor(values, count, normalized, extent)
         where: Json = {"componentType": _COMPONENT[indices.dtype.char]}
-        where["bufferView"], where["byteOffset"] = self._append(_Key("sparse", 0, ""), indices.tobytes())
+        where["bufferView"], where["byteOffset"] = self._append(_SPARSE, _bytes(indices))
         what: Json = {}
-        what["bufferView"], what["byteOffset"] = self._append(_Key("sparse", 0, ""), _little(values).tobytes())
+        what["bufferView"], what["byteOffset"] = self._append(_SPARSE, _bytes(values))
         accessor["sparse"] = {"count": len(indices), "indices": where, "values": what}
         self.sparse_count += 1
         return self._push(accessor)
 
-    def _accessor(self, array: Array, count: int, normalized: bool) -> Json:
+    def _accessor(self, array: Array, count: int, normalized: bool, extent: Extent | None) -> Json:
         accessor: Json = {
             "componentType": _COMPONENT[array.dtype.char],
             "count": count,
@@ -127,9 +135,11 @@ class Buffers:
         }
         if normalized:
             accessor["normalized"] = True
+        if extent is not None:
+            accessor |= {"min": extent.low, "max": extent.high}
         return accessor
 
-    def _append(self, key: _Key, data: bytes) -> tuple[int, int]:
+    def _append(self, key: _Key, data: Chunk) -> tuple[int, int]:
         if key not in self._views:
             self._index[key] = len(self._views)
             self._views[key] = _View()
@@ -145,28 +155,28 @@ def _require_finite(array: Array) -> None:
         raise ExportError("glTF buffer", "numbers beyond float32 in metres, expected smaller ones")
 
 
-def _bounds(array: Array, count: int) -> Json:
-    """min and max, of the untouched zeros too where `array` is sparse."""
-    low, high = array.min(axis=0), array.max(axis=0)
-    if len(array) < count:
-        low, high = np.minimum(low, 0), np.maximum(high, 0)
-    return {"min": np.atleast_1d(low).tolist(), "max": np.atleast_1d(high).tolist()}
+def _listed(values: Array) -> list[float]:
+    return [*np.atleast_1d(values).tolist()]
 
 
 def _padded_row(array: Array) -> int:
     """Bytes of one element, rounded up to the alignment that vertex attributes need."""
-    size = array.dtype.itemsize * int(np.prod(array.shape[1:], dtype=np.int64))
+    size = array.dtype.itemsize * math.prod(array.shape[1:])
     return size + -size % _ALIGNMENT
 
 
-def _rows(array: Array, stride: int) -> bytes:
-    array = _little(array)
-    size = array.dtype.itemsize * int(np.prod(array.shape[1:], dtype=np.int64))
-    if size == stride:
-        return array.tobytes()
+def _rows(array: Array, stride: int) -> Chunk:
+    size = array.dtype.itemsize * math.prod(array.shape[1:])
+    if size == stride or not stride:
+        return _bytes(array)
     padded = np.zeros((len(array), stride), dtype=np.uint8)
-    padded[:, :size] = array.reshape(len(array), -1).view(np.uint8)
-    return padded.tobytes()
+    padded[:, :size] = _little(array).reshape(len(array), -1).view(np.uint8)
+    return _bytes(padded)
+
+
+def _bytes(array: Array) -> Chunk:
+    """The bytes of an array where they are; copied where their order has to change."""
+    return _little(array).reshape(-1).view(np.uint8).data
 
 
 def _little(array: Array) -> Array:

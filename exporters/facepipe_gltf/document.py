@@ -12,7 +12,7 @@ import facepipe
 from facepipe.parts import FaceParts
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, grids, quantisation_error
-from facepipe_gltf.buffers import Buffers
+from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding, Grid
 from facepipe_gltf.joints import JointNodes, joint_nodes
@@ -33,7 +33,7 @@ class Document:
     """A glTF document that is not yet a file: the buffer and images have no place."""
 
     json: Json  # images without uri or bufferView, the buffer without uri
-    binary: bytes
+    binary: Sequence[Chunk]  # buffer 0 in pieces
     images: Sequence[Image]
     counts: dict[str, int]
     warnings: tuple[str, ...]
@@ -162,7 +162,7 @@ class _Writer:
             "images": [{"name": image.name, "mimeType": image.mime} for image in textures.images],
             "accessors": self.buffers.accessors,
             "bufferViews": views,
-            "buffers": [{"byteLength": len(binary)}] if binary else [],
+            "buffers": [{"byteLength": sum(map(len, binary))}] if binary else [],
             "extensionsUsed": sorted([*self.materials.extensions, *required]),
             "extensionsRequired": required,
         }

@@ -74,11 +74,6 @@ class Encoding:
         """(n, 3 or 4) unit normals or tangents."""
         return Encoded(vectors.astype(np.float32), False) if self.grid is None else _signed(vectors, _BYTE)
 
-    def normal_offsets(self, offsets: FloatArray) -> Encoded:
-        """(k, 3) offsets of normals; those beyond -1..1 keep float32, since integers can't hold them."""
-        fits = self.grid is not None and not (offsets.size and np.abs(offsets).max() > 1)
-        return _signed(offsets, _BYTE) if fits else Encoded(offsets.astype(np.float32), False)
-
     def uvs(self, uvs: FloatArray) -> Encoded:
         """(n, 2) texture coordinates; quantised where all lie in 0..1."""
         if self.grid is None or (uvs.size and (uvs.min() < 0 or uvs.max() > 1)):

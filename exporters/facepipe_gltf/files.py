@@ -7,17 +7,19 @@ import hashlib
 import json
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from facepipe.atomic import replacing, write_bytes
 from facepipe.errors import ExportError
+from facepipe_gltf.buffers import Chunk
 
 Json = dict[str, Any]
 
 _MAGIC, _VERSION, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 2, b"JSON", b"BIN\0"
 _LARGEST = 2**32 - 1
+_BLOCK = 1 << 18  # bytes written at once
 
 
 def json_bytes(document: Json) -> bytes:
@@ -25,18 +27,27 @@ def json_bytes(document: Json) -> bytes:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
-def glb_bytes(document: Json, binary: bytes) -> bytes:
-    """A GLB container (glTF 2.0, section 4)."""
+def glb_chunks(document: Json, binary: Sequence[Chunk]) -> list[Chunk]:
+    """A GLB container (glTF 2.0, section 4), in pieces as `binary` is."""
     text = json_bytes(document)
     text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), _JSON_CHUNK) + text
-    if binary:
-        padded = binary + bytes(-len(binary) % 4)
-        chunks += struct.pack("<I4s", len(padded), _BINARY_CHUNK) + padded
-    total = 12 + len(chunks)
+    chunks: list[Chunk] = [struct.pack("<I4s", len(text), _JSON_CHUNK), text]
+    size = sum(map(len, binary))
+    if size:
+        padding = bytes(-size % 4)
+        chunks += [struct.pack("<I4s", size + len(padding), _BINARY_CHUNK), *binary, padding]
+    total = 12 + sum(map(len, chunks))
     if total > _LARGEST:
         raise ExportError(document["asset"]["generator"], f"{total} bytes, a GLB holds at most {_LARGEST}: use .gltf")
-    return struct.pack("<4sII", _MAGIC, _VERSION, total) + chunks
+    return [struct.pack("<4sII", _MAGIC, _VERSION, total), *chunks]
+
+
+def write_glb(target: Path, document: Json, binary: Sequence[Chunk]) -> list[Path]:
+    """Write .glb; its path."""
+    chunks = glb_chunks(document, binary)
+    with replacing(target) as temporary, temporary.open("wb", buffering=_BLOCK) as file:
+        file.writelines(chunks)
+    return [target]
 
 
 def sidecar_name(target: Path, data: bytes, label: str, extension: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from facepipe_gltf.buffers import Chunk
 from facepipe_gltf.document import Document
 from facepipe_gltf.files import sidecar_name
 
@@ -12,22 +13,24 @@ Json = dict[str, Any]
 _ALIGNMENT = 4
 
 
-def embedded(document: Document) -> tuple[Json, bytes]:
-    """JSON and binary chunk of a GLB: images follow the arrays, each in a buffer view of its own."""
+def embedded(document: Document) -> tuple[Json, list[Chunk]]:
+    """JSON and binary chunk (in pieces) of a GLB: images follow the arrays, each in a buffer view of its own."""
     result = dict(document.json)
-    binary = bytearray(document.binary)
+    binary = list(document.binary)
+    size = sum(map(len, binary))
     views = list(result.get("bufferViews", []))
     images = []
     for entry, image in zip(result.get("images", []), document.images, strict=True):
-        binary += bytes(-len(binary) % _ALIGNMENT)
+        padding = bytes(-size % _ALIGNMENT)
         images.append(entry | {"bufferView": len(views)})
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(image.data)})
-        binary += image.data
+        views.append({"buffer": 0, "byteOffset": size + len(padding), "byteLength": len(image.data)})
+        binary += [padding, image.data]
+        size += len(padding) + len(image.data)
     if images:
         result |= {"images": images, "bufferViews": views}
-    if binary:
-        result["buffers"] = [{"byteLength": len(binary)}]
-    return result, bytes(binary)
+    if size:
+        result["buffers"] = [{"byteLength": size}]
+    return result, binary
 
 
 def separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
@@ -35,9 +38,10 @@ def separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
     result = dict(document.json)
     sidecars: dict[str, bytes] = {}
     if document.binary:
-        name = sidecar_name(target, document.binary, "", ".bin")
-        sidecars[name] = document.binary
-        result["buffers"] = [{"byteLength": len(document.binary), "uri": name}]
+        binary = b"".join(document.binary)
+        name = sidecar_name(target, binary, "", ".bin")
+        sidecars[name] = binary
+        result["buffers"] = [{"byteLength": len(binary), "uri": name}]
     images = []
     for entry, image in zip(result.get("images", []), document.images, strict=True):
         name = sidecar_name(target, image.data, image.name, image.extension)

@@ -99,7 +99,14 @@ def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 def _apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
-    vectors = np.asarray(vectors, dtype=np.float64)
-    if len(matrices) == 1:
-        return np.asarray(vectors @ matrices[0].T)
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
+    if len(matrices) != 1:
+        return np.asarray(np.einsum("nij,nj->ni", matrices, np.asarray(vectors, dtype=np.float64)))
+    matrix = np.asarray(matrices[0])
+    if not ((matrix != 0).sum(axis=1) == 1).all():
+        return np.asarray(np.asarray(vectors, dtype=np.float64) @ matrix.T)
+    # units and up axis alone: every axis comes from one other, which is several times faster than a product
+    result = np.empty(np.shape(vectors))
+    for axis, source in enumerate(np.argmax(matrix != 0, axis=1)):
+        np.multiply(vectors[:, source], matrix[axis, source], out=result[:, axis], dtype=np.float64)
+    result += 0.0  # a negative zero becomes a plain one, as in a product
+    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from facepipe.parts import FloatArray, IntArray
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.encoding import Encoded, Encoding
+from facepipe_gltf.morphs import Rows, Table, rows_of, table_of
 from facepipe_gltf.tangents import orientation, tangents
 from facepipe_gltf.vertices import Vertices, vertices_of
 
@@ -44,7 +46,7 @@ class PrimitiveWriter:
             "material": material,
         }
         if self._baked.sculpts:
-            primitive["targets"] = self._targets(vertices.points)
+            primitive["targets"] = self._targets(vertices)
         return primitive
 
     def _attributes(self, vertices: Vertices, tangent_uv: int | None, colored: bool) -> dict[str, int]:
@@ -96,35 +98,46 @@ class PrimitiveWriter:
         kind = np.uint16 if len(vertices.points) <= 65535 else np.uint32
         return self._buffers.add(vertices.triangles.astype(kind).ravel(), "index")
 
-    def _targets(self, points: IntArray) -> list[dict[str, int]]:
+    def _targets(self, vertices: Vertices) -> list[dict[str, int]]:
         """One target per sculpt, all with the same attributes."""
-        baked, encoding = self._baked, self._encoding
-        with_normals = any(array is not None for array in baked.normal_offsets)
-        row_of = np.full(len(baked.points), -1, np.int64)
-        targets = []
-        for sculpt, offsets, normal_offsets in zip(baked.sculpts, baked.offsets, baked.normal_offsets, strict=True):
-            row_of[sculpt.point_indices] = np.arange(len(sculpt.point_indices))
-            rows = row_of[points]
-            row_of[sculpt.point_indices] = -1
-            moved = np.flatnonzero(rows >= 0)
-            target = {
-                "POSITION": self._add_morph(moved, encoding.offsets(offsets[rows[moved]]), len(points), bounds=True)
-            }
-            if with_normals:
-                values = np.zeros((0, 3)) if normal_offsets is None else normal_offsets[rows[moved]]
-                at = moved[: len(values)]
-                target["NORMAL"] = self._add_morph(at, encoding.normal_offsets(values), len(points))
-            targets.append(target)
-        return targets
+        count = len(vertices.points)
+        positions = rows_of(self._offsets, vertices)
+        targets = [{"POSITION": rows} for rows in positions]
+        if self._normal_offsets is not None:
+            for target, rows in zip(targets, self._normal_rows(vertices, *self._normal_offsets), strict=True):
+                target["NORMAL"] = rows
+        return [
+            {name: self._buffers.add_morph(rows, count, bounds=name == "POSITION") for name, rows in target.items()}
+            for target in targets
+        ]
+
+    def _normal_rows(self, vertices: Vertices, precise: Table, compact: Table | None) -> list[Rows]:
+        """Offsets of normals; those beyond -1..1 keep float32, since integers can't hold them."""
+        rows = rows_of(precise, vertices)
+        if compact is None:
+            return rows
+        fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in rows]
+        pairs = zip(rows, rows_of(compact, vertices), fits, strict=True)
+        return [small if fit else large for large, small, fit in pairs]
+
+    @cached_property
+    def _offsets(self) -> Table:
+        morphs = self._baked.morphs
+        return table_of(morphs, self._encoding.offsets(morphs.offsets))
+
+    @cached_property
+    def _normal_offsets(self) -> tuple[Table, Table | None] | None:
+        """As float32, and as integers where the file has these."""
+        morphs = self._baked.morphs
+        if morphs.normal_offsets is None:
+            return None
+        precise = table_of(morphs, Encoding().directions(morphs.normal_offsets))
+        if self._encoding.grid is None:
+            return precise, None
+        return precise, table_of(morphs, self._encoding.directions(morphs.normal_offsets))
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:
         return self._buffers.add(encoded.array, "vertex", normalized=encoded.normalized, bounds=bounds)
-
-    def _add_morph(self, rows: IntArray, encoded: Encoded, count: int, bounds: bool = False) -> int:
-        moving = encoded.array.any(axis=1)
-        return self._buffers.add_morph(
-            rows[moving], encoded.array[moving], count, normalized=encoded.normalized, bounds=bounds
-        )
 
 
 def by_material(baked: Baked) -> Sequence[tuple[str | None, IntArray]]:
