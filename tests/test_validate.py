@@ -348,6 +348,8 @@ def seeded(good: Path, folder: Path, seed: Callable[[Usd.Stage], None]) -> Path:
 @pytest.mark.parametrize("name", list(DEFECTS))
 def test_a_defect_is_found_under_its_name_and_no_other(name: str, good_file: Path, tmp_path: Path) -> None:
     seed, expected = DEFECTS[name]
+    if not available():  # older USD runs none of its own validators from Python
+        expected = {one for one in expected if not one.startswith("usd")}
     found = validate(seeded(good_file, tmp_path, seed))
     assert {one.check.removeprefix("facepipe:") for one in found} == expected
     for one in found:

@@ -88,10 +88,10 @@ def _task(check: Check) -> Callable[..., list[Any]]:
 
 def check_built_in(stage: Usd.Stage) -> list[Finding]:
     """What USD's own validators find on a stage; nothing where they can't be run from Python."""
-    try:
-        from pxr import UsdValidation
-    except ImportError:
+    if not available():
         return []
+    from pxr import UsdValidation
+
     registry = UsdValidation.ValidationRegistry()
     validators = [registry.GetOrLoadValidatorByName(name) for name in BUILT_IN if registry.HasValidator(name)]
     if not validators:
