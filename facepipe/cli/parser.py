@@ -42,11 +42,12 @@ def _settings(field: Any, hint: Any) -> dict[str, Any]:
     default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
     metadata = field.metadata
     unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
-    shown = "" if default in (None, False, "") or default == {} or default == () else f" (default {default})"
+    shown = "" if isinstance(default, bool) or default in (None, "") or default == {} or default == () else f" (default {default})"
     help_text = f"{metadata.get('help', '')}{unit}{shown}".replace("%", "%%")
     kinds = [kind for kind in _flat(hint) if kind is not type(None)]
     if kinds == [bool]:
-        return {"action": argparse.BooleanOptionalAction, "default": default, "help": help_text.replace(shown, "")}
+        action = argparse.BooleanOptionalAction if default else "store_true"
+        return {"action": action, "default": default, "help": help_text}
     settings: dict[str, Any] = {"default": default, "help": help_text}
     if "choices" in metadata:
         settings["choices"] = metadata["choices"]
