@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from facepipe.parts import FaceParts, FloatArray, Mesh
 from facepipe_gltf.encoding import Encoding, Grid, decode, grid_around
 from facepipe_gltf.influences import Influences, limit
-from facepipe_gltf.morphs import Morphs, morphs_of
+from facepipe_gltf.morphs import Morphs, blocks
 from facepipe_gltf.options import Options
-from facepipe_gltf.placement import place, smooth_normals
+from facepipe_gltf.placement import Placement, place, smooth_normals
 from facepipe_gltf.sculpts import Sculpt, sculpts_of
 from facepipe_gltf.space import Space
 from facepipe_gltf.vertices import Corners, corners_of
@@ -28,8 +28,12 @@ class Baked:
     point_normals: FloatArray  # (n, 3) unit
     corner_normals: FloatArray | None  # (m, 3) unit, by Corners.normal_indices
     sculpts: Sequence[Sculpt]
-    morphs: Morphs  # of the sculpts
+    placement: Placement
     influences: Influences | None  # None: not skinned in the file
+
+    def morphs(self) -> Iterator[Morphs]:
+        """The offsets of all sculpts, block by block."""
+        return blocks(self.sculpts, self.placement, self.point_normals)
 
 
 def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, options: Options) -> Baked:
@@ -41,14 +45,7 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     placement = place(mesh, parts.skeleton, space, skinned)
     corners = corners_of(mesh, placement.mirrored)
     points = placement.points(mesh.points)
-    normals = smooth_normals(points, corners.points)
-    corner_normals = None
-    if corners.normals is not None:
-        at_corner = np.zeros(len(corners.normals), np.int64)
-        at_corner[np.asarray(corners.normal_indices)] = corners.points
-        corner_normals = _filled(placement.normals(corners.normals, at_corner), normals[at_corner])
-    elif mesh.normals is not None:
-        normals = _filled(placement.normals(mesh.normals), normals)
+    normals, corner_normals = _normals(mesh, corners, points, placement)
     sculpts = sculpts_of(mesh, shapes)
     return Baked(
         mesh=mesh,
@@ -57,7 +54,7 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
         point_normals=normals,
         corner_normals=corner_normals,
         sculpts=sculpts,
-        morphs=morphs_of(sculpts, placement, normals),
+        placement=placement,
         influences=limit(mesh.skin, options.influences, f"{parts.name} -> {mesh.name}")
         if mesh.skin is not None and skinned
         else None,
@@ -67,23 +64,47 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
 def grids(meshes: Sequence[Baked]) -> list[Grid]:
     """A quantisation grid per mesh: skinned meshes share one, since they share their inverse binds."""
     skinned = [one for one in meshes if one.influences is not None]
-    common = grid_around([one.points for one in skinned], [one.morphs.offsets for one in skinned])
-    return [common if one.influences is not None else grid_around([one.points], [one.morphs.offsets]) for one in meshes]
+    common = _grid(skinned)
+    return [common if one.influences is not None else _grid([one]) for one in meshes]
+
+
+def _grid(meshes: Sequence[Baked]) -> Grid:
+    return grid_around([one.points for one in meshes], [block.offsets for one in meshes for block in one.morphs()])
 
 
 def quantisation_error(baked: Baked, grid: Grid) -> float:
     """Largest distance in metres that quantisation moves a point, at neutral or at any one shape."""
     encoding = Encoding(grid)
     base = decode(encoding.positions(baked.points)) * grid.half + grid.center - baked.points
-    offsets = baked.morphs.offsets
-    error = decode(encoding.offsets(offsets)) * grid.half - offsets
-    return max(_longest(base), _longest(base[baked.morphs.points] + error))
+    worst = _longest(base)
+    for block in baked.morphs():
+        error = decode(encoding.offsets(block.offsets)) * grid.half - block.offsets
+        worst = max(worst, _longest(base[block.points] + error))
+    return worst
 
 
-def _filled(normals: FloatArray, fallback: FloatArray) -> FloatArray:
-    """`normals`, with `fallback` where they have no length."""
-    empty = np.linalg.norm(normals, axis=1, keepdims=True) == 0
-    return np.where(empty, fallback, normals)
+def _normals(
+    mesh: Mesh, corners: Corners, points: FloatArray, placement: Placement
+) -> tuple[FloatArray, FloatArray | None]:
+    """Unit normals (n, 3) of the points, and (m, 3) of the corners where the mesh has its own there.
+
+    Smooth normals of the surface stand in for those that are missing or have no length.
+    """
+    if mesh.normals is not None and corners.normals is None:
+        authored = placement.normals(mesh.normals)
+        empty = ~authored.any(axis=1)
+        if empty.any():
+            authored[empty] = smooth_normals(points, corners.points)[empty]
+        return authored, None
+    smooth = smooth_normals(points, corners.points)
+    if corners.normals is None:
+        return smooth, None
+    at_corner = np.zeros(len(corners.normals), np.int64)
+    at_corner[np.asarray(corners.normal_indices)] = corners.points
+    own = placement.normals(corners.normals, at_corner)
+    empty = ~own.any(axis=1)
+    own[empty] = smooth[at_corner[empty]]
+    return smooth, own
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -10,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import ExportError
-from facepipe_gltf.morphs import Extent, Rows
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
@@ -21,6 +21,22 @@ _COMPONENT = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "L": 5125, 
 _TYPE = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _TARGET = {"vertex": 34962, "index": 34963}
 _ALIGNMENT = 4
+
+
+class Extent(NamedTuple):
+    """Smallest and largest value per axis."""
+
+    low: list[float]
+    high: list[float]
+
+
+class Rows(NamedTuple):
+    """One attribute of one target of a primitive: zero but at some vertices."""
+
+    vertices: Array  # (k,) ascending
+    values: Array  # (k, 3)
+    extent: Extent  # of all vertices, those that stay zero too
+    normalized: bool
 
 
 class _Key(NamedTuple):
@@ -68,13 +84,12 @@ class Buffers:
 
         :raises ExportError: numbers that left the range of float32 on their way to metres
         """
-        _require_finite(array)
-        extent = Extent(_listed(array.min(axis=0)), _listed(array.max(axis=0))) if bounds else None
+        require_finite(array)
+        extent = _extent(array) if bounds else None
         return self._add_dense(array, use, normalized, extent)
 
     def add_morph(self, rows: Rows, count: int, *, bounds: bool) -> int:
         """An accessor of `count` elements that are zero but at some; sparse where that is smaller."""
-        _require_finite(rows.values)
         extent = rows.extent if bounds else None
         if not len(rows.vertices):
             return self._zero(rows, count, extent)
@@ -150,13 +165,15 @@ class Buffers:
         return len(self.accessors) - 1
 
 
-def _require_finite(array: Array) -> None:
+def require_finite(array: Array) -> None:
+    """:raises ExportError: infinity, which is what float32 makes of numbers beyond its range"""
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ExportError("glTF buffer", "numbers beyond float32 in metres, expected smaller ones")
 
 
-def _listed(values: Array) -> list[float]:
-    return [*np.atleast_1d(values).tolist()]
+def _extent(array: Array) -> Extent:
+    columns = array.reshape(len(array), -1).T  # one pass a column: numpy is slow along a short last axis
+    return Extent([column.min().item() for column in columns], [column.max().item() for column in columns])
 
 
 def _padded_row(array: Array) -> int:
@@ -182,7 +199,9 @@ def _bytes(array: Array) -> Chunk:
 def _little(array: Array) -> Array:
     if array.shape[1:] == (4, 4):
         array = array.transpose(0, 2, 1)
-    return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    if sys.byteorder == "big":
+        array = array.astype(array.dtype.newbyteorder("<"))
+    return np.ascontiguousarray(array)
 
 
 def _index_type(largest: int) -> type[np.unsignedinteger[Any]]:

@@ -6,9 +6,19 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.errors import ExportError
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, TextureInput
+from facepipe.parts import (
+    Animation,
+    Blendshape,
+    FaceParts,
+    Inbetween,
+    Material,
+    Mesh,
+    Skeleton,
+    TextureInput,
+)
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -89,19 +99,21 @@ def _skin(where: str, mesh: Mesh, joint_count: int) -> None:
 
 def _blendshape(where: str, shape: Blendshape, count: int) -> None:
     indices = np.asarray(shape.point_indices)
-    _indices(f"{where} -> pointIndices", indices, count)
-    if (np.diff(indices) <= 0).any():
+    if not (indices[1:] > indices[:-1]).all():
         raise ExportError(f"{where} -> pointIndices", "not ascending, expected each point once, in order")
-    sculpts: tuple[Blendshape | Inbetween, ...] = (shape, *shape.inbetweens)
-    for one in sculpts:
-        trail = where if one is shape else f"{where} -> {one.name}"
-        _shape(f"{trail} -> offsets", one.offsets, (len(indices), 3))
-        _finite(f"{trail} -> offsets", one.offsets)
-        if one.normal_offsets is not None:
-            _shape(f"{trail} -> normalOffsets", one.normal_offsets, (len(indices), 3))
-            _finite(f"{trail} -> normalOffsets", one.normal_offsets)
-    for inbetween in shape.inbetweens:
-        _finite(f"{where} -> {inbetween.name} -> weight", inbetween.weight)
+    if len(indices) and (indices[0] < 0 or indices[-1] >= count):
+        raise ExportError(f"{where} -> pointIndices", f"index outside 0..{count - 1}")
+    _offsets(where, shape, (len(indices), 3))
+    for one in shape.inbetweens:
+        _offsets(f"{where} -> {one.name}", one, (len(indices), 3))
+        _finite(f"{where} -> {one.name} -> weight", one.weight)
+
+
+def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ...]) -> None:
+    for name, array in (("offsets", sculpt.offsets), ("normalOffsets", sculpt.normal_offsets)):
+        if array is not None:
+            _shape(f"{where} -> {name}", array, expected)
+            _finite(f"{where} -> {name}", array)
 
 
 def _animation(where: str, animation: Animation) -> None:
@@ -133,8 +145,14 @@ def _constants(material: Material) -> Iterator[tuple[str, Any]]:
 
 
 def _finite(where: str, values: Any) -> None:
-    if not (np.abs(np.asarray(values, dtype=np.float64)) <= _LARGEST).all():
+    if not _are_finite(np.asarray(values)):
         raise ExportError(where, "NaN, infinity or beyond float32, expected finite numbers")
+
+
+def _are_finite(values: npt.NDArray[Any]) -> bool:
+    if values.dtype == np.float32:
+        return bool(np.isfinite(values).all())
+    return bool((np.abs(values.astype(np.float64)) <= _LARGEST).all())
 
 
 def _invertible(where: str, matrix: Any) -> None:

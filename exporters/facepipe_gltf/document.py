@@ -19,7 +19,7 @@ from facepipe_gltf.joints import JointNodes, joint_nodes
 from facepipe_gltf.losses import dropped, influence_error, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
-from facepipe_gltf.primitives import PrimitiveWriter, by_material
+from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
 from facepipe_gltf.space import numbers, space_of
 from facepipe_gltf.textures import Image
@@ -84,14 +84,13 @@ class _Writer:
         """One mesh and the node that shows it, at the scene root."""
         mesh = baked.mesh
         writer = PrimitiveWriter(baked, Encoding(grid), self.buffers, len(self.parts.skeleton.joints))
-        primitives = []
+        chosen = []
         for name, triangles in by_material(baked):
             surface = self.materials.surface(name, mesh)
             if mesh.colors is not None and not surface.colored:
                 self.warnings.append(f"{mesh.name}: display colours left out, material {name} decides")
-            primitives.append(
-                writer.write(triangles, surface.index, tangent_uv=surface.tangent_uv, colored=surface.colored)
-            )
+            chosen.append(Chosen(triangles, surface.index, surface.tangent_uv, surface.colored))
+        primitives = writer.write(chosen)
         entry: Json = {"name": mesh.name, "primitives": primitives, "extras": _mesh_extras(baked)}
         if baked.sculpts:
             entry["weights"] = [0.0] * len(baked.sculpts)

@@ -67,7 +67,7 @@ class Encoding:
     def offsets(self, offsets: FloatArray) -> Encoded:
         """(k, 3) morph offsets in metres."""
         if self.grid is None:
-            return Encoded(offsets.astype(np.float32), False)
+            return Encoded(offsets.astype(np.float32, copy=False), False)
         return _signed(offsets / self.grid.half, _SHORT)
 
     def directions(self, vectors: FloatArray) -> Encoded:

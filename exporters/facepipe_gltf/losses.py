@@ -109,7 +109,9 @@ def _longest_shift(baked: Baked, matrices: FloatArray) -> float:
 def _mesh_lines(mesh: Mesh, is_written: bool) -> list[str]:
     if not is_written:
         return [f"{mesh.name}: a mesh without faces"]
-    loose = len(mesh.points) - len(np.unique(mesh.face_vertex_indices))
+    used = np.zeros(len(mesh.points), np.bool_)
+    used[mesh.face_vertex_indices] = True
+    loose = int((~used).sum())
     return [f"{mesh.name}: {loose} points that no face uses"] if loose else []
 
 

@@ -1,31 +1,37 @@
-"""Morph targets of a mesh in one table: each step is one pass over all targets instead of one per target."""
+"""Morph targets of a mesh as tables of many targets: each step is one pass over a block instead of one per target.
+
+A block stays in the processor's cache, and its memory serves the next one: fresh memory costs more than the arithmetic.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.parts import FloatArray, IntArray
+from facepipe_gltf.buffers import Extent, Rows, require_finite
 from facepipe_gltf.encoding import Encoded
 from facepipe_gltf.placement import Placement
 from facepipe_gltf.sculpts import Sculpt
 from facepipe_gltf.vertices import Vertices
 
+_BLOCK = 1 << 15  # rows
+
 
 class Morphs(NamedTuple):
-    """The offsets of all targets of a mesh, one target after another; float64, metres, Y up."""
+    """The offsets of some targets of a mesh, one target after another; float64, metres, Y up."""
 
     starts: IntArray  # (targets + 1,) first row of each target, and the end
     points: IntArray  # (k,) ascending within a target
     offsets: FloatArray  # (k, 3)
-    normal_offsets: FloatArray | None  # (k, 3), zero for targets without; None: no target has any
+    normal_offsets: FloatArray | None  # (k, 3), zero for targets without; None: no target of the mesh has any
 
 
 class Table(NamedTuple):
-    """One attribute of all targets as it is stored, without the rows that are zero."""
+    """One attribute of a block of targets as it is stored, without the rows that are zero."""
 
     starts: IntArray  # (targets + 1,)
     points: IntArray  # (k,)
@@ -33,62 +39,86 @@ class Table(NamedTuple):
     normalized: bool
 
 
-class Extent(NamedTuple):
-    """Smallest and largest value per axis."""
-
-    low: list[float]
-    high: list[float]
-
-
-class Rows(NamedTuple):
-    """One attribute of one target of a primitive: zero but at some vertices."""
-
-    vertices: IntArray  # (k,) ascending
-    values: npt.NDArray[Any]  # (k, 3)
-    extent: Extent  # of all vertices, those that stay zero too
-    normalized: bool
-
-
-def morphs_of(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray) -> Morphs:
-    """The table of a mesh's sculpts in glTF space.
+def blocks(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray) -> Iterator[Morphs]:
+    """All sculpts of a mesh in glTF space, block by block.
 
     :param normals: (n, 3) unit normals of the mesh's points in glTF space
     """
+    with_normals = any(one.normal_offsets is not None for one in sculpts)
+    block: list[Sculpt] = []
+    rows = 0
+    for one in sculpts:
+        if block and rows + len(one.point_indices) > _BLOCK:
+            yield _morphs(block, placement, normals, with_normals)
+            block, rows = [], 0
+        block.append(one)
+        rows += len(one.point_indices)
+    if block:
+        yield _morphs(block, placement, normals, with_normals)
+
+
+def _morphs(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray, with_normals: bool) -> Morphs:
     starts = np.cumsum([0, *(len(one.point_indices) for one in sculpts)])
-    points = _joined([one.point_indices for one in sculpts], np.zeros(0, np.int32)).astype(np.int64)
-    empty = np.zeros((0, 3), np.float32)
-    offsets = placement.offsets(_joined([one.offsets for one in sculpts], empty), points)
-    if all(one.normal_offsets is None for one in sculpts):
+    points = np.concatenate([one.point_indices for one in sculpts], dtype=np.int64)
+    offsets = placement.offsets(np.concatenate([one.offsets for one in sculpts]), points)
+    if not with_normals:
         return Morphs(starts, points, offsets, None)
     own = [np.zeros_like(one.offsets) if one.normal_offsets is None else one.normal_offsets for one in sculpts]
-    return Morphs(starts, points, offsets, placement.normal_offsets(_joined(own, empty), normals[points], points))
+    return Morphs(starts, points, offsets, placement.normal_offsets(np.concatenate(own), normals[points], points))
 
 
 def table_of(morphs: Morphs, encoded: Encoded) -> Table:
-    """The rows (k, 3) of `encoded` that are not zero."""
-    x, y, z = encoded.array.T
+    """The rows (k, 3) of `encoded` that are not zero.
+
+    :raises ExportError: numbers that left the range of float32 on their way to metres
+    """
+    starts, points, values = morphs.starts, morphs.points, encoded.array
+    require_finite(values)
+    x, y, z = values.T
     moving = (x != 0) | (y != 0) | (z != 0)
-    if moving.all():
-        return Table(morphs.starts, morphs.points, encoded.array, encoded.normalized)
-    kept = np.flatnonzero(moving)
-    return Table(
-        np.searchsorted(kept, morphs.starts), morphs.points[kept], encoded.array.take(kept, axis=0), encoded.normalized
-    )
+    if not moving.all():
+        kept = np.flatnonzero(moving)
+        starts, points, values = np.searchsorted(kept, starts), points[kept], values.take(kept, axis=0)
+    return Table(starts, points, values, encoded.normalized)
 
 
 def rows_of(table: Table, vertices: Vertices) -> list[Rows]:
     """What each target does to the vertices of one primitive."""
-    per_point = np.diff(vertices.starts)
-    copies = per_point[table.points]  # vertices that each row of the table becomes
-    moved, values, starts = vertices.starts[table.points], table.values, table.starts
-    if len(copies) and not (copies.min() == copies.max() == 1):
-        ends = np.concatenate([[0], np.cumsum(copies)])
-        source = np.repeat(np.arange(len(copies)), copies)
-        moved = (moved - ends[:-1])[source] + np.arange(len(source))
-        values, starts = values.take(source, axis=0), ends[starts]
+    source, moved, starts = _spread(table, vertices)
+    values = table.values if source is None else table.values.take(source, axis=0)
     extents = _extents(values, starts, len(vertices.points))
     bounds = zip(starts[:-1].tolist(), starts[1:].tolist(), extents, strict=True)
     return [Rows(moved[a:b], values[a:b], extent, table.normalized) for a, b, extent in bounds]
+
+
+def _spread(table: Table, vertices: Vertices) -> tuple[IntArray | None, IntArray, IntArray]:
+    """From points to vertices: the row of the table (None: each once) and the vertex of each row, and where targets
+    start.
+
+    Most points are one vertex; those that the primitive does not have and those at seams are rare, and looked up by
+    byte-sized masks.
+    """
+    copies = np.diff(vertices.starts)
+    source: IntArray | None = None
+    points, starts = table.points, table.starts
+    inside = (copies > 0)[points]
+    if not inside.all():
+        source = np.flatnonzero(inside)
+        points, starts = points[source], np.searchsorted(source, starts)
+    moved = vertices.starts[points]
+    seams = np.flatnonzero((copies > 1)[points])
+    if not len(seams):
+        return source, moved, starts
+    extra = copies[points[seams]] - 1
+    after = np.repeat(seams + 1, extra)  # further vertices of a point follow its first
+    moved = np.insert(moved, after, moved[after - 1] + _counting(extra) + 1)
+    rows = np.arange(len(points)) if source is None else source
+    return np.insert(rows, after, rows[after - 1]), moved, starts + np.searchsorted(after, starts, side="right")
+
+
+def _counting(lengths: IntArray) -> IntArray:
+    """0, 1, ... for each of `lengths`, one after another."""
+    return np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
 def _extents(values: npt.NDArray[Any], starts: IntArray, count: int) -> list[Extent]:
@@ -105,7 +135,3 @@ def _extents(values: npt.NDArray[Any], starts: IntArray, count: int) -> list[Ext
     low[partial] = np.minimum(low[partial], 0)
     high[partial] = np.maximum(high[partial], 0)
     return [Extent(*pair) for pair in zip(low.tolist(), high.tolist(), strict=True)]
-
-
-def _joined(arrays: Sequence[npt.NDArray[Any]], empty: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.concatenate(arrays) if arrays else empty

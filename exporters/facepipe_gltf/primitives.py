@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from facepipe.parts import FloatArray, IntArray
 from facepipe_gltf.baking import Baked
-from facepipe_gltf.buffers import Buffers
+from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
-from facepipe_gltf.morphs import Rows, Table, rows_of, table_of
+from facepipe_gltf.morphs import Table, rows_of, table_of
 from facepipe_gltf.tangents import orientation, tangents
 from facepipe_gltf.vertices import Vertices, vertices_of
 
 Json = dict[str, Any]
+
+
+class Chosen(NamedTuple):
+    """What one primitive shows."""
+
+    triangles: IntArray  # (t,) numbers into the mesh's triangles
+    material: int
+    tangent_uv: int | None  # UV set that gets tangents
+    colored: bool  # with COLOR_0
 
 
 class PrimitiveWriter:
@@ -30,23 +38,34 @@ class PrimitiveWriter:
         self.vertex_count = 0
         self.triangle_count = 0
 
-    def write(self, triangles: IntArray, material: int, *, tangent_uv: int | None, colored: bool) -> Json:
-        """A primitive of the mesh's `triangles`; with tangents for UV set `tangent_uv`, with COLOR_0 if `colored`."""
+    def write(self, every: Sequence[Chosen]) -> list[Json]:
+        """The primitives of the mesh."""
+        vertices = [self._vertices(chosen) for chosen in every]
+        targets = self._targets(vertices)
+        return [self._primitive(*one) for one in zip(every, vertices, targets, strict=True)]
+
+    def _vertices(self, chosen: Chosen) -> Vertices:
         corners = self._baked.corners
         extra = None
-        if tangent_uv is not None:
-            uvs = corners.uvs[tangent_uv][corners.uv_indices[tangent_uv][triangles]]
+        if chosen.tangent_uv is not None:
+            uvs = corners.uvs[chosen.tangent_uv][corners.uv_indices[chosen.tangent_uv][chosen.triangles]]
             extra = orientation(uvs.astype(np.float64))
-        vertices = vertices_of(corners, triangles, extra)
-        self.vertex_count += len(vertices.points)
+        return vertices_of(corners, chosen.triangles, extra)
+
+    def _primitive(self, chosen: Chosen, vertices: Vertices, targets: Sequence[dict[str, Rows]]) -> Json:
+        count = len(vertices.points)
+        self.vertex_count += count
         self.triangle_count += len(vertices.triangles)
         primitive: Json = {
-            "attributes": self._attributes(vertices, tangent_uv, colored),
+            "attributes": self._attributes(vertices, chosen.tangent_uv, chosen.colored),
             "indices": self._indices(vertices),
-            "material": material,
+            "material": chosen.material,
         }
-        if self._baked.sculpts:
-            primitive["targets"] = self._targets(vertices)
+        if targets:
+            primitive["targets"] = [
+                {name: self._buffers.add_morph(rows, count, bounds=name == "POSITION") for name, rows in one.items()}
+                for one in targets
+            ]
         return primitive
 
     def _attributes(self, vertices: Vertices, tangent_uv: int | None, colored: bool) -> dict[str, int]:
@@ -98,46 +117,36 @@ class PrimitiveWriter:
         kind = np.uint16 if len(vertices.points) <= 65535 else np.uint32
         return self._buffers.add(vertices.triangles.astype(kind).ravel(), "index")
 
-    def _targets(self, vertices: Vertices) -> list[dict[str, int]]:
-        """One target per sculpt, all with the same attributes."""
-        count = len(vertices.points)
-        positions = rows_of(self._offsets, vertices)
-        targets = [{"POSITION": rows} for rows in positions]
-        if self._normal_offsets is not None:
-            for target, rows in zip(targets, self._normal_rows(vertices, *self._normal_offsets), strict=True):
-                target["NORMAL"] = rows
-        return [
-            {name: self._buffers.add_morph(rows, count, bounds=name == "POSITION") for name, rows in target.items()}
-            for target in targets
-        ]
-
-    def _normal_rows(self, vertices: Vertices, precise: Table, compact: Table | None) -> list[Rows]:
-        """Offsets of normals; those beyond -1..1 keep float32, since integers can't hold them."""
-        rows = rows_of(precise, vertices)
-        if compact is None:
-            return rows
-        fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in rows]
-        pairs = zip(rows, rows_of(compact, vertices), fits, strict=True)
-        return [small if fit else large for large, small, fit in pairs]
-
-    @cached_property
-    def _offsets(self) -> Table:
-        morphs = self._baked.morphs
-        return table_of(morphs, self._encoding.offsets(morphs.offsets))
-
-    @cached_property
-    def _normal_offsets(self) -> tuple[Table, Table | None] | None:
-        """As float32, and as integers where the file has these."""
-        morphs = self._baked.morphs
-        if morphs.normal_offsets is None:
-            return None
-        precise = table_of(morphs, Encoding().directions(morphs.normal_offsets))
-        if self._encoding.grid is None:
-            return precise, None
-        return precise, table_of(morphs, self._encoding.directions(morphs.normal_offsets))
+    def _targets(self, primitives: Sequence[Vertices]) -> list[list[dict[str, Rows]]]:
+        """The targets of each primitive: one per sculpt, all with the same attributes."""
+        targets: list[list[dict[str, Rows]]] = [[] for _ in primitives]
+        for morphs in self._baked.morphs():
+            offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))
+            precise = compact = None
+            if morphs.normal_offsets is not None:
+                precise = table_of(morphs, Encoding().directions(morphs.normal_offsets))
+                compact = table_of(morphs, self._encoding.directions(morphs.normal_offsets))
+            for own, vertices in zip(targets, primitives, strict=True):
+                positions = rows_of(offsets, vertices)
+                if precise is None or compact is None:
+                    own += [{"POSITION": rows} for rows in positions]
+                else:
+                    pairs = zip(positions, _normal_rows(precise, compact, vertices), strict=True)
+                    own += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
+        return targets
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:
         return self._buffers.add(encoded.array, "vertex", normalized=encoded.normalized, bounds=bounds)
+
+
+def _normal_rows(precise: Table, compact: Table, vertices: Vertices) -> list[Rows]:
+    """Offsets of normals as the encoding has it; those beyond -1..1 keep float32, since integers can't hold them."""
+    floats = rows_of(precise, vertices)
+    if not compact.normalized:
+        return floats
+    fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in floats]
+    pairs = zip(floats, rows_of(compact, vertices), fits, strict=True)
+    return [small if fit else large for large, small, fit in pairs]
 
 
 def by_material(baked: Baked) -> Sequence[tuple[str | None, IntArray]]:

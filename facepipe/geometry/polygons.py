@@ -39,13 +39,13 @@ def point_triangles(face_vertex_counts: IntArray, face_vertex_indices: IntArray)
 
 def point_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     """(n, 3) unit normals, area-weighted over the triangles at each point; (0, 1, 0) where there is none."""
-    edges_1 = points[triangles[:, 1]] - points[triangles[:, 0]]
-    edges_2 = points[triangles[:, 2]] - points[triangles[:, 0]]
-    areas = np.cross(edges_1, edges_2)
+    a, b, c = triangles.T
+    columns = np.ascontiguousarray(np.asarray(points, dtype=np.float64).T)  # axis by axis: much faster than np.cross
+    ux, uy, uz = (axis[b] - axis[a] for axis in columns)
+    vx, vy, vz = (axis[c] - axis[a] for axis in columns)
+    areas = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
     corners = triangles.ravel()
-    summed = np.stack(
-        [np.bincount(corners, np.repeat(areas[:, axis], 3), minlength=len(points)) for axis in range(3)], axis=1
-    )
+    summed = np.stack([np.bincount(corners, np.repeat(area, 3), minlength=len(points)) for area in areas], axis=1)
     length = np.linalg.norm(summed, axis=1, keepdims=True)
     flat = length[:, 0] < np.finfo(np.float64).tiny
     summed[flat] = (0.0, 1.0, 0.0)
