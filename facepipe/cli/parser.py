@@ -42,7 +42,8 @@ def _settings(field: Any, hint: Any) -> dict[str, Any]:
     default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
     metadata = field.metadata
     unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
-    shown = "" if isinstance(default, bool) or default in (None, "") or default == {} or default == () else f" (default {default})"
+    unsaid = isinstance(default, bool) or default in (None, "", (), {})
+    shown = "" if unsaid else f" (default {default})"
     help_text = f"{metadata.get('help', '')}{unit}{shown}".replace("%", "%%")
     kinds = [kind for kind in _flat(hint) if kind is not type(None)]
     if kinds == [bool]:
