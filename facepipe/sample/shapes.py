@@ -152,16 +152,20 @@ def _sparse(name: str, mesh: Mesh, motion: Motion) -> Blendshape | None:
     if half is not None:
         size = np.maximum(size, np.abs(half).max(axis=1))
     moved = np.nonzero(size >= _SMALLEST)[0].astype(np.int32)
-    shape = Blendshape(name=name, point_indices=moved, offsets=full[moved])
+    shape = Blendshape(name=name, point_indices=moved, offsets=_rounded(full[moved]))
     is_head = mesh.name == "Head"
     if is_head:
-        shape = replace(shape, normal_offsets=normals[moved])
+        shape = replace(shape, normal_offsets=_rounded(normals[moved]))
     if half is not None and np.abs(half - full / 2).max() > 1e-3:
-        change = _normal_change(mesh, half)[moved] if is_head else None
-        shape = replace(
-            shape, inbetweens=(Inbetween(name="half", weight=0.5, offsets=half[moved], normal_offsets=change),)
-        )
+        change = _rounded(_normal_change(mesh, half)[moved]) if is_head else None
+        inbetween = Inbetween(name="half", weight=0.5, offsets=_rounded(half[moved]), normal_offsets=change)
+        shape = replace(shape, inbetweens=(inbetween,))
     return shape
+
+
+def _rounded(offsets: FloatArray) -> FloatArray:
+    """To a tenth of a micrometre: the last bits of a double differ between machines, files should not."""
+    return np.round(offsets, 5) + 0.0
 
 
 def _normal_change(mesh: Mesh, offsets: FloatArray) -> FloatArray:
