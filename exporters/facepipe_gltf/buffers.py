@@ -193,7 +193,7 @@ def _rows(array: Array, stride: int) -> Chunk:
 
 def _bytes(array: Array) -> Chunk:
     """The bytes of an array where they are; copied where their order has to change."""
-    return _little(array).reshape(-1).view(np.uint8).data
+    return _little(array).data.cast("B") if array.size else b""
 
 
 def _little(array: Array) -> Array:

@@ -13,6 +13,7 @@ from facepipe.parts import (
     Animation,
     Blendshape,
     FaceParts,
+    FloatArray,
     Inbetween,
     Material,
     Mesh,
@@ -48,8 +49,11 @@ def _skeleton(where: str, skeleton: Skeleton) -> None:
         matrices = getattr(skeleton, name)
         _shape(f"{where} -> {name}", matrices, (len(skeleton.joints), 4, 4))
         _finite(f"{where} -> {name}", matrices)
-    for joint, bind in zip(skeleton.joints, skeleton.bind_transforms, strict=True):
-        _invertible(f"{where} -> {joint} -> bind transform", bind)
+    singular = np.flatnonzero(_singular(np.asarray(skeleton.bind_transforms, dtype=np.float64)))
+    if len(singular):
+        _invertible(
+            f"{where} -> {skeleton.joints[singular[0]]} -> bind transform", skeleton.bind_transforms[singular[0]]
+        )
     if (skeleton.parents >= np.arange(len(skeleton.joints))).any():
         raise ExportError(where, "a joint comes before its parent, expected parents first")
 
@@ -156,10 +160,15 @@ def _are_finite(values: npt.NDArray[Any]) -> bool:
 
 
 def _invertible(where: str, matrix: Any) -> None:
-    linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
-    size = float(np.abs(linear).max())
-    if size == 0 or abs(np.linalg.det(linear / size)) < 1e-12:
+    if _singular(np.asarray(matrix, dtype=np.float64)):
         raise ExportError(where, "singular matrix, expected an invertible one")
+
+
+def _singular(matrices: FloatArray) -> npt.NDArray[np.bool_]:
+    """(...,) of (..., 4, 4)."""
+    linear = matrices[..., :3, :3]
+    size = np.abs(linear).max(axis=(-1, -2), keepdims=True, initial=0.0)
+    return np.asarray(np.abs(np.linalg.det(linear / np.where(size == 0, 1.0, size))) < 1e-12)
 
 
 def _shape(where: str, array: Any, expected: tuple[int, ...]) -> None:

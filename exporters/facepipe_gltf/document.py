@@ -15,8 +15,9 @@ from facepipe_gltf.baking import Baked, bake, grids, quantisation_error
 from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding, Grid
+from facepipe_gltf.influence_error import influence_error
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.losses import dropped, influence_error, skin_warnings
+from facepipe_gltf.losses import dropped, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material

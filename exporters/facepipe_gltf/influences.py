@@ -9,6 +9,9 @@ import numpy as np
 from facepipe.errors import ExportError
 from facepipe.parts import FloatArray, IntArray, Skin
 
+_EVERY = slice(None)
+LOST = 1e-6  # weight that counts as left out
+
 
 class Influences(NamedTuple):
     """Joints (n, k) int64 and weights (n, k) of every point, largest first; unused ones are joint 0, weight 0."""
@@ -37,12 +40,12 @@ def limit(skin: Skin, most: int, where: str) -> Influences:
     return Influences(np.where(weights > 0, joints, 0), weights / kept[:, None], 1.0 - kept / total)
 
 
-def merge(skin: Skin) -> tuple[IntArray, FloatArray]:
-    """Joint indices and weights (n, k) with every joint once a point: repeated ones are summed."""
-    joints = np.asarray(skin.joint_indices, dtype=np.int64)
+def merge(skin: Skin, points: IntArray | slice = _EVERY) -> tuple[IntArray, FloatArray]:
+    """Joint indices and weights (n, k) of `points` with every joint once a point: repeated ones are summed."""
+    joints = np.asarray(skin.joint_indices)[points].astype(np.int64)
     order = np.argsort(joints, axis=1, kind="stable")
     joints = np.take_along_axis(joints, order, axis=1)
-    weights = np.take_along_axis(np.asarray(skin.joint_weights, dtype=np.float64), order, axis=1)
+    weights = np.take_along_axis(np.asarray(skin.joint_weights)[points].astype(np.float64), order, axis=1)
     for column in range(1, joints.shape[1]):
         repeated = joints[:, column] == joints[:, column - 1]
         weights[repeated, column] += weights[repeated, column - 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,8 +64,9 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
 def node_names(joints: tuple[str, ...]) -> list[str]:
     """The last part of each joint's path, or all of it where that is not unique."""
     leaves = [joint.rpartition("/")[2] for joint in joints]
+    times = Counter(leaves)
     pairs = zip(leaves, joints, strict=True)
-    return [leaf if leaves.count(leaf) == 1 else joint.replace("/", "_") for leaf, joint in pairs]
+    return [leaf if times[leaf] == 1 else joint.replace("/", "_") for leaf, joint in pairs]
 
 
 def has_shear(worlds: FloatArray) -> FloatArray:

@@ -44,9 +44,8 @@ class Placement:
         They follow the normals, and shrink as much as normalising shrinks those.
         """
         matrices = self._of(self._cofactors, rows)
-        source = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals)
-        source_length = np.linalg.norm(source, axis=1, keepdims=True)
-        return np.asarray(_apply(matrices, offsets) * source_length)
+        x, y, z = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals).T
+        return np.asarray(_apply(matrices, offsets) * np.sqrt(x * x + y * y + z * z)[:, None])
 
     @cached_property
     def _cofactors(self) -> FloatArray:

@@ -12,6 +12,7 @@ from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh
 
 Json = dict[str, Any]
 Knots = tuple[tuple[float, float], ...]
+_LINEAR: dict[float, Knots] = {1.0: ((0.0, 0.0), (1.0, 1.0))}
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def extras(sculpts: Sequence[Sculpt]) -> Json:
 
 def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
     weights = [one.weight for one in shape.inbetweens]
-    if len({0.0, 1.0, *weights}) != len(weights) + 2:
+    if weights and len({0.0, 1.0, *weights}) != len(weights) + 2:
         raise ExportError(
             f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
         )
@@ -87,7 +88,7 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
 
 def _knots(weights: Sequence[float]) -> dict[float, Knots]:
     if not weights:
-        return {1.0: ((0.0, 0.0), (1.0, 1.0))}
+        return _LINEAR
     from facepipe.rig.activation import curves
 
     return {weight: curve.knots for weight, curve in curves(tuple(weights)).items()}

@@ -31,7 +31,8 @@ class Space:
     def local(self, matrices: FloatArray, is_root: npt.NDArray[np.bool_]) -> FloatArray:
         """(..., j, 4, 4) local joint matrices of the stage, as those of glTF nodes."""
         turned = self.axes @ matrices @ np.linalg.inv(self.axes)
-        return np.asarray(np.where(is_root[:, None, None], self.placement @ turned, turned))
+        turned[..., is_root, :, :] = self.placement @ turned[..., is_root, :, :]
+        return np.asarray(turned)
 
     def inverse_binds(self, bind_transforms: FloatArray) -> FloatArray:
         """(j, 4, 4) inverse bind matrices for vertices in glTF space."""
