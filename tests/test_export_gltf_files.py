@@ -83,7 +83,11 @@ def test_landmarks_and_anchor_stay_in_extras_and_the_rest_is_reported(writing: W
     assert isinstance(marks, Landmarks)
     assert own["landmarks"] == {"corners": {"points": marks.indices.tolist(), "names": list(marks.names)}}
     assert own["anchor"] == 2
-    assert report.dropped == ("regions of Head: mouth, neck", "point subsets of Head: lips", "1 sliders")
+    assert report.dropped == (
+        "2 regions (mouth, neck) on Head",
+        "1 point subset (lips) on Head",
+        "1 slider (open)",
+    )
     root = next(node for node in file.list("nodes") if node["name"] == "root")
     assert root["extras"]["facepipe"]["attachJoint"] == "body/neck"
 
@@ -95,7 +99,7 @@ def test_points_that_no_face_uses_are_reported(writing: Writing) -> None:
         head, face_vertex_counts=head.face_vertex_counts[1:], face_vertex_indices=head.face_vertex_indices[4:]
     )
     _, report = writing(replace(parts, meshes=(loose,)))
-    assert "Head: 1 points that no face uses" in report.dropped
+    assert "1 point that no face uses, on Head" in report.dropped
 
 
 def test_globs_choose_shapes(writing: Writing) -> None:
@@ -134,7 +138,7 @@ def test_odd_faces_agree_too(name: str, quantize: bool, writing: Writing) -> Non
     file, report = writing(parts, quantize=quantize)
     weights = dict.fromkeys({shape.name for mesh in parts.meshes for shape in mesh.blendshapes}, 1.0)
     if name == "no area":
-        assert report.dropped == ("Head: a mesh without faces",)
+        assert report.dropped == ("1 mesh without faces (Head)",)
     else:
         limit = (report.error_mm or 0) / 1000 * 1.1 + 1e-6
         assert difference(file.evaluate(weights), reference(parts, weights), parts) < limit

@@ -16,13 +16,18 @@ _LISTED = 3
 
 
 def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options) -> tuple[str, ...]:
-    """Everything of the face that the file does not hold, one line each."""
+    """Everything of the face that the file does not hold, one line a kind."""
     written = {baked.mesh.name for baked in meshes}
-    lines = [line for mesh in parts.meshes for line in _mesh_lines(mesh, mesh.name in written)]
-    lines += _per_mesh("regions", {mesh.name: mesh.regions for mesh in parts.meshes})
-    lines += _per_mesh("point subsets", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
-    if parts.sliders:
-        lines.append(f"{len(parts.sliders)} sliders")
+    lines = _counted(
+        "mesh without faces", "meshes without faces", [m.name for m in parts.meshes if m.name not in written]
+    )
+    loose = {mesh.name: _loose_points(mesh) for mesh in parts.meshes if mesh.name in written}
+    total, owners = sum(loose.values()), [name for name, count in loose.items() if count]
+    if total:
+        lines.append(f"{total} point{'s' * (total > 1)} that no face uses, on {_meshes(owners)}")
+    lines += _per_mesh("region", {mesh.name: mesh.regions for mesh in parts.meshes})
+    lines += _per_mesh("point subset", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
+    lines += _counted("slider", "sliders", [slider.name for slider in parts.sliders])
     if parts.bone_limits is not None:
         lines.append("bone limits")
     if parts.recipe is not None:
@@ -53,20 +58,26 @@ def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
     return lines
 
 
-def _mesh_lines(mesh: Mesh, is_written: bool) -> list[str]:
-    if not is_written:
-        return [f"{mesh.name}: a mesh without faces"]
+def _loose_points(mesh: Mesh) -> int:
     used = np.zeros(len(mesh.points), np.bool_)
     used[mesh.face_vertex_indices] = True
-    loose = int((~used).sum())
-    return [f"{mesh.name}: {loose} points that no face uses"] if loose else []
+    return int((~used).sum())
 
 
 def _per_mesh(what: str, names: dict[str, Iterable[str]]) -> list[str]:
     """One line for all meshes that have some."""
-    owners = [mesh for mesh, own in names.items() if list(own)]
-    if not owners:
-        return []
+    owners = [mesh for mesh, own in names.items() if any(True for _ in own)]
     every = sorted({name for own in names.values() for name in own})
-    where = ", ".join(owners) if len(owners) <= _LISTED else f"{len(owners)} meshes"
-    return [f"{what} of {where}: {', '.join(every)}"]
+    return [f"{line} on {_meshes(owners)}" for line in _counted(what, f"{what}s", every)]
+
+
+def _counted(one: str, many: str, names: Sequence[str]) -> list[str]:
+    """At most one line: how many, and the names of a few."""
+    if not names:
+        return []
+    few = names if len(names) <= _LISTED else [names[0], "...", names[-1]]
+    return [f"{len(names)} {one if len(names) == 1 else many} ({', '.join(few)})"]
+
+
+def _meshes(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{len(names)} meshes"
