@@ -17,7 +17,7 @@ from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding, Grid
 from facepipe_gltf.influence_error import influence_error
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.losses import dropped, skin_warnings
+from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
@@ -61,6 +61,7 @@ class _Writer:
     meshes: list[Json] = field(default_factory=list)
     targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
     warnings: list[str] = field(default_factory=list)
+    uncolored: dict[str, None] = field(default_factory=dict)  # meshes whose display colours are left out
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
 
     def document(self) -> Document:
@@ -74,6 +75,8 @@ class _Writer:
         mesh_grids: list[Grid | None] = [*grids(meshes)] if options.quantize else [None] * len(meshes)
         for baked, grid in zip(meshes, mesh_grids, strict=True):
             self._mesh(baked, grid)
+        if self.uncolored:
+            self.warnings.append(f"display colours of {meshes_said([*self.uncolored])} left out, materials decide")
         scene = list(range(len(self.nodes)))
         joints, skins = self._skin(meshes, mesh_grids)
         if joints is not None:
@@ -89,7 +92,7 @@ class _Writer:
         for name, triangles in by_material(baked):
             surface = self.materials.surface(name, mesh)
             if mesh.colors is not None and not surface.colored:
-                self.warnings.append(f"{mesh.name}: display colours left out, material {name} decides")
+                self.uncolored[mesh.name] = None
             chosen.append(Chosen(triangles, surface.index, surface.tangent_uv, surface.colored))
         primitives = writer.write(chosen)
         entry: Json = {"name": mesh.name, "primitives": primitives, "extras": _mesh_extras(baked)}

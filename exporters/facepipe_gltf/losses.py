@@ -18,13 +18,12 @@ _LISTED = 3
 def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options) -> tuple[str, ...]:
     """Everything of the face that the file does not hold, one line a kind."""
     written = {baked.mesh.name for baked in meshes}
-    lines = _counted(
-        "mesh without faces", "meshes without faces", [m.name for m in parts.meshes if m.name not in written]
-    )
+    faceless = [mesh.name for mesh in parts.meshes if mesh.name not in written]
+    lines = _counted("mesh without faces", "meshes without faces", faceless)
     loose = {mesh.name: _loose_points(mesh) for mesh in parts.meshes if mesh.name in written}
     total, owners = sum(loose.values()), [name for name, count in loose.items() if count]
     if total:
-        lines.append(f"{total} point{'s' * (total > 1)} that no face uses, on {_meshes(owners)}")
+        lines.append(f"{total} point{'s' * (total > 1)} that no face uses, on {meshes_said(owners)}")
     lines += _per_mesh("region", {mesh.name: mesh.regions for mesh in parts.meshes})
     lines += _per_mesh("point subset", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
     lines += _counted("slider", "sliders", [slider.name for slider in parts.sliders])
@@ -68,7 +67,7 @@ def _per_mesh(what: str, names: dict[str, Iterable[str]]) -> list[str]:
     """One line for all meshes that have some."""
     owners = [mesh for mesh, own in names.items() if any(True for _ in own)]
     every = sorted({name for own in names.values() for name in own})
-    return [f"{line} on {_meshes(owners)}" for line in _counted(what, f"{what}s", every)]
+    return [f"{line} on {meshes_said(owners)}" for line in _counted(what, f"{what}s", every)]
 
 
 def _counted(one: str, many: str, names: Sequence[str]) -> list[str]:
@@ -79,5 +78,6 @@ def _counted(one: str, many: str, names: Sequence[str]) -> list[str]:
     return [f"{len(names)} {one if len(names) == 1 else many} ({', '.join(few)})"]
 
 
-def _meshes(names: Sequence[str]) -> str:
+def meshes_said(names: Sequence[str]) -> str:
+    """One mesh by its name, several by their number."""
     return names[0] if len(names) == 1 else f"{len(names)} meshes"
