@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import json
 import os
+import statistics
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 Json = dict[str, Any]
+WARM_CALLS = 5  # export calls of a process after its first
 
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "PXR_PLUGINPATH_NAME")  # belong to the environment of the parent
 
@@ -46,6 +50,29 @@ def run_child(python: str, script: Path, *arguments: str | Path) -> Json:
 def write_report(path: str | Path, report: Json) -> None:
     """Hand a child's figures to its parent."""
     Path(path).write_text(json.dumps(report), encoding="utf-8")
+
+
+def export_times(export: Callable[[], object]) -> Json:
+    """Wall and processor time (of all threads) of the first call of the process, and medians of those that follow.
+
+    The peak memory is that of the first call.
+    """
+    wall, processor = [], []
+    peak = None
+    for call in range(1 + WARM_CALLS):
+        cpu, start = time.process_time(), time.perf_counter()
+        export()
+        wall.append(time.perf_counter() - start)
+        processor.append(time.process_time() - cpu)
+        if call == 0:
+            peak = peak_memory()
+    return {
+        "export_s": wall[0],
+        "export_cpu_s": processor[0],
+        "again_s": statistics.median(wall[1:]),
+        "again_cpu_s": statistics.median(processor[1:]),
+        "peak_bytes": peak,
+    }
 
 
 def peak_memory() -> int | None:

@@ -139,7 +139,7 @@ def _comparison(result: Json, ours: Json, theirs: Json) -> Json:
     }
 
 
-_RATIOS = ("load_s", "export_s", "export_cpu_s", "again_s", "load_export_s", "peak_bytes", "own_bytes")
+_RATIOS = ("load_s", "export_s", "export_cpu_s", "again_s", "again_cpu_s", "load_export_s", "peak_bytes", "own_bytes")
 
 
 def _ratio(theirs: float | None, ours: float | None) -> float | None:
@@ -165,7 +165,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PYTHON",
         help="interpreter of the environment that has bpy; default FACEPIPE_BLENDER_PYTHON, skipped without",
     )
-    parser.add_argument("--runs", type=_positive, default=3, help="child processes a side, medians of them (default 3)")
+    parser.add_argument("--runs", type=_positive, default=5, help="child processes a side, medians of them (default 5)")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     parser.add_argument(
         "--data",
