@@ -1,6 +1,6 @@
 """Child of export_gltf.py, Blender's side; runs in an environment of its own that has bpy and no facepipe.
 
-usage: blender_export.py STAGE GLB matched|dense|defaults REPORT
+usage: blender_export.py STAGE GLB matched|normals|dense|defaults REPORT
        blender_export.py --check REPORT
 """
 
@@ -33,6 +33,7 @@ _MATCHED: Json = {
 }
 _VARIANTS: dict[str, Json] = {
     "matched": _MATCHED,
+    "normals": {**_MATCHED, "export_morph_normal": True},
     "dense": {**_MATCHED, "export_try_sparse_sk": False},
     "defaults": {"export_format": "GLB"},
 }

@@ -24,6 +24,9 @@ from glb_content import content, dense_bytes, differences, reaches, read_json
 _HERE = Path(__file__).resolve().parent
 _OURS = _HERE / "facepipe_export.py"
 _BLENDER = _HERE / "blender_export.py"
+_OUR_SIDES = {"facepipe": "sparse", "facepipe_normals": "normals"}  # side -> variant of its child
+_BLENDER_SIDES = {"blender": "matched", "blender_normals": "normals", "blender_defaults": "defaults"}
+_PEER = {"blender_normals": "facepipe_normals"}  # what a side is compared to, if not to "facepipe"
 AIM = 10.0  # times faster than Blender's export call
 
 
@@ -89,16 +92,16 @@ def _blender(python: str | None) -> tuple[str | None, str]:
 def _face(source: Source, file: Path, folder: Path, blender: str | None, runs: int) -> Json:
     """One face: imported, then exported by both sides in turn, so that both meet the same noise."""
     stage, glb, theirs, report = (folder / f"{source.kind}{end}" for end in (".usdc", ".glb", ".blender.glb", ".json"))
-    samples: dict[str, list[Json]] = {key: [] for key in ("import", "facepipe", "blender", "blender_defaults")}
+    samples: dict[str, list[Json]] = {"import": []} | {side: [] for side in (*_OUR_SIDES, *_BLENDER_SIDES)}
     for _ in range(runs):
         samples["import"].append(run_child(sys.executable, _OURS, "import", source.kind, file, stage, report))
     for _ in range(runs):
-        samples["facepipe"].append(run_child(sys.executable, _OURS, "export", stage, glb, "sparse", report))
-        if blender is not None:
-            samples["blender"].append(run_child(blender, _BLENDER, stage, theirs, "matched", report))
-            samples["blender_defaults"].append(
-                run_child(blender, _BLENDER, stage, folder / "defaults.glb", "defaults", report)
-            )
+        for side, variant in _OUR_SIDES.items():
+            out = glb if side == "facepipe" else folder / f"{side}.glb"
+            samples[side].append(run_child(sys.executable, _OURS, "export", stage, out, variant, report))
+        for side, variant in _BLENDER_SIDES.items() if blender is not None else ():
+            out = theirs if side == "blender" else folder / f"{side}.glb"
+            samples[side].append(run_child(str(blender), _BLENDER, stage, out, variant, report))
     quantised = run_child(sys.executable, _OURS, "export", stage, folder / "quantised.glb", "quantised", report)
     document = read_json(glb)
     ours = content(document)
@@ -133,8 +136,8 @@ def _comparison(result: Json, ours: Json, theirs: Json) -> Json:
         "differences": differences(result["content"]["facepipe"], result["content"]["blender"]),
         "target_reach_difference_mm": max(off, default=None),
         "ratios": {
-            side: {key: _ratio(medians[side][key], medians["facepipe"][key]) for key in _RATIOS}
-            for side in ("blender", "blender_defaults")
+            side: {key: _ratio(medians[side][key], medians[_PEER.get(side, "facepipe")][key]) for key in _RATIOS}
+            for side in _BLENDER_SIDES
         },
     }
 

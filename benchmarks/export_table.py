@@ -19,8 +19,9 @@ _EXPORT = (
     ("again_cpu_s", "warm, processor time"),
 )
 _SETTINGS = (
-    ("blender", "export call, same settings"),  # no normals in targets on either side
-    ("blender_defaults", "export call, Blender's defaults"),  # with normals in targets
+    ("facepipe", "blender", "export call, same settings"),  # no normals in targets on either side
+    ("facepipe_normals", "blender_normals", "export call, both with normals in targets"),
+    ("facepipe", "blender_defaults", "export call, Blender's defaults"),  # with normals in targets, only Blender's
 )
 _MEMORY = (
     ("peak_bytes", "peak memory of read and export"),
@@ -55,11 +56,11 @@ def _rows(face: Json) -> list[Row]:
         (name, "peak memory of the import", _mib(median["import"]["peak_bytes"]), "", ""),
     ]
     rows += [(name, text, _ms(ours[key]), _ms(theirs.get(key)), _times(matched.get(key))) for key, text in _TIMES]
-    for side, settings in _SETTINGS:
+    for own, side, settings in _SETTINGS:
         other, ratio = median.get(side, {}), ratios.get(side, {})
-        if other or side == "blender":
+        if other or side != "blender_defaults":
             rows += [
-                (name, f"{settings}: {text}", _ms(ours[key]), _ms(other.get(key)), _times(ratio.get(key)))
+                (name, f"{settings}: {text}", _ms(median[own][key]), _ms(other.get(key)), _times(ratio.get(key)))
                 for key, text in _EXPORT
             ]
     rows += [(name, text, _mib(ours[key]), _mib(theirs.get(key)), _times(matched.get(key))) for key, text in _MEMORY]

@@ -1,7 +1,7 @@
 """Child of export_gltf.py, facepipe's side: imports a face, or exports a stage, and reports times and memory.
 
 usage: facepipe_export.py import KIND SOURCE STAGE REPORT
-       facepipe_export.py export STAGE GLB sparse|quantised REPORT
+       facepipe_export.py export STAGE GLB sparse|quantised|normals REPORT
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def export_face(stage: str, glb: str, variant: str) -> Json:
     import facepipe
     import facepipe.stage  # else the first open would
 
-    options = facepipe_gltf.Options(quantize=variant == "quantised")
+    options = facepipe_gltf.Options(quantize=variant == "quantised", morph_normals=variant == "normals")
     baseline = peak_memory()
     start = time.perf_counter()
     face = facepipe.open(stage)

@@ -10,6 +10,7 @@ import numpy as np
 from facepipe.parts import FaceParts, FloatArray, Mesh
 from facepipe_gltf.encoding import Encoding, Grid, decode, grid_around
 from facepipe_gltf.influences import Influences, limit
+from facepipe_gltf.morph_normals import with_normals
 from facepipe_gltf.morphs import Morphs, blocks
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Placement, place, smooth_normals
@@ -47,6 +48,9 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     points = placement.points(mesh.points)
     normals, corner_normals = _normals(mesh, corners, points, placement)
     sculpts = sculpts_of(mesh, shapes)
+    if options.morph_normals and sculpts:
+        authored = corners.points[:, ::-1] if placement.mirrored else corners.points
+        sculpts = with_normals(sculpts, mesh.points, authored)
     return Baked(
         mesh=mesh,
         corners=corners,

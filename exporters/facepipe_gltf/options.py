@@ -21,6 +21,10 @@ class Options:
         default=4, metadata={"help": "largest number of joints that move one vertex", "choices": (4, 8)}
     )
     shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
+    morph_normals: bool = field(
+        default=False,
+        metadata={"help": "compute the normals of blendshapes that have none"},
+    )
     animations: bool = field(default=False, metadata={"help": "export poses and animations"})
     quantize: bool = field(
         default=False, metadata={"help": "store vertices as 8 and 16 bit integers (KHR_mesh_quantization)"}

@@ -46,7 +46,7 @@ def point_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     areas = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
     corners = triangles.ravel()
     summed = np.stack([np.bincount(corners, np.repeat(area, 3), minlength=len(points)) for area in areas], axis=1)
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    length = np.sqrt(sum(axis * axis for axis in summed.T))[:, None]
     flat = length[:, 0] < np.finfo(np.float64).tiny
     summed[flat] = (0.0, 1.0, 0.0)
     length[flat] = 1.0
