@@ -45,7 +45,11 @@ class Placement:
         """
         matrices = self._of(self._cofactors, rows)
         x, y, z = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals).T
-        return np.asarray(_apply(matrices, offsets) * np.sqrt(x * x + y * y + z * z)[:, None])
+        result = _apply(matrices, offsets)
+        length = np.sqrt(x * x + y * y + z * z)
+        for axis in result.T:
+            axis *= length
+        return result
 
     @cached_property
     def _cofactors(self) -> FloatArray:

@@ -11,7 +11,7 @@ from facepipe.parts import FloatArray, IntArray
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
-from facepipe_gltf.morphs import Table, rows_of, table_of
+from facepipe_gltf.morphs import Morphs, Table, rows_of, table_of
 from facepipe_gltf.tangents import orientation, tangents
 from facepipe_gltf.vertices import Vertices, vertices_of
 
@@ -122,31 +122,34 @@ class PrimitiveWriter:
         targets: list[list[dict[str, Rows]]] = [[] for _ in primitives]
         for morphs in self._baked.morphs():
             offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))
-            precise = compact = None
-            if morphs.normal_offsets is not None:
-                precise = table_of(morphs, Encoding().directions(morphs.normal_offsets))
-                compact = table_of(morphs, self._encoding.directions(morphs.normal_offsets))
+            normal_tables = self._normal_tables(morphs)
             for own, vertices in zip(targets, primitives, strict=True):
                 positions = rows_of(offsets, vertices)
-                if precise is None or compact is None:
-                    own += [{"POSITION": rows} for rows in positions]
-                else:
-                    pairs = zip(positions, _normal_rows(precise, compact, vertices), strict=True)
+                if normal_tables:
+                    pairs = zip(positions, _normal_rows(normal_tables, vertices), strict=True)
                     own += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
+                else:
+                    own += [{"POSITION": rows} for rows in positions]
         return targets
+
+    def _normal_tables(self, morphs: Morphs) -> list[Table]:
+        """Normal offsets as float32 and, in a quantised file, as integers too; empty where there are none."""
+        if morphs.normal_offsets is None:
+            return []
+        encodings = [Encoding()] if self._encoding.grid is None else [Encoding(), self._encoding]
+        return [table_of(morphs, one.directions(morphs.normal_offsets)) for one in encodings]
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:
         return self._buffers.add(encoded.array, "vertex", normalized=encoded.normalized, bounds=bounds)
 
 
-def _normal_rows(precise: Table, compact: Table, vertices: Vertices) -> list[Rows]:
-    """Offsets of normals as the encoding has it; those beyond -1..1 keep float32, since integers can't hold them."""
-    floats = rows_of(precise, vertices)
-    if not compact.normalized:
-        return floats
-    fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in floats]
-    pairs = zip(floats, rows_of(compact, vertices), fits, strict=True)
-    return [small if fit else large for large, small, fit in pairs]
+def _normal_rows(tables: Sequence[Table], vertices: Vertices) -> list[Rows]:
+    """Offsets of normals, in the last of the encodings that can hold them: integers can't beyond -1..1."""
+    floats, *integers = (rows_of(table, vertices) for table in tables)
+    for compact in integers:
+        fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in floats]
+        return [small if fit else large for large, small, fit in zip(floats, compact, fits, strict=True)]
+    return floats
 
 
 def by_material(baked: Baked) -> Sequence[tuple[str | None, IntArray]]:
