@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -457,3 +459,14 @@ def test_finding_of_numbers_names_the_worst(good_file: Path, tmp_path: Path) -> 
     (found,) = validate(seeded(good_file, tmp_path, seed))
     assert "2 of 36 points" in found.message
     assert "point 7: 0.25" in found.message
+
+
+@pytest.mark.skipif(not available(), reason="this USD takes no checks written in Python")
+def test_importing_the_package_registers_every_check() -> None:
+    program = (
+        "import facepipe.validate\nfrom pxr import UsdValidation\n"
+        "registry = UsdValidation.ValidationRegistry()\n"
+        "assert all(registry.HasValidator(check.full_name) for check in facepipe.validate.CHECKS)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,4 +1,7 @@
-"""Named checks of faces and of what is exported from them."""
+"""Named checks of faces and of what is exported from them.
+
+Importing this package registers the stage checks with UsdValidation, where this USD takes checks written in Python.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ from facepipe.validate.checks import CHECKS, Check, check_stage
 from facepipe.validate.usd_registry import check_built_in, register
 
 __all__ = ["CHECKS", "Check", "Finding", "check_stage", "register", "validate", "validate_stage"]
+
+register()
 
 
 def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
