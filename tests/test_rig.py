@@ -13,7 +13,7 @@ from oracle import bake, difference, random_coefficients
 from scipy.spatial.transform import Rotation
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import Animation, Slider
+from facepipe.parts import Animation, Blendshape, Inbetween, Slider
 from facepipe.rig import (
     build,
     coefficient_matrices,
@@ -67,6 +67,30 @@ def test_inbetweens_as_usdskel(weight: float) -> None:
     face = Face.from_parts(tiny_face())
     weights = {"jawOpen": weight, "mouthSmileLeft": 0.5}
     assert difference(face, face.evaluate(weights), bake(face, weights)) < 1e-6
+
+
+def test_inbetweens_of_two_shapes_may_share_a_joined_name() -> None:
+    """Shape `a` with inbetween `b_c` and shape `a_b` with inbetween `c`: both sculpts read `a_b_c`."""
+    parts = tiny_face()
+    head = parts.meshes[0]
+    rng = np.random.default_rng(7)
+    indices = np.arange(len(head.points), dtype=np.int32)
+
+    def offsets() -> np.ndarray:
+        return rng.normal(size=(len(indices), 3)).astype(np.float32)
+
+    shapes = tuple(
+        Blendshape(
+            name=shape,
+            point_indices=indices,
+            offsets=offsets(),
+            inbetweens=(Inbetween(name=inbetween, weight=0.5, offsets=offsets()),),
+        )
+        for shape, inbetween in (("a", "b_c"), ("a_b", "c"))
+    )
+    face = Face.from_parts(replace(parts, meshes=(replace_mesh(head, blendshapes=shapes),)))
+    for weights in ({"a": 0.5}, {"a_b": 0.5}, {"a": 0.3, "a_b": 0.8}):
+        assert difference(face, face.evaluate(weights), bake(face, weights)) < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -91,9 +91,9 @@ def _targets(
     spaces: list[FloatArray],
     shapes: tuple[str, ...],
 ) -> tuple[Target, ...]:
-    """Sculpts of all meshes; those of one name and one activation curve are one target."""
+    """Sculpts of all meshes; those of one shape, name and activation curve are one target."""
     number = {name: i for i, name in enumerate(shapes)}
-    found: dict[tuple[str, Curve], list[_Sculpt]] = {}
+    found: dict[tuple[str, str, Curve], list[_Sculpt]] = {}
     for mesh, start, space in zip(meshes, offsets[:-1], spaces, strict=True):
         for shape in mesh.blendshapes:
             indices = np.asarray(shape.point_indices, dtype=np.int64)
@@ -103,7 +103,8 @@ def _targets(
                 if len(sculpt) != len(indices):
                     raise TopologyError(f"{mesh.name} -> {name}", f"{len(sculpt)} offsets, expected {len(indices)}")
                 moved = np.asarray(sculpt, dtype=np.float64) @ space[:3, :3].T
-                found.setdefault((name, curve), []).append((name, number[shape.name], curve, indices + start, moved))
+                own = (name, number[shape.name], curve, indices + start, moved)
+                found.setdefault((shape.name, name, curve), []).append(own)
     targets = [_merge(sculpts) for sculpts in found.values()]
     return tuple(sorted(targets, key=lambda target: target.shape))
 
