@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from facepipe_gltf import Options, export, save, write
+from facepipe_gltf import Options, export, outputs, save, write
 from faces import grid_mesh, replace_mesh, tiny_face
 from gltf_export import Parts, Writing, difference, reference, writing, written
 from gltf_reader import read
@@ -90,6 +90,14 @@ def test_landmarks_and_anchor_stay_in_extras_and_the_rest_is_reported(writing: W
     )
     root = next(node for node in file.list("nodes") if node["name"] == "root")
     assert root["extras"]["facepipe"]["attachJoint"] == "body/neck"
+
+
+@pytest.mark.parametrize("name", ["k.glb", "k.gltf"])
+def test_outputs_are_among_the_files_that_export_writes(name: str, tmp_path: Path) -> None:
+    report = export(Parts(painted_face()), tmp_path / name, Options())
+    assert outputs(tmp_path / name) == report.files[:1] == (tmp_path / name,)
+    with pytest.raises(InputError, match="expected .glb or .gltf"):
+        outputs(tmp_path / "k.onnx")
 
 
 def test_points_that_no_face_uses_are_reported(writing: Writing) -> None:

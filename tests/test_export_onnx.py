@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import onnx
 import pytest
-from facepipe_onnx import Deformer, Options, export, export_parts, validate
+from facepipe_onnx import Deformer, Options, export, export_parts, outputs, validate
 from facepipe_onnx.graph import build as build_graph
 from faces import grid_mesh, replace_mesh, tiny_face
 from import_data import shared
@@ -255,6 +255,13 @@ def test_sidecar_is_the_metadata(tmp_path: Path) -> None:
     assert beside["sliders"][0]["name"] == "jaw"
     assert report.files == (tmp_path / "face.onnx", tmp_path / "face.onnx.json")
     assert report.bytes == (tmp_path / "face.onnx").stat().st_size
+
+
+def test_outputs_are_the_files_that_export_writes(tmp_path: Path) -> None:
+    report = export_parts(tiny_face(), tmp_path / "k.onnx")
+    assert outputs(tmp_path / "k.onnx") == report.files == tuple(sorted(tmp_path.iterdir()))
+    with pytest.raises(InputError, match="expected .onnx"):
+        outputs(tmp_path / "k.glb")
 
 
 def test_report_names_what_is_left_out(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from facepipe_gltf.document import Document, write
 from facepipe_gltf.options import Options
 from facepipe_gltf.validation import validate
 
-__all__ = ["Document", "Options", "export", "save", "validate", "write"]
+__all__ = ["Document", "Options", "export", "outputs", "save", "validate", "write"]
 
 
 class HasParts(Protocol):
@@ -48,6 +48,14 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
         dropped=document.dropped,
         error_mm=document.error_mm,
     )
+
+
+def outputs(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """The files that `export` to `path` writes whatever the face holds.
+
+    :raises InputError: another suffix than .glb and .gltf
+    """
+    return (_target(path),)
 
 
 def save(document: Document, path: str | os.PathLike[str]) -> list[Path]:

@@ -6,6 +6,6 @@
 from facepipe_onnx.options import Options
 from facepipe_onnx.runtime import Deformer
 from facepipe_onnx.verify import validate
-from facepipe_onnx.writer import export, export_parts
+from facepipe_onnx.writer import export, export_parts, outputs
 
-__all__ = ["Deformer", "Options", "export", "export_parts", "validate"]
+__all__ = ["Deformer", "Options", "export", "export_parts", "outputs", "validate"]

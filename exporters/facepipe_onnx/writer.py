@@ -45,15 +45,12 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     :raises TopologyError: indices and counts that don't fit, or a singular bind transform
     """
     start = time.perf_counter()
-    target, options = Path(path), options or Options()
-    if target.suffix.lower() != ".onnx":
-        raise InputError(target, f"suffix '{target.suffix}', expected .onnx")
+    (target, beside), options = outputs(path), options or Options()
     whole = build_rig(parts)
     model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
     rig = select_shapes(whole, options.selected(whole.shapes))
     metadata = sidecar.describe(parts, rig, options, operators(model))
     data = _serialised(model, metadata, parts.name)
-    beside = sidecar.path_of(target)
     with replacing(target) as graph_file, replacing(beside) as text_file:
         graph_file.write_bytes(data)
         text_file.write_text(sidecar.to_text(metadata), encoding="utf-8", newline="\n")
@@ -65,6 +62,17 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         seconds=time.perf_counter() - start,
         dropped=_dropped(parts),
     )
+
+
+def outputs(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """The files that `export` to `path` writes: the model and its sidecar.
+
+    :raises InputError: another suffix than .onnx
+    """
+    target = Path(path)
+    if target.suffix.lower() != ".onnx":
+        raise InputError(target, f"suffix '{target.suffix}', expected .onnx")
+    return target, sidecar.path_of(target)
 
 
 def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
