@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -244,3 +245,32 @@ def test_nan_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="points hold NaN"):
         save_parts(bad, tmp_path / "face.usda")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("source", [".usdc", ".usdz"])
+@pytest.mark.parametrize("out", [".usda", ".usdz"])
+def test_standalone_files_can_be_moved(tmp_path: Path, source: str, out: str) -> None:
+    first, second, third = (tmp_path / name for name in ("one", "two", "three"))
+    first.mkdir()
+    second.mkdir()
+    save_parts(full_face(), first / f"face{source}")
+    with facepipe.open(first / f"face{source}").deriving(second / f"flat{out}", flatten=True) as face:
+        face.prim.GetAttribute("facepipe:attribution").Set("changed")
+    facepipe.open(first / f"face{source}").save(second / f"saved{out}")
+    shutil.rmtree(first)
+    second.rename(third)
+    assert_same(replace(full_face(), attribution="changed"), facepipe.open(third / f"flat{out}").parts())
+    assert_same(full_face(), facepipe.open(third / f"saved{out}").parts())
+    if out == ".usda":
+        assert str(tmp_path) not in (third / f"flat{out}").read_text()
+
+
+def test_recipe_sources_are_seen_from_the_stage(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "source.npz").write_bytes(b"x")
+    recipe = p.Recipe(verb="import x", sources=(str(tmp_path / "data" / "source.npz"), "gone.npz"))
+    (tmp_path / "out").mkdir()
+    save_parts(replace(tiny_face(), recipe=recipe), tmp_path / "out" / "face.usda")
+    again = facepipe.open(tmp_path / "out" / "face.usda").parts().recipe
+    assert again is not None
+    assert again.sources == ("../data/source.npz", "gone.npz")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import __version__, tokens
-from facepipe.errors import InputError
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
-from facepipe.stage.author_materials import author_materials, write_textures
+from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.author_skeleton import (
     author_animation,
@@ -21,7 +20,8 @@ from facepipe.stage.author_skeleton import (
     author_skeleton,
     author_slider,
 )
-from facepipe.stage.files import check_suffix, new_stage, save_layer
+from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
+from facepipe.stage.textures import TextureFolder, texture_home
 
 
 def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
@@ -31,21 +31,28 @@ def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     check_suffix(target)
-    if target.suffix.lower() != ".usdz":
-        stage = author(parts, write_textures(parts, target))  # the stage keeps its layer alive
-        save_layer(stage.GetRootLayer(), target)
-        return
-    if not target.parent.is_dir():
-        raise InputError(target, "the folder does not exist")
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".facepipe-") as folder:
-        stage = author(parts, write_textures(parts, Path(folder) / target.name))
-        save_layer(stage.GetRootLayer(), target, beside=Path(folder))
+    with texture_home(target) as home:
+        folder = TextureFolder(home)
+        textures = {name: folder.add(name, texture.data) for name, texture in textures_of(parts).items()}
+        stage = author(_with_relative_sources(parts, target.parent), textures)  # the stage keeps its layer alive
+        folder.write()
+        save_layer(stage.GetRootLayer(), target, beside=home.parent)
+
+
+def _with_relative_sources(parts: FaceParts, folder: Path) -> FaceParts:
+    """The recipe's sources as seen from the folder that the face is saved in, where they are files."""
+    if parts.recipe is None:
+        return parts
+    sources = tuple(
+        relative_path(source, folder) if Path(source).exists() else source for source in parts.recipe.sources
+    )
+    return replace(parts, recipe=replace(parts.recipe, sources=sources))
 
 
 def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stage:
     """A stage in memory that holds the face as its default prim.
 
-    :param textures: asset path by texture name, as `write_textures` gives; names themselves where not given
+    :param textures: asset path by texture name; names themselves where not given
     """
     stage = new_stage(parts.meters_per_unit, parts.up_axis)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
-from facepipe.atomic import write_bytes
 from facepipe.errors import InputError
 from facepipe.names import unique_identifiers
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
@@ -39,36 +36,6 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
                 if found.setdefault(texture.name, texture).data != texture.data:
                     raise InputError(material.name, f"two different textures named '{texture.name}'")
     return found
-
-
-def write_textures(parts: FaceParts, target: Path) -> dict[str, str]:
-    """Write the textures of a face to ``<stem>_textures/`` beside `target`; asset path by texture name.
-
-    A file that is there with other content is never overwritten: a stage may still show it.
-    """
-    textures = textures_of(parts)
-    if not textures:
-        return {}
-    folder = target.parent / f"{target.stem}_textures"
-    if not target.parent.is_dir():
-        raise InputError(target.parent, "no such folder")
-    folder.mkdir(exist_ok=True)
-    paths = {}
-    for name, texture in textures.items():
-        file = _free(folder / Path(name).name, texture.data)
-        if not file.exists():
-            write_bytes(file, texture.data)
-        paths[name] = f"./{folder.name}/{file.name}"
-    return paths
-
-
-def _free(file: Path, data: bytes) -> Path:
-    """`file`, or the first numbered name beside it that is free or holds the same bytes."""
-    own, number = file, 1
-    while own.exists() and own.read_bytes() != data:
-        number += 1
-        own = file.with_name(f"{file.stem}_{number}{file.suffix}")
-    return own
 
 
 def author_materials(

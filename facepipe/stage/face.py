@@ -17,11 +17,12 @@ from facepipe.names import identifier
 from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
-from facepipe.stage.files import derived_stage, open_stage, save_layer
+from facepipe.stage.files import derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
+from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, prims_below
 
 
@@ -233,13 +234,23 @@ class Face:
 
     @contextlib.contextmanager
     def deriving(self, path: str | os.PathLike[str], *, flatten: bool = False) -> Iterator[Face]:
-        """The same face over a new override layer, saved as `path` when the block ends well."""
-        with derived_stage(self.stage, path, flatten=flatten) as stage:
+        """The same face over a new override layer, saved as `path` when the block ends well.
+
+        A .usdz, and any file with `flatten`, is standalone instead.
+
+        :raises InputError: `path` can't be written, is the source itself, or the source was never saved
+        """
+        if flatten or Path(path).suffix.lower() == ".usdz":
+            stage = Usd.Stage.Open(over(self.stage.GetRootLayer(), Path(path).absolute()))
+            yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+            save_standalone(stage, path)
+            return
+        with derived_stage(self.stage, path) as stage:
             yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Save the stage as one standalone file, atomically."""
-        save_layer(self.stage.Flatten(), path)
+        """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""
+        save_standalone(self.stage, path)
 
     def mesh_prim(self, name: str) -> Usd.Prim:
         """The prim of the mesh called `name`.

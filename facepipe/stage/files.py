@@ -125,39 +125,45 @@ def new_stage(meters_per_unit: float, up_axis: str, frames_per_second: float = 2
 
 
 @contextlib.contextmanager
-def derived_stage(source: Usd.Stage, path: str | os.PathLike[str], *, flatten: bool = False) -> Iterator[Usd.Stage]:
+def derived_stage(source: Usd.Stage, path: str | os.PathLike[str]) -> Iterator[Usd.Stage]:
     """A stage over `source` whose opinions go to a new layer, saved as `path` when the block ends well.
 
-    The new layer sublayers the source by a relative path and holds only what changed; with `flatten` one standalone
-    file is written.
+    The new layer sublayers the source by a relative path and holds only what changed.
 
     :raises InputError: `path` is the source itself or can't be written, or the source is in memory only
     """
     target, base = Path(path).absolute(), source.GetRootLayer()
-    check_suffix(target)
-    if base.realPath and Path(base.realPath) == target.resolve():
-        raise InputError(path, "is the input itself, expected another output file")
-    if not base.realPath and not flatten:
+    if not base.realPath:
         raise InputError(path, "the source was never saved, expected one with a file to refer to (or flatten)")
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.subLayerPaths.append(base.identifier)
+    layer = over(base, target)
     stage = Usd.Stage.Open(layer)
-    for key in ("metersPerUnit", "upAxis", "timeCodesPerSecond", "defaultPrim", "startTimeCode", "endTimeCode"):
-        if base.pseudoRoot.HasInfo(key):
-            stage.SetMetadata(key, base.pseudoRoot.GetInfo(key))
     yield stage
-    if flatten or target.suffix.lower() == ".usdz":
-        save_layer(stage.Flatten(), target)
-        return
     written = Sdf.Layer.CreateAnonymous(".usda")
     written.TransferContent(layer)
-    written.subLayerPaths[0] = _relative(base.realPath, target.parent)
+    written.subLayerPaths[0] = relative_path(base.realPath, target.parent)
     save_layer(written, target)
 
 
-def _relative(path: str, folder: Path) -> str:
+def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
+    """A layer in memory that sublayers `base` and has its stage metadata.
+
+    :raises InputError: `target`, which is to be written, is no USD file or the base itself
+    """
+    check_suffix(target)
+    if base.realPath and Path(base.realPath) == target.resolve():
+        raise InputError(target, "is the input itself, expected another output file")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths.append(base.identifier)
+    for key in ("metersPerUnit", "upAxis", "timeCodesPerSecond", "defaultPrim", "startTimeCode", "endTimeCode"):
+        if base.pseudoRoot.HasInfo(key):
+            layer.pseudoRoot.SetInfo(key, base.pseudoRoot.GetInfo(key))
+    return layer
+
+
+def relative_path(path: str, folder: Path) -> str:
+    """`path` as seen from `folder`, beginning with a dot; as it is where that can't be."""
     try:
-        relative = os.path.relpath(path, folder.resolve())
+        relative = os.path.relpath(Path(path).resolve(), folder.resolve())
     except ValueError:  # another drive on Windows
         return path
     text = Path(relative).as_posix()

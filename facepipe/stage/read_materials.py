@@ -10,17 +10,8 @@ from pxr import Ar, Sdf, Usd, UsdShade
 from facepipe.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
 from facepipe.stage.guard import reads_prim
+from facepipe.stage.textures import is_image
 
-_IMAGE_STARTS = (
-    b"\x89PNG\r\n\x1a\n",
-    b"\xff\xd8\xff",
-    b"BM",
-    b"RIFF",
-    b"II*\x00",
-    b"MM\x00*",
-    b"v/1\x01",
-    b"#?RADIANCE",
-)
 _WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "clamp", "useMetadata": "repeat"}
 
 
@@ -115,7 +106,6 @@ def _image(shader: UsdShade.Shader, asset: Any) -> Texture:
     if not opened:
         raise InputError(where, f"texture @{asset.path}@ can't be found")
     data = bytes(opened.GetBuffer())
-    # only images are carried into exports, whatever file a stage names
-    if not data.startswith(_IMAGE_STARTS):
+    if not is_image(data):
         raise InputError(where, f"@{asset.path}@ is no image")
     return Texture(name=Path(Ar.SplitPackageRelativePathInner(resolved)[1] or resolved).name, data=data)
