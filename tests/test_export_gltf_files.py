@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -275,3 +276,16 @@ def test_json_is_plain_and_sorted(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     document = json.loads(text, parse_constant=pytest.fail)
     assert text == json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def test_the_host_keeps_its_garbage_collection(tmp_path: Path) -> None:
+    """An export changes no setting of the process that other threads would feel."""
+
+    class Watched(Parts):
+        def parts(self) -> FaceParts:
+            assert gc.isenabled()
+            return super().parts()
+
+    assert gc.isenabled()
+    export(Watched(tiny_face()), tmp_path / "face.glb")
+    assert gc.isenabled()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -35,9 +32,8 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     """
     start = time.perf_counter()
     target = _target(path)
-    with _no_collection():
-        document = write(face.parts(), options or Options())
-        files = save(document, target)
+    document = write(face.parts(), options or Options())
+    files = save(document, target)
     return ExportReport(
         path=target,
         files=tuple(files),
@@ -67,21 +63,6 @@ def save(document: Document, path: str | os.PathLike[str]) -> list[Path]:
     if target.suffix.lower() == ".glb":
         return write_glb(target, *embedded(document))
     return write_gltf(target, *separate(document, target))
-
-
-@contextlib.contextmanager
-def _no_collection() -> Iterator[None]:
-    """No garbage collection in the block, which makes thousands of small objects and no cycles.
-
-    With a large stage in memory, one collection takes as long as the export.
-    """
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def _target(path: str | os.PathLike[str]) -> Path:
