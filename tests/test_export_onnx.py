@@ -260,7 +260,7 @@ def test_sidecar_is_the_metadata(tmp_path: Path) -> None:
 def test_outputs_are_the_files_that_export_writes(tmp_path: Path) -> None:
     report = export_parts(tiny_face(), tmp_path / "k.onnx")
     assert outputs(tmp_path / "k.onnx") == report.files == tuple(sorted(tmp_path.iterdir()))
-    with pytest.raises(InputError, match="expected .onnx"):
+    with pytest.raises(InputError, match=r"expected .onnx"):
         outputs(tmp_path / "k.glb")
 
 

@@ -737,3 +737,88 @@ def test_instances_of_instances_without_end_are_refused(tmp_path: Path) -> None:
     for reader in (read, validate):
         with pytest.raises(InputError, match="more than 200000 prims"):
             reader(tmp_path / "bomb.usda")
+
+
+# ---- faces of facepipe itself
+
+
+def own_face() -> p.FaceParts:
+    """A face with everything that only facepipe's own stages hold."""
+    parts = rich_face()
+    lower = -np.arange(27.0).reshape(3, 9) - 1
+    slider = p.Slider(
+        name="open",
+        group="jaw",
+        default=0.25,
+        minimum=-1.0,
+        value=0.5,
+        channels=(("root/jaw", "rx", 0.5), ("root/jaw/lip", "ty", -2.0)),
+        shapes=(("jawOpen", 0.75),),
+    )
+    return replace(
+        parts,
+        sliders=(slider,),
+        bone_limits=p.BoneLimits(lower=lower, upper=-2 * lower),
+        attach_joint="body/neck",
+        attribution="© someone, CC BY 4.0",
+    )
+
+
+@pytest.mark.parametrize("root", [None, HEAD])
+def test_what_only_a_face_holds_comes_along(root: str | None, tmp_path: Path) -> None:
+    parts = own_face()
+    options = {} if root is None else {"root": root, "skeleton": SKELETON}
+    found = read(written(author(parts), tmp_path / "face.usda"), **options).parts
+    assert found.sliders == parts.sliders
+    assert found.attach_joint == "body/neck"
+    assert found.attribution == "© someone, CC BY 4.0"
+    assert found.bone_limits is not None
+    assert parts.bone_limits is not None
+    assert (found.bone_limits.lower == parts.bone_limits.lower).all()
+    assert (found.bone_limits.upper == parts.bone_limits.upper).all()
+
+
+def test_bone_limits_stay_with_their_joints_when_these_are_reordered(tmp_path: Path) -> None:
+    parts = own_face()
+    stage = author(parts)
+    late_parents(stage)
+    for name in ("lower", "upper"):
+        limits = attribute(stage, f"{SKELETON}.facepipe:boneLimits:{name}")
+        limits.Set(to_floats(floats(limits.Get()).reshape(3, 9)[[2, 0, 1]].ravel()))
+    found = read(written(stage, tmp_path / "face.usda")).parts
+    assert found.skeleton.joints == parts.skeleton.joints
+    assert found.bone_limits is not None
+    assert parts.bone_limits is not None
+    assert (found.bone_limits.lower == parts.bone_limits.lower).all()
+
+
+def test_sliders_follow_joints_that_are_renamed_and_lose_what_is_not_there(tmp_path: Path) -> None:
+    stage = author(own_face())
+    attribute(stage, f"{SKELETON}.joints").Set(["root", "root/jaw.1", "root/jaw.1/lip"])
+    attribute(stage, "/Rich.facepipe:slider:open:joints").Set(["root/jaw.1", "nose"])
+    imported = read(written(stage, tmp_path / "face.usda"))
+    (slider,) = imported.parts.sliders
+    assert slider.channels == (("root/jaw_1", "rx", 0.5),)
+    assert slider.shapes == (("jawOpen", 0.75),)
+    warned(imported, "slider open: 1 of its channels and shapes left out")
+
+
+def test_damaged_sliders_and_limits_are_left_out_and_the_licence_is_not(tmp_path: Path) -> None:
+    stage = author(own_face())
+    attribute(stage, f"{SKELETON}.facepipe:boneLimits:lower").Set([1.0, 2.0])
+    attribute(stage, "/Rich.facepipe:slider:open:channelGains").Set([1.0])
+    stage.GetPrimAtPath("/Rich").RemoveAppliedSchema("FacepipeFaceAPI")
+    imported = read(written(stage, tmp_path / "face.usda"))
+    assert imported.parts.sliders == ()
+    assert imported.parts.bone_limits is None
+    assert imported.parts.attribution == "© someone, CC BY 4.0"
+    warned(imported, "sliders left out")
+    warned(imported, "bone limits left out")
+
+
+def test_every_licence_on_a_stage_is_kept(tmp_path: Path) -> None:
+    stage = author(own_face())
+    other = stage.GetPrimAtPath(HEAD).CreateAttribute("facepipe:attribution", Sdf.ValueTypeNames.String)
+    other.Set("© another, CC0")
+    found = read(written(stage, tmp_path / "face.usda")).parts
+    assert found.attribution == "© someone, CC BY 4.0; © another, CC0"

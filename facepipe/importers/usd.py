@@ -20,6 +20,7 @@ from facepipe.parts import (
     Mesh,
     Skeleton,
     Skin,
+    Slider,
     Texture,
     TextureInput,
 )
@@ -64,6 +65,7 @@ def read(source: Path, options: Options) -> Imported:
         animations=tuple(
             kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
         ),
+        sliders=_kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings),
         materials=_distinct_textures(parts.materials),
         recipe=import_recipe("usd", {source: foreign.files}, options),
     )
@@ -164,6 +166,26 @@ def _kept(animation: Animation, new_names: Mapping[str, str], shapes: set[str]) 
         shapes=tuple(animation.shapes[i] for i in weights),
         shape_weights=columns(animation.shape_weights, weights),
     )
+
+
+def _kept_sliders(
+    sliders: tuple[Slider, ...], new_names: Mapping[str, str], shapes: set[str], warnings: list[str]
+) -> tuple[Slider, ...]:
+    """The sliders with only the joints and shapes that the face has; those that move nothing are left out."""
+    result = []
+    for slider in sliders:
+        channels = tuple(
+            (new_names[joint], channel, gain) for joint, channel, gain in slider.channels if joint in new_names
+        )
+        driven = tuple((shape, gain) for shape, gain in slider.shapes if shape in shapes)
+        lost = len(slider.channels) + len(slider.shapes) - len(channels) - len(driven)
+        if lost and not channels and not driven:
+            warnings.append(f"slider {slider.name}: left out, the face has nothing that it moves")
+            continue
+        if lost:
+            warnings.append(f"slider {slider.name}: {lost} of its channels and shapes left out, which the face lacks")
+        result.append(replace(slider, channels=channels, shapes=driven))
+    return tuple(result)
 
 
 def _check_transforms(source: Path, parts: FaceParts) -> None:

@@ -14,6 +14,7 @@ from facepipe.errors import FacepipeError, InputError, SchemaError, TopologyErro
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton
 from facepipe.stage.files import quiet_diagnostics
+from facepipe.stage.foreign import face
 from facepipe.stage.foreign.materials import bound_materials
 from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes
 from facepipe.stage.foreign.scene import Scene
@@ -95,7 +96,11 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         meshes=read,
         skeleton=skeleton,
         animations=_animations(scene, skeleton, read),
+        sliders=face.sliders(scene),
+        bone_limits=None if prim is None else face.limits(scene, prim, len(skeleton.joints)),
         materials=materials,
+        attach_joint=face.attach_joint(scene),
+        attribution=face.attribution(scene),
     )
 
 

@@ -72,7 +72,7 @@ class Scene:
     def _default_values(self) -> None:
         """Values of the first time sample where there are only time samples."""
         moving: dict[str, list[Usd.Prim]] = {}
-        above = [ancestor for root in self.roots for ancestor in _ancestors(root)]
+        above = [ancestor for root in self.roots for ancestor in ancestors(root)]
         for prim in [*self.prims, *above]:
             if prim.IsA(UsdSkel.Animation):
                 continue
@@ -107,7 +107,8 @@ class Scene:
             self.warn("SkelBindingAPI is not applied: skel properties are read all the same", lacking)
 
 
-def _ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    """The prims above a prim, the nearest first."""
     prim = prim.GetParent()
     while prim and not prim.IsPseudoRoot():
         yield prim

@@ -6,11 +6,13 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
+from facepipe import tokens
 from facepipe.errors import TopologyError
+from facepipe.parts import Skeleton
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.values import matrices, to_matrices
+from facepipe.stage.values import floats, matrices, to_floats, to_matrices
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -77,6 +79,11 @@ def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
     skeleton.CreateJointsAttr([joints[i] for i in order])
     skeleton.CreateBindTransformsAttr(to_matrices(bind[order]))
     skeleton.CreateRestTransformsAttr(to_matrices(rest[order]))
+    for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
+        limits = prim.GetAttribute(name)
+        values = floats(limits.Get())
+        if len(values) == 9 * len(joints) > 0:
+            limits.Set(to_floats(values.reshape(-1, 9)[order].ravel()))
 
 
 def parents_first(joints: list[str]) -> list[int]:
@@ -96,7 +103,7 @@ def _both_transforms(scene: Scene, skeleton: UsdSkel.Skeleton, joints: list[str]
     prim, count = skeleton.GetPrim(), len(joints)
     bind = matrices(skeleton.GetBindTransformsAttr().Get())
     rest = matrices(skeleton.GetRestTransformsAttr().Get())
-    parents = _parents(joints)
+    parents = Skeleton(joints=tuple(joints)).parents.tolist()
     if len(bind) != count and len(rest) != count:
         found = f"{len(bind)} bind and {len(rest)} rest transforms"
         raise TopologyError(str(prim.GetPath()), f"{found}, expected {count} of one of them")
@@ -118,15 +125,3 @@ def _solved(parent: FloatArray, child: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.solve(parent, child))
     except np.linalg.LinAlgError:
         return np.full((4, 4), np.nan)  # the reader refuses it
-
-
-def _parents(joints: list[str]) -> list[int]:
-    """Index of the nearest ancestor of each joint, -1 for none."""
-    place = {joint: i for i, joint in enumerate(joints)}
-    found = []
-    for joint in joints:
-        above = joint.rpartition("/")[0]
-        while above and above not in place:
-            above = above.rpartition("/")[0]
-        found.append(place.get(above, -1))
-    return found
