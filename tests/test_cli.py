@@ -201,3 +201,104 @@ def test_validate_exit_codes(capsys: pytest.CaptureFixture[str], face: Path) -> 
 def test_schema_path_holds_the_plugin(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = run(capsys, "schema-path")
     assert (Path(out.strip()) / "plugInfo.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["sample", "x.usda", "--seed", "-1"], "expected a whole number from 0"),
+        (["eval", "tiny.usda", "-o", "x.npz"], "suffix '.usda', expected .onnx"),
+        (["eval", "tiny.glb", "-o", "x.npz"], "suffix '.glb', expected .onnx"),
+        (["inspect", "a" * 300 + ".usda"], "File name too long"),
+        (["render", "tiny.usda", "-o", "x.png", "--bone", "nose:rx=1"], "no joint called 'nose'"),
+        (["render", "tiny.usda", "-o", "x.png", "--bone", "jaw:qq=1"], "channel 'qq'"),
+        (["landmarks", "tiny.usda", "--from", "/dev/zero", "-o", "x.usda"], "not a regular file"),
+        (["import", "ict", "/dev/zero", "x.usda"], "not a regular file"),
+    ],
+)
+def test_ordinary_mistakes(
+    capsys: pytest.CaptureFixture[str], face: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    monkeypatch.chdir(face.parent)
+    code, out, err = run(capsys, *words)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert message in err
+    assert [one.name for one in face.parent.iterdir()] == ["tiny.usda"]
+
+
+def test_what_a_stage_needs_is_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from test_stage import full_face
+
+    head, layer, points = tmp_path / "head.usda", tmp_path / "layer.usda", tmp_path / "points.json"
+    save_parts(full_face(), head)
+    points.write_text("[1, 2]")
+    assert run(capsys, "landmarks", head, "--from", points, "-o", layer)[0] == 0
+    before = {one: one.read_bytes() for one in tmp_path.rglob("*") if one.is_file()}
+    attempts = [
+        ("landmarks", layer, "--from", points, "-o", head, "--force"),
+        ("import", "usd", layer, head, "--force"),
+        ("render", layer, "-o", tmp_path / "head_textures" / "skin.png", "--force"),
+    ]
+    for words in attempts:
+        code, _, err = run(capsys, *words)
+        assert (code, "is needed by" in err) == (2, True), err
+    assert {one: one.read_bytes() for one in tmp_path.rglob("*") if one.is_file()} == before
+
+
+def test_the_sidecar_is_not_overwritten_without_force(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    sidecar = face.with_name("k.onnx.json")
+    sidecar.write_text("precious")
+    code, _, err = run(capsys, "export", face, "-o", face.with_name("k.onnx"))
+    assert (code, sidecar.read_text()) == (2, "precious")
+    assert "k.onnx.json" in err
+
+
+def test_new_landmarks_leave_no_names_of_earlier_ones(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    points = face.with_name("points.json")
+    one, two = face.with_name("one.usda"), face.with_name("two.usda")
+    points.write_text('{"l": 1, "r": 2}')
+    assert run(capsys, "landmarks", face, "--from", points, "-o", one)[0] == 0
+    points.write_text("[3, 4, 5]")
+    assert run(capsys, "landmarks", one, "--from", points, "-o", two)[0] == 0
+    landmarks = facepipe.open(two).landmarks("multipie68")[1]
+    assert (landmarks.indices.tolist(), landmarks.names) == ([3, 4, 5], ())
+    recipe = facepipe.open(two).parts().recipe
+    assert recipe is not None
+    assert (recipe.verb, recipe.sources) == ("landmarks", ("./one.usda", "./points.json"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("metersPerUnit = 0.01", "metersPerUnit = 0", "metersPerUnit 0"),
+        ("metersPerUnit = 0.01", "metersPerUnit = nan", "metersPerUnit nan"),
+        ('upAxis = "Y"', 'upAxis = "X"', "upAxis 'X'"),
+        (f'"{facepipe.__version__}"', '"99.0.0"', "made by facepipe 99.0.0"),
+        ("point3f[] points = [", "point3f[] points = [(", "tiny.usda:"),
+    ],
+)
+def test_stages_of_other_conventions(
+    capsys: pytest.CaptureFixture[str], face: Path, old: str, new: str, message: str
+) -> None:
+    text = face.read_text()
+    assert old in text
+    face.write_text(text.replace(old, new))
+    code, _, err = run(capsys, "inspect", face)
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
+
+
+def test_a_full_or_closed_disk_is_one_line(tmp_path: Path) -> None:
+    """Address-space limits stand for a full disk: files may not grow beyond 20 kB."""
+    program = (
+        "import resource, signal, sys\nfrom facepipe.cli import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\nsys.exit(main(sys.argv[1:]))\n"
+    )
+    for out in ("a.usda", "a.usdc", "a.usdz"):
+        command = [sys.executable, "-c", program, "sample", out]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 2, done.stderr[-500:]
+        assert "Traceback" not in done.stderr
+        assert not (tmp_path / out).exists()
+        assert not list(tmp_path.glob(".*"))

@@ -478,8 +478,8 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"size": 15}, "16 to 8192"),
-        ({"size": 8193}, "16 to 8192"),
+        ({"size": 15}, "16 to 4096"),
+        ({"size": 4097}, "16 to 4096"),
         ({"samples": 0}, "samples"),
         ({"view": "below"}, "three-quarter"),
         ({"view": (np.nan, 0.0)}, "finite"),

@@ -43,6 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except (OSError, MemoryError, UnicodeError, RecursionError) as error:
+        # what the machine or the terminal refuses is no fault of the code: one line, as for bad input
+        reason = ascii(str(error) or "no memory left")[1:-1]
+        print(f"facepipe: {type(error).__name__}: {reason}", file=sys.stderr)
+        return 2
 
 
 def _run(words: list[str]) -> int:

@@ -32,6 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
     out = output_of(arguments, [arguments.model])
     if out.suffix != ".npz":
         raise InputError(out, f"suffix '{out.suffix}', expected .npz")
+    if arguments.model.suffix.lower() != ".onnx":
+        raise InputError(arguments.model, f"suffix '{arguments.model.suffix}', expected .onnx")
     deformer = registry.exporter(arguments.model).Deformer(arguments.model)
     weights = pairs(arguments.set, "--set")
     coefficients = coefficients_of(arguments.bone, deformer.joints)

@@ -13,6 +13,7 @@ from pathlib import Path
 from facepipe import registry
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
+from facepipe.errors import InputError
 from facepipe.reports import ExportReport
 
 
@@ -35,6 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     out = output_of(arguments, [arguments.face])
     exporter = registry.exporter(out)
+    beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
+    if beside and not arguments.force:
+        raise InputError(beside[0], "exists and would be written too, expected a new file (or --force)")
     with progress("export", 2) as bar:
         face = facepipe.open(arguments.face)
         bar.update()

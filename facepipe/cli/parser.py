@@ -109,11 +109,32 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
         raise InputError(output, "the folder does not exist")
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
+    for one in inputs:
+        check_input(one)
     if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not arguments.force:
         raise InputError(output, "exists, expected a new file (or --force)")
+    if output.exists():
+        _check_not_needed(output, inputs)
     return output
+
+
+def check_input(path: Path) -> None:
+    """:raises InputError: `path` is a pipe or a device, which a reader could wait on without end"""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(path, "is not a regular file")
+
+
+def _check_not_needed(output: Path, inputs: Sequence[Path]) -> None:
+    """:raises InputError: `output` is a layer or texture of a stage among the inputs"""
+    from facepipe.stage.files import SUFFIXES, dependencies
+
+    for one in inputs:
+        if one.is_file() and one.suffix.lower() in SUFFIXES:
+            for needed in dependencies(one):
+                if needed.exists() and output.samefile(needed):
+                    raise InputError(output, f"is needed by {one}, expected another output file")
 
 
 def add_pose(parser: argparse.ArgumentParser) -> None:
@@ -144,7 +165,7 @@ def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
         except ValueError:
             value = math.nan
         if not equals or not name or not math.isfinite(value):
-            raise InputError(f"{flag} {word}", "expected NAME=NUMBER")
+            raise InputError(f"{flag} {word}", "expected NAME=NUMBER with a finite number")
         found[name] = value
     return found
 
@@ -162,9 +183,12 @@ def coefficients_of(words: Sequence[str], joints: Sequence[str]) -> Any:
     for name, value in pairs(words, "--bone").items():
         joint, _, channel = name.rpartition(":")
         places = [i for i, path in enumerate(joints) if joint in (path, path.rpartition("/")[2])]
-        if len(places) != 1 or channel not in CHANNELS:
+        if len(places) != 1:
+            found = "no joint" if not places else f"{len(places)} joints"
             raise InputError(
-                f"--bone {name}", f"expected one of {len(joints)} joints and a channel {' '.join(CHANNELS)}"
+                f"--bone {name}", f"{found} called '{joint}', expected one of {len(joints)} joints or a path"
             )
+        if channel not in CHANNELS:
+            raise InputError(f"--bone {name}", f"channel '{channel}', expected one of {' '.join(CHANNELS)}")
         coefficients[places[0], CHANNELS.index(channel)] = value
     return coefficients

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
+from facepipe.cli.show import progress
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,13 +42,23 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Open, pose, draw."""
     import facepipe
-    from facepipe.render import PictureOptions, picture, save_png
 
     out = output_of(arguments, [arguments.face])
     if out.suffix.lower() != ".png":
         raise InputError(out, f"suffix '{out.suffix}', expected .png")
-    face = facepipe.open(arguments.face)
-    points = pose(face, arguments)
+    with progress("render", 2) as bar:
+        face = facepipe.open(arguments.face)
+        points = pose(face, arguments)
+        bar.update()
+        _draw(face, points, arguments, out)
+        bar.update()
+    print(out)
+    return 0
+
+
+def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Path) -> None:
+    from facepipe.render import PictureOptions, picture, save_png
+
     options = PictureOptions(
         size=arguments.size,
         view=arguments.view,
@@ -55,8 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
         landmarks=arguments.landmarks,
     )
     save_png(picture(face.parts(), points, options), out)
-    print(out)
-    return 0
 
 
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:

@@ -14,7 +14,7 @@ from facepipe.cli.parser import add_output, output_of
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
-    parser.add_argument("--seed", type=int, default=0, help="which person (default 0)")
+    parser.add_argument("--seed", type=seed, default=0, help="which person, 0 or more (default 0)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -23,6 +23,13 @@ def run(arguments: argparse.Namespace) -> int:
     make_sample(out, arguments.seed)
     print(out)
     return 0
+
+
+def seed(text: str) -> int:
+    """A seed: a whole number, 0 or more."""
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"'{text[:40]}', expected a whole number from 0")
+    return int(text)
 
 
 def make_sample(out: Path, seed: int) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating]
 Color = tuple[float, float, float]
 
-SMALLEST, LARGEST = 16, 8192  # pixels a side
+SMALLEST, LARGEST = 16, 4096  # pixels a side
 SMALLEST_WITH_TEXT = 128  # below, bar, numbers and title are left out
 LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corners
 
@@ -40,7 +40,7 @@ class PictureOptions:
     :raises InputError: a size, sample count or background out of range
     """
 
-    size: int = 800  # pixels a side, 16 to 8192
+    size: int = 800  # pixels a side, 16 to 4096
     view: View = "front"  # or yaw and pitch of the camera, radians; yaw turns to the subject's left
     background: Color | tuple[Color, Color] = LIGHT_GREY  # sRGB 0..1: one colour, or middle and corners
     samples: int = 3  # per pixel and direction, 1 to 8

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe import tokens
+from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.names import identifier
 from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
@@ -33,9 +33,10 @@ class Face:
     """
 
     def __init__(self, stage: Usd.Stage, prim: Usd.Prim | None = None) -> None:
-        """:raises SchemaError: no face on the stage, or not exactly one Skeleton below it"""
+        """:raises SchemaError: no face on the stage, one of a newer facepipe, bad units, or not exactly one Skeleton"""
         self.stage = stage
         self.prim = prim or _find(stage)
+        _check_metadata(self)
         skeletons = [one for one in self._below() if one.IsA(UsdSkel.Skeleton)]
         if len(skeletons) != 1:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
@@ -300,6 +301,17 @@ class Face:
         except FacepipeError as error:
             file = self.where.partition(" -> ")[0]
             raise error if error.where.startswith(file) else error.under(file) from None
+
+
+def _check_metadata(face: Face) -> None:
+    made_by = str(face.prim.GetAttribute(tokens.VERSION).Get() or "0")
+    major = made_by.partition(".")[0]
+    if major.isdecimal() and int(major) > int(__version__.partition(".")[0]):
+        raise SchemaError(face.where, f"made by facepipe {made_by}, expected {__version__} or older")
+    if not (np.isfinite(face.meters_per_unit) and 1e-9 <= face.meters_per_unit <= 1e9):
+        raise SchemaError(face.where, f"metersPerUnit {face.meters_per_unit:g}, expected a length above 0")
+    if face.up_axis not in ("Y", "Z"):
+        raise SchemaError(face.where, f"upAxis '{face.up_axis}', expected Y or Z")
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:

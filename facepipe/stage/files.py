@@ -41,7 +41,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     facepipe_schemas.register()
     file = Path(path)
     if not file.is_file():
-        raise InputError(file, "no such file" if not file.exists() else "is a folder, expected a USD file")
+        raise InputError(file, "no such file" if not file.exists() else "is no regular file, expected a USD file")
     if file.suffix.lower() not in SUFFIXES:
         raise InputError(file, f"suffix '{file.suffix}', expected one of {' '.join(SUFFIXES)}")
     with quiet_diagnostics():
@@ -54,6 +54,13 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
     return stage
+
+
+def dependencies(path: Path) -> set[Path]:
+    """Every file that a USD file needs, itself included: layers and textures."""
+    with quiet_diagnostics():
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+    return {Path(layer.realPath) for layer in layers if layer.realPath} | {Path(str(asset)) for asset in assets}
 
 
 def check_suffix(path: Path) -> None:
@@ -72,10 +79,13 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
     target = Path(path)
     check_suffix(target)
     with replacing(target) as temporary, quiet_diagnostics():
-        if target.suffix.lower() == ".usdz":
-            _package(layer, target, temporary, beside or target.parent)
-        elif not layer.Export(str(temporary)):
-            raise ExportError(target, "USD could not write the layer")
+        try:
+            if target.suffix.lower() == ".usdz":
+                _package(layer, target, temporary, beside or target.parent)
+            elif not layer.Export(str(temporary)):
+                raise ExportError(target, "USD could not write the layer")
+        except USD_ERRORS as error:
+            raise ExportError(target, f"can't be written: {reason(error)}") from None
     _forget(target)
 
 

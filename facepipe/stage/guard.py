@@ -24,8 +24,9 @@ def reason(error: Exception) -> str:
         text = str(error)
     except UnicodeDecodeError:  # USD quotes bytes of the file
         return "damaged text"
-    messages = re.findall(r" : '(.*)'\s*$", text, flags=re.MULTILINE)
-    return " ".join((messages[0] if messages else text or type(error).__name__).split())[:300]
+    messages = re.findall(r" : '(.*?)'\s*(?=\n\s*Error in |\Z)", text, flags=re.DOTALL)
+    text = re.sub(r"pxrInternal_\w+::", "", messages[0] if messages else text)
+    return " ".join((text or type(error).__name__).split())[:300]
 
 
 @contextlib.contextmanager

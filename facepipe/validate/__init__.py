@@ -27,7 +27,7 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """
     file = Path(path)
     if not file.is_file():
-        raise InputError(file, "no such file" if not file.exists() else "is a folder, expected a file")
+        raise InputError(file, "no such file" if not file.exists() else "is no regular file")
     suffix = file.suffix.lower()
     if suffix in SUFFIXES:
         return validate_stage(file)
