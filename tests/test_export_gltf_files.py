@@ -97,7 +97,7 @@ def test_landmarks_and_anchor_stay_in_extras_and_the_rest_is_reported(writing: W
 def test_outputs_are_among_the_files_that_export_writes(name: str, tmp_path: Path) -> None:
     report = export(Parts(painted_face()), tmp_path / name, Options())
     assert outputs(tmp_path / name) == report.files[:1] == (tmp_path / name,)
-    with pytest.raises(InputError, match="expected .glb or .gltf"):
+    with pytest.raises(InputError, match=r"expected .glb or .gltf"):
         outputs(tmp_path / "k.onnx")
 
 

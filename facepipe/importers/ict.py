@@ -18,9 +18,16 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
-from facepipe.importers.ict_regions import head_regions, whole_region
+from facepipe.importers.ict_regions import REGIONS, head_regions
 from facepipe.importers.imported import Imported, check_ranges, import_recipe
-from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, face_corners, material_faces, sparse_shape
+from facepipe.importers.mesh_pieces import (
+    back_of_border,
+    compact_uvs,
+    face_corners,
+    material_faces,
+    sparse_shape,
+    whole_region,
+)
 from facepipe.importers.wavefront import read_text
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
 
@@ -164,7 +171,7 @@ def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options
         face_vertex_indices=indices,
         uv_sets=(compact_uvs(model.uvs, model.uv_indices[corners]),) if model.uv_indices is not None else (),
         blendshapes=_blendshapes(model, slice(first, last), options),
-        regions=head_regions(model.neutral) if head else whole_region(pieces[0].region, last - first),
+        regions=head_regions(model.neutral) if head else whole_region(REGIONS, pieces[0].region, last - first),
         landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
         anchor=back_of_border(model.neutral[first:last], counts, indices) if head else None,
         material_faces=material_faces(list(topology.MATERIALS), materials[faces]),

@@ -78,11 +78,6 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
     return dict(zip(REGIONS, masks, strict=True))
 
 
-def whole_region(region: str, count: int) -> dict[str, FloatArray]:
-    """Masks (count,) of a loose part that belongs to `region` alone."""
-    return {name: np.full(count, float(name == region)) for name in REGIONS}
-
-
 def _distance(points: FloatArray, landmarks: FloatArray, bundle: Bundle) -> FloatArray:
     places = [[landmarks[spot] if isinstance(spot, int) else np.array(spot) for spot in line] for line in bundle.lines]
     segments = [(a, b) for line in places for a, b in itertools.pairwise(line)]

@@ -12,7 +12,6 @@ from facepipe.parts import Material
 
 POINT_COUNT = 26719
 FACE_COUNT = 26384
-UV_COUNT = 28911
 IDENTITY_MODES = 100
 
 

@@ -19,9 +19,9 @@ from facepipe.errors import InputError
 from facepipe.importers.imported import Imported, check_ranges, import_recipe
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
-from facepipe.importers.makehuman_regions import loose_regions, skin_regions
+from facepipe.importers.makehuman_regions import REGIONS, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
-from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape
+from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.names import identifier
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
@@ -176,7 +176,7 @@ def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[st
         uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
         skin=_skin(data["skin_weights"][own]),
         blendshapes=_blendshapes(shapes, own),
-        regions=skin_regions(data) if head else loose_regions(region, len(own)),
+        regions=skin_regions(data) if head else whole_region(REGIONS, region, len(own)),
         landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
         anchor=back_of_border(data["vertices"][own], counts, indices) if head else None,
         material=material,

@@ -39,11 +39,6 @@ def skin_regions(data: MakeHumanData) -> dict[str, FloatArray]:
     return dict(zip(REGIONS, masks, strict=True))
 
 
-def loose_regions(region: str, count: int) -> dict[str, FloatArray]:
-    """Masks (count,) of a loose mesh that belongs to `region` alone."""
-    return {name: np.full(count, float(name == region)) for name in REGIONS}
-
-
 def _neck_share(data: MakeHumanData) -> FloatArray:
     names = data.names("bone_names")
     if "head" not in names:

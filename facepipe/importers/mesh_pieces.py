@@ -46,6 +46,11 @@ def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[Mater
     )
 
 
+def whole_region(names: Sequence[str], region: str, count: int) -> dict[str, FloatArray]:
+    """Masks (count,) of all regions `names` for a loose mesh that belongs to `region` alone."""
+    return {name: np.full(count, float(name == region)) for name in names}
+
+
 def back_of_border(points: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> int | None:
     """The point at the back of the open border, nearest to the middle in x; None for a closed mesh.
 

@@ -7,7 +7,6 @@ import numpy as np
 from facepipe.parts import FloatArray
 from facepipe.sample.identity import Identity
 
-HELIX = 3
 RINGS = 8
 _CENTER = np.array([1.35, 0.15])  # of the outline, in the ear's plane: backwards, upwards
 # Outline of the ear around its centre: angle in degrees (0 back, 90 up, 180 front, 270 down) and distance.

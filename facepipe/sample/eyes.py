@@ -14,7 +14,6 @@ from facepipe.parts import FloatArray
 from facepipe.sample.identity import Identity
 
 RIM = 6  # ring of the lid rim's front edge
-RIM_BACK = 7  # ring of its edge at the eyeball
 RINGS = 10
 _LID = 0.13  # thickness of the lids
 _CLEARANCE = 0.035  # between eyeball and lids

@@ -19,6 +19,7 @@ from facepipe.stage.values import floats, ints, matrix
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
 _SCALARS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
 
 
@@ -97,7 +98,7 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
     found = []
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
         kind = str(primvar.GetTypeName())
-        if kind not in ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]"):
+        if kind not in UV_TYPES:
             continue
         values = floats(primvar.Get(), 2)
         per_point = primvar.GetInterpolation() in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)

@@ -11,9 +11,9 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
+from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
 
-_UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
@@ -80,7 +80,7 @@ def _fits_color(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> bool:
 
 def _uv_problem(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> str | None:
     """Why a primvar is no UV set; None where it is one."""
-    if str(primvar.GetTypeName()) not in _UV_TYPES:
+    if str(primvar.GetTypeName()) not in UV_TYPES:
         return f"of type {primvar.GetTypeName()}"
     interpolation = str(primvar.GetInterpolation())
     if interpolation not in ("vertex", "varying", "faceVarying"):
