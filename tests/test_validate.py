@@ -112,6 +112,20 @@ def no_up_axis(stage: Usd.Stage) -> None:
     stage.GetRootLayer().pseudoRoot.ClearInfo("upAxis")
 
 
+def no_mesh(stage: Usd.Stage) -> None:
+    for prim in [one for one in stage.Traverse() if one.IsA(UsdGeom.Mesh)]:
+        stage.RemovePrim(prim.GetPath())
+
+
+def x_up(stage: Usd.Stage) -> None:
+    stage.GetRootLayer().pseudoRoot.SetInfo("upAxis", "X")
+
+
+def no_image(stage: Usd.Stage) -> None:
+    shaders = [prim for prim in stage.Traverse() if prim.GetAttribute("inputs:file")]
+    shaders[0].GetAttribute("inputs:file").Set(Sdf.AssetPath(__file__))
+
+
 def second_skeleton(stage: Usd.Stage) -> None:
     UsdSkel.BindingAPI.Apply(UsdSkel.Skeleton.Define(stage, "/Tiny/Other").GetPrim())
 
@@ -283,6 +297,9 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     ),
     "no face": (no_face, {"FacePrim"}),
     "no default prim": (no_default, {"DefaultPrim", "usdValidation:StageMetadataChecker.MissingDefaultPrim"}),
+    "no mesh": (no_mesh, {"HasMesh", "AnimationNames"}),  # clips name shapes that are gone with the meshes
+    "up axis X": (x_up, {"StageUnits"}),
+    "texture that is no image": (no_image, {"Textures"}),
     "metersPerUnit not authored": (no_units, {"StageUnits"}),
     "upAxis not authored": (no_up_axis, {"StageUnits"}),
     "two skeletons": (second_skeleton, {"SkeletonCount"}),

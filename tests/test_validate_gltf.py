@@ -158,6 +158,9 @@ def indices_beyond(document: Json, binary: bytearray) -> None:
 
 
 DEFECTS: dict[str, tuple[Seed, set[str]]] = {
+    "another version": (set_at("asset/version", "3.0"), {"GltfAsset"}),
+    "an extension that must be known": (set_at("extensionsRequired", ["KHR_draco_mesh_compression"]), {"GltfAsset"}),
+    "scene that is not there": (set_at("scene", 7), {"GltfAsset"}),
     "targetNames too short": (fewer_target_names, {"GltfTargetNames"}),
     "targets too few": (fewer_targets, {"GltfTargetNames"}),
     "target name twice": (twice_named, {"GltfTargetNames"}),
@@ -267,8 +270,9 @@ def test_no_file_outside_the_folder_is_read(tmp_path: Path) -> None:
         document = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": 64, "uri": uri}]}
         text = json.dumps({**document, "bufferViews": [view], "accessors": [accessor]})
         (folder / "face.gltf").write_text(text)
-        (found,) = facepipe_gltf.validate(folder / "face.gltf", khronos=False)
-        assert "below the folder" in found.message
+        found = {one.check: one for one in facepipe_gltf.validate(folder / "face.gltf", khronos=False)}
+        assert set(found) == {"facepipe:GltfAccessors", "facepipe:GltfAsset"}  # there is no mesh either
+        assert "below the folder" in found["facepipe:GltfAccessors"].message
 
 
 @pytest.mark.parametrize("content", [b"", b"glTF", b"nonsense" * 9, b"glTF" + bytes(40)])

@@ -115,6 +115,26 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
             yield f"{where}/weights", f"{found} weights, expected {count}"
 
 
+SUPPORTED = frozenset({"KHR_mesh_quantization"})
+
+
+def asset(document: RawDocument) -> Iterator[Problem]:
+    """The file is glTF 2, asks for no extension that readers of plain geometry lack, and holds a mesh."""
+    stated = document.json.get("asset")
+    version = stated.get("version") if isinstance(stated, dict) else None
+    if version != "2.0":
+        yield "/asset/version", f"{str(version)[:40]}, expected 2.0"
+    required = document.json.get("extensionsRequired", [])
+    for name in required if isinstance(required, list) else [required]:
+        if name not in SUPPORTED:
+            yield "/extensionsRequired", f"{str(name)[:40]}, expected none but {', '.join(SUPPORTED)}"
+    if not document.items("meshes"):
+        yield "/meshes", "no mesh, expected one"
+    scene, scenes = document.json.get("scene", 0), len(document.items("scenes"))
+    if scenes and not (is_index(scene) and scene < scenes):
+        yield "/scene", f"{str(scene)[:40]}, expected 0 to {scenes - 1}"
+
+
 def references(document: RawDocument) -> Iterator[Problem]:
     """What nodes, scenes and skins name is there."""
     sizes = {name: len(document.items(name)) for name in ("nodes", "meshes", "skins", "cameras")}

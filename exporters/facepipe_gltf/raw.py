@@ -163,7 +163,7 @@ class RawDocument:
         if "://" in text or file.is_absolute() or ".." in file.parts:
             raise Broken(f"buffer {number} names '{text[:60]}', expected a file below the folder of the glTF file")
         try:
-            return (self.path.parent / file).read_bytes()
+            return _regular(self.path.parent / file).read_bytes()
         except (OSError, ValueError):
             raise Broken(f"buffer {number} names '{text[:60]}', which can't be read") from None
 
@@ -183,3 +183,10 @@ def normalised(values: FloatArray, dtype: Any) -> FloatArray:
     if np.dtype(dtype).kind == "f":
         return values
     return np.asarray(np.maximum(values / np.iinfo(dtype).max, -1.0))
+
+
+def _regular(path: Path) -> Path:
+    """`path`, which reading can't hang on: no pipe or device."""
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path.name} is no regular file")
+    return path

@@ -18,6 +18,7 @@ from facepipe_gltf.raw import RawDocument
 _Check = Callable[[RawDocument], Iterable[tuple[str, str]]]
 
 CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
+    ("GltfAsset", mesh.asset, "error"),
     ("GltfReferences", mesh.references, "error"),
     ("GltfNodeTree", mesh.node_tree, "error"),
     ("GltfAccessors", mesh.accessors, "error"),

@@ -52,6 +52,8 @@ CHECKS: tuple[Check, ...] = (
     Check("SkeletonCount", layout.skeleton_count),
     Check("SkelBindingAPI", layout.skel_binding_api),
     Check("SkeletonBound", layout.skeleton_bound),
+    Check("HasMesh", layout.has_mesh),
+    Check("Textures", layout.textures),
     Check("ReadableValues", layout.readable_values),
     Check("Finite", layout.finite),
     Check("MeshTopology", points.topology),

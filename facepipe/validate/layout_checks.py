@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdSkel
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.guard import UNREADABLE, reason
+from facepipe.stage.textures import is_image
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array
 
@@ -30,6 +31,27 @@ def stage_units(face: FaceView) -> Iterator[Problem]:
             yield at("/", f"metersPerUnit {unit:g}, expected a finite number above 0")
     if not face.stage.GetRootLayer().pseudoRoot.HasInfo(UsdGeom.Tokens.upAxis):
         yield at("/", "upAxis not authored, expected Y or Z")
+    elif str(UsdGeom.GetStageUpAxis(face.stage)) not in ("Y", "Z"):
+        yield at("/", f"upAxis '{UsdGeom.GetStageUpAxis(face.stage)}', expected Y or Z")
+
+
+def has_mesh(face: FaceView) -> Iterator[Problem]:
+    """A face has at least one mesh."""
+    if face.prim is not None and not face.meshes:
+        yield at(face.prim, "no Mesh below it, expected at least one")
+
+
+def textures(face: FaceView) -> Iterator[Problem]:
+    """Every texture that a UsdUVTexture names is there and begins as an image does."""
+    for prim in face.of_type(UsdShade.Shader):
+        given = prim.GetAttribute("inputs:file").Get() if prim.GetAttribute("inputs:file") else None
+        if not isinstance(given, Sdf.AssetPath) or not given.path:
+            continue
+        asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(given.resolvedPath)) if given.resolvedPath else None
+        if not asset:
+            yield at(prim, f"texture @{given.path}@ can't be found")
+        elif not is_image(bytes(asset.GetBuffer())):
+            yield at(prim, f"@{given.path}@ is no image")
 
 
 def face_prim(face: FaceView) -> Iterator[Problem]:
