@@ -1,9 +1,12 @@
-"""Names as USD identifiers."""
+"""Names as USD identifiers, and names chosen by globs."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+
+from facepipe.errors import InputError
 
 
 def identifier(text: str, fallback: str = "unnamed") -> str:
@@ -30,3 +33,20 @@ def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple
         taken.add(candidate)
         result.append(candidate)
     return tuple(result)
+
+
+def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
+    """The `names` that one of the comma-separated `globs` matches, in their order; none where there is no glob.
+
+    >>> select(("jawOpen", "browUp", "jawLeft"), "jaw*", "shapes")
+    ('jawOpen', 'jawLeft')
+
+    :param option: what the globs were given as, for messages
+    :raises InputError: a glob other than ``*`` that matches none
+    """
+    patterns = [glob.strip() for glob in globs.split(",") if glob.strip()]
+    for pattern in patterns:
+        if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
+            some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
+            raise InputError(f"option {option}", f"'{pattern}' matches none of {len(names)}, expected some of: {some}")
+    return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))

@@ -117,8 +117,11 @@ def test_globs_choose_shapes(writing: Writing) -> None:
     file, report = writing(tiny_face(), "b.glb", shapes="mouth*")
     assert file.targets("Head") == ["mouthSmileLeft"]
     assert not file.targets("Teeth")
-    with pytest.raises(InputError, match=r"no shape matches 'nose\*'"):
+    with pytest.raises(InputError, match=r"shapes: 'nose\*' matches none of 2"):
         writing(tiny_face(), "c.glb", shapes="mouth*,nose*")
+    file, report = writing(tiny_face(), "d.glb", shapes="")
+    assert report.counts["shapes"] == 0
+    assert not file.targets("Head")
 
 
 def odd_faces() -> dict[str, FaceParts]:

@@ -276,7 +276,10 @@ def test_shape_globs(tmp_path: Path) -> None:
     one = made(tiny_face(), tmp_path, shapes="mouth*")
     assert one.deformer.shapes == ("mouthSmileLeft",)
     assert error(one, {"mouthSmileLeft": 0.8}) < TOLERANCE
-    with pytest.raises(InputError, match=r"brow\*"):
+    one = made(tiny_face(), tmp_path, shapes="")
+    assert one.deformer.shapes == ()
+    assert error(one, {}, random_coefficients(np.random.default_rng(0), 3, one.mm)) < TOLERANCE
+    with pytest.raises(InputError, match=r"shapes: 'brow\*' matches none of 2"):
         export_parts(tiny_face(), tmp_path / "face.onnx", Options(shapes="brow*"))
 
 

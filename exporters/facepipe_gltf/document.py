@@ -69,7 +69,7 @@ class _Writer:
         self.space = space_of(parts)
         self.buffers = Buffers()
         self.materials = MaterialWriter(parts.materials)
-        shapes = [] if options.mode == "skin" else chosen_shapes(parts, options.shapes)
+        shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
         meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes]
         meshes = [baked for baked in meshes if len(baked.corners.faces)]
         mesh_grids: list[Grid | None] = [*grids(meshes)] if options.quantize else [None] * len(meshes)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any
 
-from facepipe.errors import ExportError, InputError
+from facepipe.errors import ExportError
+from facepipe.names import select
 from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh
 
 Json = dict[str, Any]
@@ -29,18 +29,13 @@ class Sculpt:
     normal_offsets: FloatArray | None
 
 
-def chosen_shapes(parts: FaceParts, globs: str) -> list[str]:
+def chosen_shapes(parts: FaceParts, globs: str) -> tuple[str, ...]:
     """Names of the face's shapes that match one of the comma-separated globs, in stage order.
 
     :raises InputError: a glob that matches none
     """
     names = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
-    patterns = [glob.strip() for glob in globs.split(",") if glob.strip()]
-    for pattern in patterns:
-        if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
-            some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none"
-            raise InputError(f"{parts.name} -> shapes", f"no shape matches '{pattern}', expected one of: {some}")
-    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    return select(names, globs, "shapes")
 
 
 def sculpts_of(mesh: Mesh, shapes: Sequence[str]) -> list[Sculpt]:

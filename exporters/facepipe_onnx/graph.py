@@ -17,6 +17,7 @@ from scipy import sparse
 
 from facepipe import __version__
 from facepipe.errors import ExportError
+from facepipe.names import select
 from facepipe.rig import Rig
 from facepipe_onnx import morph, skin
 from facepipe_onnx.joints import tree_order, world_nodes
@@ -47,7 +48,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     """
     options = options or Options()
     options.check()
-    rig = select_shapes(rig, options.selected(rig.shapes))
+    rig = select_shapes(rig, select(rig.shapes, options.shapes, "shapes"))
     _check(rig, options)
     nodes = Nodes()
     worlds = None

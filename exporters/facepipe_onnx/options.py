@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import Literal
 
 from facepipe.errors import InputError
@@ -45,14 +44,3 @@ class Options:
         low, high = BATCHES
         if isinstance(self.batch, bool) or not isinstance(self.batch, int) or not low <= self.batch <= high:
             raise InputError("option batch", f"is {self.batch!r}, expected a whole number from {low} to {high}")
-
-    def selected(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """The `names` that the globs match, in their order.
-
-        :raises InputError: a glob that matches none
-        """
-        patterns = [one.strip() for one in self.shapes.split(",")]
-        for pattern in patterns:
-            if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
-                raise InputError("option shapes", f"'{pattern}' matches none of {len(names)} blendshapes")
-        return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))

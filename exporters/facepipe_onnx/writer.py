@@ -12,6 +12,7 @@ import numpy as np
 from facepipe.atomic import replacing
 from facepipe.errors import ExportError, InputError
 from facepipe.geometry.polygons import point_triangles
+from facepipe.names import select
 from facepipe.parts import FaceParts, IntArray
 from facepipe.reports import ExportReport
 from facepipe.rig import Rig
@@ -48,7 +49,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     (target, beside), options = outputs(path), options or Options()
     whole = build_rig(parts)
     model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
-    rig = select_shapes(whole, options.selected(whole.shapes))
+    rig = select_shapes(whole, select(whole.shapes, options.shapes, "shapes"))
     metadata = sidecar.describe(parts, rig, options, operators(model))
     data = _serialised(model, metadata, parts.name)
     with replacing(target) as graph_file, replacing(beside) as text_file:
