@@ -351,6 +351,29 @@ def test_many_joints_in_a_deep_tree(tmp_path: Path) -> None:
         assert np.abs(found - worlds).max() < TOLERANCE * one.height
 
 
+def test_numbers_that_are_not_finite_are_named_by_their_place(tmp_path: Path) -> None:
+    face = tiny_face()
+    head = face.meshes[0]
+    assert head.skin is not None
+    weights = head.skin.joint_weights.copy()
+    weights[3, 1] = np.nan
+    skin = replace(head.skin, joint_weights=weights)
+    shape = replace(head.blendshapes[0], offsets=np.full((4, 3), np.inf))
+    limits = BoneLimits(lower=np.full((3, 9), -np.inf), upper=np.zeros((3, 9)))
+    broken = {
+        "Tiny -> Head -> jointWeights": replace(face, meshes=(replace_mesh(head, skin=skin),)),
+        "Tiny -> Head -> jawOpen -> offsets": replace(face, meshes=(replace_mesh(head, blendshapes=(shape,)),)),
+        "Tiny -> Skeleton -> bone limits -> lower": replace(face, bone_limits=limits),
+        "Tiny -> slider open": replace(face, sliders=(Slider(name="open", shapes=(("jawOpen", np.nan),)),)),
+        "Tiny -> metersPerUnit": replace(face, meters_per_unit=np.nan),
+    }
+    for where, parts in broken.items():
+        with pytest.raises(ExportError) as caught:
+            export_parts(parts, tmp_path / "face.onnx")
+        assert caught.value.where == where
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_can_not_be_exported(tmp_path: Path) -> None:
     still = FaceParts(meshes=(grid_mesh(),))
     with pytest.raises(ExportError, match="no blendshapes"):

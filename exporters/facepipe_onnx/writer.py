@@ -18,6 +18,7 @@ from facepipe.reports import ExportReport
 from facepipe.rig import Rig
 from facepipe.rig import build as build_rig
 from facepipe_onnx import sidecar
+from facepipe_onnx.checks import require_finite
 from facepipe_onnx.graph import build, select_shapes
 from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.options import Options
@@ -34,7 +35,7 @@ class HasParts(Protocol):
 def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:
     """Write a face as an ONNX deformer, with its metadata also beside it as ``<path>.json``.
 
-    :raises ExportError: nothing that deforms, numbers beyond float32, or more than 2 GB
+    :raises ExportError: nothing that deforms, NaN or infinity, numbers beyond float32, or more than 2 GB
     :raises InputError: another suffix than .onnx, a folder that does not exist, or a bad option
     """
     return export_parts(face.parts(), path, options)
@@ -47,6 +48,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     """
     start = time.perf_counter()
     (target, beside), options = outputs(path), options or Options()
+    require_finite(parts)
     whole = build_rig(parts)
     model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
     rig = select_shapes(whole, select(whole.shapes, options.shapes, "shapes"))
