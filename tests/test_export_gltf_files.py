@@ -19,7 +19,7 @@ from test_export_gltf_materials import COLORS, picture, textured
 
 import facepipe
 from facepipe.errors import ExportError, FacepipeError, InputError
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Slider, UvSet
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Slider, UvSet
 
 __all__ = ["writing", "written"]
 
@@ -91,6 +91,32 @@ def test_landmarks_and_anchor_stay_in_extras_and_the_rest_is_reported(writing: W
     )
     root = next(node for node in file.list("nodes") if node["name"] == "root")
     assert root["extras"]["facepipe"]["attachJoint"] == "body/neck"
+
+
+@pytest.mark.parametrize("mode", ["both", "morph"])
+def test_an_attach_joint_without_joints_is_reported(mode: str, writing: Writing) -> None:
+    skinned = replace(tiny_face(), attach_joint="body/neck")
+    rigid = replace(skinned, meshes=tuple(replace_mesh(mesh, skin=None) for mesh in skinned.meshes))
+    line = "attach joint (body/neck): the file has no joints that hang under it"
+    for name, parts in (("skinned.glb", skinned), ("rigid.glb", rigid)):
+        file, report = writing(parts, name, mode=mode)
+        said = any("attachJoint" in node.get("extras", {}).get("facepipe", {}) for node in file.list("nodes"))
+        assert said == (mode == "both" and parts is skinned)
+        assert (line in report.dropped) != said
+
+
+def test_materials_that_no_mesh_uses_are_reported(writing: Writing) -> None:
+    parts = painted_face()
+    assert not any("material" in line for line in writing(parts)[1].dropped)
+    spare = replace(parts, materials=(*parts.materials, Material(name="spare")))
+    file, report = writing(spare, "b.glb")
+    assert [one["name"] for one in file.list("materials")] == ["skin"]
+    assert "1 material that no mesh uses (spare)" in report.dropped
+    over = MaterialFaces(material="spare", faces=np.arange(25))
+    hidden = replace(spare, meshes=(replace_mesh(spare.meshes[0], material_faces=(over,)),))
+    file, report = writing(hidden, "c.glb")
+    assert [one["name"] for one in file.list("materials")] == ["spare"]
+    assert "1 material that no mesh uses (skin)" in report.dropped
 
 
 @pytest.mark.parametrize("name", ["k.glb", "k.gltf"])

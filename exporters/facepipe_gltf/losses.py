@@ -27,6 +27,11 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options) -> tupl
     lines += _per_mesh("region", {mesh.name: mesh.regions for mesh in parts.meshes})
     lines += _per_mesh("point subset", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
     lines += _counted("slider", "sliders", [slider.name for slider in parts.sliders])
+    used = {name for baked in meshes for name in _materials(baked.mesh)}
+    unused = [material.name for material in parts.materials if material.name not in used]
+    lines += _counted("material that no mesh uses", "materials that no mesh uses", unused)
+    if parts.attach_joint is not None and not any(baked.influences is not None for baked in meshes):
+        lines.append(f"attach joint ({parts.attach_joint}): the file has no joints that hang under it")
     if parts.bone_limits is not None:
         lines.append("bone limits")
     if parts.recipe is not None:
@@ -55,6 +60,14 @@ def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
         if off.any():
             lines.append(f"{one.mesh.name}: skin weights of {int(off.sum())} points did not sum to 1, renormalised")
     return lines
+
+
+def _materials(mesh: Mesh) -> set[str | None]:
+    """Those that some face shows: the mesh's own where the faces' own leave it one."""
+    by_face = [one for one in mesh.material_faces if len(one.faces)]
+    covered = len(np.unique(np.concatenate([one.faces for one in by_face]))) if by_face else 0
+    own = {mesh.material} if covered < len(mesh.face_vertex_counts) else set()
+    return own | {one.material for one in by_face}
 
 
 def _loose_points(mesh: Mesh) -> int:
