@@ -77,14 +77,17 @@ def _grid(meshes: Sequence[Baked]) -> Grid:
 
 
 def quantisation_error(baked: Baked, grid: Grid) -> float:
-    """Largest distance in metres that quantisation moves a point, at neutral or at any one shape."""
+    """Upper bound in metres of how far quantisation moves a point in the bind pose, whatever shapes are on together.
+
+    The errors of the point and of all its offsets add up, each at full weight.
+    """
     encoding = Encoding(grid)
     base = decode(encoding.positions(baked.points)) * grid.half + grid.center - baked.points
-    worst = _longest(base)
+    total = np.linalg.norm(base, axis=1)
     for block in baked.morphs():
         error = decode(encoding.offsets(block.offsets)) * grid.half - block.offsets
-        worst = max(worst, _longest(base[block.points] + error))
-    return worst
+        total += np.bincount(block.points, np.linalg.norm(error, axis=1), len(total))
+    return float(total.max(initial=0.0))
 
 
 def _normals(
@@ -109,7 +112,3 @@ def _normals(
     empty = ~own.any(axis=1)
     own[empty] = smooth[at_corner[empty]]
     return smooth, own
-
-
-def _longest(vectors: FloatArray) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max(initial=0.0))

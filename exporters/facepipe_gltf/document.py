@@ -183,12 +183,13 @@ class _Writer:
         )
 
     def _error_mm(self, meshes: Sequence[Baked], mesh_grids: Sequence[Grid | None]) -> float | None:
-        """Largest error in mm: quantisation at neutral and every shape, fewer influences over the face's poses."""
+        """The two errors of `ExportReport.error_mm` together, in mm; None where there is neither."""
         pairs = zip(meshes, mesh_grids, strict=True)
         errors = [quantisation_error(one, grid) for one, grid in pairs if grid is not None]
         fewer = influence_error(self.parts, meshes, self.space)
-        errors += [] if fewer is None else [fewer]
-        return max(errors) * 1000 if errors else None
+        if not errors and fewer is None:
+            return None
+        return (max(errors, default=0.0) + (fewer or 0.0)) * 1000
 
     def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
         return self.counts | {
