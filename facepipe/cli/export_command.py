@@ -54,6 +54,6 @@ def as_text(report: ExportReport) -> str:
     counts = ", ".join(f"{count:,} {name}" for name, count in report.counts.items())
     lines = [f"{report.path}: {report.bytes:,} bytes in {report.seconds:.2f} s: {counts}"]
     if report.error_mm is not None:
-        lines.append(f"largest error {report.error_mm:.4f} mm")
+        lines.append(f"error at most {report.error_mm:.4f} mm")
     lines += [f"not in the file: {line}" for line in report.dropped]
     return "\n".join(lines)
