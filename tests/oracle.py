@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from facepipe.rig.animation import decompose
+from facepipe.rig.trs import decompose
 from facepipe.stage import Face
 from facepipe.stage.values import floats, matrix, to_quatf, to_vec3f, to_vec3h
 
@@ -29,7 +29,7 @@ def bake_all(face: Face, poses: Sequence[tuple[Mapping[str, float], np.ndarray |
         values = [float(weights.get(name, 0.0)) for name in face.shapes]
         animation.CreateBlendShapeWeightsAttr().Set(values, time)
         local = face.skeleton.rest_transforms if transforms is None else transforms
-        translations, rotations, scales = decompose(local)
+        translations, rotations, scales, _ = decompose(local)
         animation.CreateTranslationsAttr().Set(to_vec3f(translations), time)
         animation.CreateRotationsAttr().Set(to_quatf(rotations), time)
         animation.CreateScalesAttr().Set(to_vec3h(scales), time)

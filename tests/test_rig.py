@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from faces import replace_mesh, tiny_face
 from hypothesis import given
 from hypothesis import strategies as st
 from oracle import bake, difference, random_coefficients
+from pxr import Gf, Usd, UsdSkel, Vt
 from scipy.spatial.transform import Rotation
 
+from facepipe.cli import main
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import Animation, Blendshape, Inbetween, Slider
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Slider
 from facepipe.rig import (
     build,
     coefficient_matrices,
@@ -24,7 +27,7 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.rig.activation import curves
-from facepipe.rig.animation import compose, decompose
+from facepipe.rig.trs import compose, decompose
 from facepipe.stage import Face
 
 
@@ -163,7 +166,7 @@ def test_transforms_split_and_join_again() -> None:
     rng = np.random.default_rng(5)
     matrices = coefficient_matrices(random_coefficients(rng, 40, 3.0, 3.0))
     matrices[::2, :3, 0] *= -1
-    np.testing.assert_allclose(compose(*decompose(matrices)), matrices, atol=1e-12)
+    np.testing.assert_allclose(compose(*decompose(matrices)[:3]), matrices, atol=1e-12)
 
 
 def test_coefficients_of_a_sample_win_and_other_joints_rest() -> None:
@@ -185,3 +188,79 @@ def test_coefficients_of_a_sample_win_and_other_joints_rest() -> None:
     assert sample_weights(animation) == {"jawOpen": 0.25}
     with pytest.raises(InputError, match="no joint"):
         sample_transforms(parts.skeleton, replace(animation, joints=("nose",)))
+
+
+def partial(parts: FaceParts, *given: str, seed: int = 11) -> Animation:
+    """Two joints at three times, of whose transforms only some parts are given."""
+    rng = np.random.default_rng(seed)
+    rotations = rng.normal(size=(3, 2, 4))
+    every = {
+        "translations": rng.normal(size=(3, 2, 3)),
+        "rotations": rotations / np.linalg.norm(rotations, axis=-1, keepdims=True),
+        "scales": rng.uniform(0.5, 2, (3, 2, 3)).astype(np.float16).astype(np.float64),
+    }
+    joints = parts.skeleton.joints[1:][::-1]
+    chosen = {name: every[name] for name in given}
+    return Animation(name="part", times=np.array([0.0, 0.5, 1.0]), joints=joints, **chosen)
+
+
+def usdskel_points(face: Face, animation: str, sample: int) -> np.ndarray:
+    """(n, 3) world points that UsdSkel gives for the animation as the stage has it."""
+    stage = Usd.Stage.Open(face.stage.Flatten())
+    skeleton = next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton))
+    source = next(one for one in stage.Traverse() if one.IsA(UsdSkel.Animation) and one.GetName() == animation)
+    UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([source.GetPath()])
+    query = UsdSkel.Cache().GetSkelQuery(UsdSkel.Skeleton(skeleton))
+    times = UsdSkel.Animation(source).GetRotationsAttr().GetTimeSamples() or [0.0]
+    local = np.array(query.ComputeJointLocalTransforms(times[sample])).transpose(0, 2, 1)
+    return bake(face, {}, local)
+
+
+@pytest.mark.parametrize(
+    "given", [("rotations",), ("translations",), ("scales",), ("translations", "scales"), ("rotations", "scales")]
+)
+def test_parts_of_transforms_as_usdskel(given: tuple[str, ...]) -> None:
+    """The rest of the transform comes from the rest pose, in the rig and on the stage."""
+    parts = tiny_face()
+    animation = partial(parts, *given)
+    face = Face.from_parts(replace(parts, animations=(animation,)))
+    for sample in range(3):
+        local = sample_transforms(parts.skeleton, animation, sample)
+        assert np.abs(local[1:] - parts.skeleton.rest_transforms[1:]).max() > 0.1
+        points = build(parts).evaluate(joint_transforms=local)
+        assert difference(face, points, usdskel_points(face, "part", sample)) < 1e-5
+
+
+def test_a_stage_of_bone_coefficients_alone_moves_in_usdskel_too() -> None:
+    parts = tiny_face()
+    values = random_coefficients(np.random.default_rng(4), 3, 0.5)
+    pose = Animation(name="pose", joints=parts.skeleton.joints, coefficients=values[None])
+    face = Face.from_parts(replace(parts, animations=(pose,)))
+    assert difference(face, face.evaluate(coefficients=values), usdskel_points(face, "pose", 0)) < 1e-5
+
+
+@pytest.mark.parametrize("given", [("rotations",), ("translations", "rotations", "scales")])
+def test_a_quaternion_of_no_length_is_refused(given: tuple[str, ...]) -> None:
+    parts = tiny_face()
+    animation = partial(parts, *given)
+    assert animation.rotations is not None
+    animation.rotations[1, 0] = 0
+    with pytest.raises(InputError, match=r"part -> root/jaw/lip: .*quaternion of length 0"):
+        sample_transforms(parts.skeleton, animation, 1)
+    assert np.isfinite(sample_transforms(parts.skeleton, animation, 0)).all()
+
+
+def test_a_pose_of_no_length_on_a_stage_ends_the_render_in_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    parts = tiny_face()
+    path = tmp_path / "face.usda"
+    face = Face.from_parts(replace(parts, animations=(partial(parts, "rotations"),)))
+    source = next(one for one in face.stage.Traverse() if one.IsA(UsdSkel.Animation))
+    rotations = UsdSkel.Animation(source).GetRotationsAttr()
+    rotations.Set(Vt.QuatfArray([Gf.Quatf(0, 0, 0, 0)] * 2), rotations.GetTimeSamples()[0])
+    face.save(path)
+    assert main(["render", str(path), "--pose", "part", "-o", str(tmp_path / "face.png")]) == 2
+    (line,) = capfd.readouterr().err.strip().splitlines()
+    assert "part -> root/jaw/lip" in line
+    assert "quaternion" in line

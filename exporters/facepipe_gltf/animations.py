@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from facepipe.parts import Animation, FloatArray, IntArray, Skeleton
+from facepipe.rig.animation import local_transforms
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
 from facepipe_gltf.placement import accumulate
 from facepipe_gltf.sculpts import Sculpt
-from facepipe_gltf.space import Space, Trs, decompose, rotation_matrices
+from facepipe_gltf.space import Space, Trs, decompose
 
 Json = dict[str, Any]
 _SAME = 1e-7  # joints nearer to rest than this (metres, quaternion and scale units) get no channel
@@ -52,7 +53,7 @@ class AnimationWriter:
         if not own:
             return
         used = np.array([number[animation.joints[i]] for i in own])
-        local = local_matrices(animation, self.skeleton, np.array(own), used)
+        local = local_transforms(self.skeleton, animation, np.array(own))
         nodes = joints.offsets[used] @ self.space.local(local, self.skeleton.parents[used] < 0)
         trs = decompose(nodes)
         self._report_shear(animation, used, nodes, trs, joints)
@@ -99,29 +100,6 @@ class AnimationWriter:
                 values[:, i] = activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
         keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
         _channel(result, self.buffers, keyed, values.ravel(), node, "weights")
-
-
-def local_matrices(animation: Animation, skeleton: Skeleton, own: IntArray, used: IntArray) -> FloatArray:
-    """(T, j, 4, 4) local matrices, in stage space, of the animation's joints `own`, the skeleton's joints `used`.
-
-    What the animation does not say stays at rest.
-    """
-    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
-    if animation.coefficients is not None:
-        from facepipe.rig.bone_coefficients import coefficient_matrices
-
-        return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, own]))
-    given = (animation.translations, animation.rotations, animation.scales)
-    count = max((len(array) for array in given if array is not None), default=1)
-    matrices = np.repeat(rest[None], count, axis=0)
-    if animation.rotations is not None or animation.scales is not None:
-        at_rest = decompose(rest)
-        rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, own]
-        scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, own]
-        matrices[..., :3, :3] = rotation_matrices(rotations) * np.asarray(scales, np.float64)[..., None, :]
-    if animation.translations is not None:
-        matrices[..., :3, 3] = np.asarray(animation.translations)[:, own]
-    return matrices
 
 
 def activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:

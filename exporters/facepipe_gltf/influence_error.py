@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton
-from facepipe_gltf.animations import local_matrices
+from facepipe.rig.animation import local_transforms
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.influences import LOST, merge
 from facepipe_gltf.placement import accumulate
@@ -62,7 +62,7 @@ def _poses(animations: Sequence[Animation], skeleton: Skeleton) -> FloatArray | 
         own = [i for i, joint in enumerate(animation.joints) if joint in number]
         if own:
             used = np.array([number[animation.joints[i]] for i in own])
-            keys = local_matrices(animation, skeleton, np.array(own), used)
+            keys = local_transforms(skeleton, animation, np.array(own))
             every = np.empty((len(keys), *skeleton.rest_transforms.shape))
             every[:] = skeleton.rest_transforms
             every[:, used] = keys

@@ -2,34 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.trs import decompose, rotation_matrices
 
 FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_ZERO = 1e-6  # a quaternion shorter than this has no direction
+_JOINT_VALUES = ("translations", "rotations", "scales", "coefficients")
+
+
+def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray | None = None) -> FloatArray:
+    """(T, j, 4, 4) local transforms of the animation's joints, in its order, at all samples.
+
+    Bone coefficients win over the transforms where the animation has both: USD keeps scales in half precision. Of
+    transforms, the parts that are not given (translations, rotations or scales) come from rest.
+
+    :param joints: (j,) numbers of the animation's joints to keep; default all
+    :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
+    """
+    own = np.arange(len(animation.joints)) if joints is None else joints
+    used = _places(skeleton, animation, own)
+    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
+    if animation.coefficients is not None:
+        return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, own]))
+    samples = 1 if animation.times is None else len(animation.times)
+    matrices = np.repeat(rest[None], samples, axis=0)
+    if animation.rotations is not None or animation.scales is not None:
+        at_rest = decompose(rest)
+        rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, own]
+        scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, own]
+        _refuse_zero(animation, own, rotations)
+        matrices[..., :3, :3] = rotation_matrices(rotations) * np.asarray(scales, np.float64)[..., None, :]
+    if animation.translations is not None:
+        matrices[..., :3, 3] = np.asarray(animation.translations)[:, own]
+    return matrices
 
 
 def sample_transforms(skeleton: Skeleton, animation: Animation, index: int = 0) -> FloatArray:
     """(j, 4, 4) local transforms of the whole skeleton at one sample; joints not animated are at rest.
 
-    Bone coefficients win over the transforms where the animation has both: USD keeps scales in half precision.
-
-    :raises InputError: a joint that the skeleton has not
+    :raises InputError: as `local_transforms`
     """
+    values = {name: getattr(animation, name) for name in _JOINT_VALUES}
+    one: dict[str, Any] = {name: None if value is None else value[index : index + 1] for name, value in values.items()}
     local = np.array(skeleton.rest_transforms, dtype=np.float64)
-    place = {joint: i for i, joint in enumerate(skeleton.joints)}
-    missing = [joint for joint in animation.joints if joint not in place]
-    if missing:
-        raise InputError(animation.name, f"'{missing[0]}' is no joint of the skeleton")
-    rows = [place[joint] for joint in animation.joints]
-    if animation.coefficients is not None:
-        local[rows] = local[rows] @ coefficient_matrices(animation.coefficients[index])
-    elif animation.translations is not None and animation.rotations is not None:
-        scales = np.ones((len(rows), 3)) if animation.scales is None else animation.scales[index]
-        local[rows] = compose(animation.translations[index], animation.rotations[index], scales)
+    rows = _places(skeleton, animation, np.arange(len(animation.joints)))
+    local[rows] = local_transforms(skeleton, replace(animation, times=None, **one))[0]
     return local
 
 
@@ -40,27 +67,18 @@ def sample_weights(animation: Animation, index: int = 0) -> dict[str, float]:
     return {name: float(weight) for name, weight in zip(animation.shapes, animation.shape_weights[index], strict=True)}
 
 
-def compose(translations: FloatArray, rotations: FloatArray, scales: FloatArray) -> FloatArray:
-    """(n, 4, 4) matrices T R S of (n, 3), (n, 4) quaternions x y z w, and (n, 3)."""
-    from scipy.spatial.transform import Rotation
+def _places(skeleton: Skeleton, animation: Animation, own: IntArray) -> IntArray:
+    """The animation's joints `own` in the skeleton."""
+    place = {joint: i for i, joint in enumerate(skeleton.joints)}
+    joints = [animation.joints[i] for i in own]
+    missing = [joint for joint in joints if joint not in place]
+    if missing:
+        raise InputError(animation.name, f"'{missing[0]}' is no joint of the skeleton")
+    return np.array([place[joint] for joint in joints], dtype=np.int64)
 
-    matrices = np.tile(np.eye(4), (len(translations), 1, 1))
-    if len(matrices):
-        matrices[:, :3, :3] = Rotation.from_quat(rotations).as_matrix() * np.asarray(scales)[:, None, :]
-        matrices[:, :3, 3] = translations
-    return matrices
 
-
-def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Translations (n, 3), quaternions x y z w (n, 4) and scales (n, 3) of (n, 4, 4) matrices without shear.
-
-    A mirrored matrix (negative determinant) gives a negative x scale.
-    """
-    from scipy.spatial.transform import Rotation
-
-    linear = np.asarray(matrices, dtype=np.float64)[:, :3, :3]
-    scale = np.linalg.norm(linear, axis=1)
-    scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1.0, 1.0)
-    rotation = linear / np.where(scale == 0, 1.0, scale)[:, None, :]
-    quaternions = Rotation.from_matrix(rotation).as_quat() if len(matrices) else np.zeros((0, 4))
-    return np.asarray(matrices)[:, :3, 3], quaternions, scale
+def _refuse_zero(animation: Animation, own: IntArray, rotations: FloatArray) -> None:
+    short = (np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1) < _ZERO).reshape(-1, len(own)).any(axis=0)
+    if short.any():
+        joint = animation.joints[own[int(np.argmax(short))]]
+        raise InputError(f"{animation.name} -> {joint}", "a rotation quaternion of length 0, expected unit length")

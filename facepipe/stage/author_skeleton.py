@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
@@ -10,7 +11,9 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import Animation, BoneLimits, FloatArray, Recipe, Skeleton, Slider
-from facepipe.rig.animation import decompose
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.trs import decompose
+from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_matrices, to_matrix, to_quatf, to_vec3f, to_vec3h
 
 
@@ -61,29 +64,40 @@ def author_animation(stage: Usd.Stage, path: Sdf.Path, animation: Animation, ske
             prim.CreateBlendShapeWeightsAttr().Set(to_floats(animation.shape_weights[i]), time)
 
 
+def author_time_range(stage: Usd.Stage, animations: Iterable[Animation]) -> None:
+    """Write the first and last time of the clips as the stage's time range; nothing where there are only poses."""
+    times = [float(time) for one in animations if one.times is not None for time in one.times]
+    if times:
+        rate = stage.GetTimeCodesPerSecond()
+        stage.SetStartTimeCode(min(times) * rate)
+        stage.SetEndTimeCode(max(times) * rate)
+
+
 def _transforms(
     animation: Animation, skeleton: Skeleton, samples: int, path: Sdf.Path
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(T, j, 3), (T, j, 4), (T, j, 3); parts of the transform that are not given come from rest."""
-    place = {joint: i for i, joint in enumerate(skeleton.joints)}
-    missing = [joint for joint in animation.joints if joint not in place]
-    if missing:
-        raise InputError(path, f"'{missing[0]}' is no joint of the skeleton")
+    """(T, j, 3), (T, j, 4), (T, j, 3): as given, or what the rig makes of what is given."""
     given = (animation.translations, animation.rotations, animation.scales)
-    rest = None
-    if any(part is None for part in given):
-        rest = decompose(skeleton.rest_transforms[[place[joint] for joint in animation.joints]])
-    filled = []
-    for i, part in enumerate(given):
-        own = np.repeat(rest[i][None], samples, axis=0) if part is None and rest is not None else np.asarray(part)
-        if len(own) != samples or own.shape[1] != len(animation.joints) or not np.isfinite(own).all():
-            raise InputError(path, f"{own.shape} transforms, expected {samples} x {len(animation.joints)} finite ones")
-        filled.append(own)
-    return filled[0], filled[1], filled[2]
+    shape = (samples, len(animation.joints))
+    for part in (*given, animation.coefficients):
+        if part is not None and (np.shape(part)[:2] != shape or not np.isfinite(part).all()):
+            raise InputError(path, f"{np.shape(part)} transforms, expected {samples} x {shape[1]} finite ones")
+    trs = decompose(local_transforms(skeleton, animation))
+    translations, rotations, scales = given
+    kept = animation.coefficients is None or all(part is not None for part in given)
+    return (
+        translations if kept and translations is not None else trs.translation,
+        rotations if kept and rotations is not None else trs.rotation,
+        scales if kept and scales is not None else trs.scale,
+    )
 
 
 def author_slider(prim: Usd.Prim, slider: Slider) -> None:
-    """Apply a slider to the face prim."""
+    """Apply a slider to the face prim.
+
+    :raises InputError: a name that USD can't hold
+    """
+    check_property_name(prim.GetPath(), "slider", slider.name, tokens.SLIDER_API)
     prim.ApplyAPI(tokens.SLIDER_API, slider.name)
     prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
     for name in ("group", "default", "minimum", "maximum"):
