@@ -189,6 +189,7 @@ class Face:
         :param joint_transforms: (j, 4, 4) local joint transforms, instead of coefficients
         :param parent_world: (4, 4) world matrix of the body joint that the face hangs under
         :param sliders: slider values by name, instead of coefficients; their shape weights add to `weights`
+            (None ignores the sliders; ``{}`` sets them to the values authored on the stage)
         :raises InputError: unknown names, wrong counts or non-finite values
         """
         if sliders is not None:
