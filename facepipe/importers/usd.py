@@ -54,8 +54,7 @@ def read(source: Path, options: Options) -> Imported:
     foreign = read_foreign(source, root=options.root, skeleton=options.skeleton)
     warnings = list(foreign.warnings)
     parts = foreign.parts
-    meshes = tuple(_turned(mesh) if mesh.name in foreign.left_handed else mesh for mesh in parts.meshes)
-    meshes = tuple(_normalised(source, mesh, warnings) for mesh in meshes)
+    meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
     skeleton, new_names = _renamed(parts.skeleton, warnings)
     _check_transforms(source, parts)
     parts = replace(
@@ -74,22 +73,6 @@ def read(source: Path, options: Options) -> Imported:
 
 def _shape_names(meshes: tuple[Mesh, ...]) -> set[str]:
     return {shape.name for mesh in meshes for shape in mesh.blendshapes}
-
-
-def _turned(mesh: Mesh) -> Mesh:
-    """A left-handed mesh with its faces turned round, so that they look outward as those of all others."""
-    counts = np.asarray(mesh.face_vertex_counts, dtype=np.int64)
-    starts = np.repeat(np.cumsum(counts) - counts, counts)
-    back = 2 * starts + np.repeat(counts, counts) - 1 - np.arange(counts.sum())
-    normals = mesh.normals
-    if normals is not None and len(normals) != len(mesh.points):
-        normals = normals[back]
-    return replace(
-        mesh,
-        face_vertex_indices=mesh.face_vertex_indices[back],
-        normals=normals,
-        uv_sets=tuple(uv if uv.indices is None else replace(uv, indices=uv.indices[back]) for uv in mesh.uv_sets),
-    )
 
 
 def _normalised(source: Path, mesh: Mesh, warnings: list[str]) -> Mesh:

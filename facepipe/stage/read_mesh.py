@@ -13,6 +13,7 @@ from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.guard import reads_prim
+from facepipe.stage.orientation import is_left_handed, turned
 from facepipe.stage.read_blendshapes import read_blendshapes
 from facepipe.stage.values import floats, ints, matrix
 
@@ -39,7 +40,7 @@ def read_mesh(
     *,
     unbound_shapes: bool = False,
 ) -> Mesh:
-    """One mesh.
+    """One mesh, its faces wound counter-clockwise as seen from outside whatever the orientation of the prim.
 
     :param material_names: name of a material by its prim path
     :param unbound_shapes: read blendshapes of meshes without Skeleton too, which UsdSkel ignores
@@ -56,7 +57,7 @@ def read_mesh(
     if not np.isfinite(points).all():
         raise SchemaError(where, "points hold NaN or infinity, expected finite numbers")
     whole, by_face = _materials(prim, material_names)
-    return Mesh(
+    result = Mesh(
         name=name,
         points=points,
         face_vertex_counts=counts,
@@ -75,6 +76,7 @@ def read_mesh(
         material_faces=by_face,
         double_sided=bool(mesh.GetDoubleSidedAttr().Get()),
     )
+    return turned(result) if is_left_handed(mesh) else result
 
 
 @reads_prim

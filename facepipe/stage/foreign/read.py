@@ -29,7 +29,6 @@ class Foreign:
     """A face read from a stage of another tool."""
 
     parts: FaceParts
-    left_handed: frozenset[str]  # names of the meshes whose faces turn the other way round
     files: tuple[Path, ...]  # layers that were read
     warnings: tuple[str, ...]
 
@@ -53,13 +52,8 @@ def read_foreign(path: Path, *, root: str | None = None, skeleton: str | None = 
             raise scene.error("no mesh to read, expected a face")
         mend_meshes(scene, meshes)
         parts = _parts(scene, meshes, prim)
-        names = [mesh.name for mesh in parts.meshes]
-        orientations = [UsdGeom.Mesh(one).GetOrientationAttr().Get() for one in meshes]
         return Foreign(
             parts=parts,
-            left_handed=frozenset(
-                name for name, one in zip(names, orientations, strict=True) if one == UsdGeom.Tokens.leftHanded
-            ),
             files=tuple(sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)),
             warnings=tuple(scene.warnings),
         )
