@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import __version__, tokens
+from facepipe.finite import require_finite
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.stage.author_materials import author_materials, textures_of
@@ -19,6 +20,7 @@ from facepipe.stage.author_skeleton import (
     author_recipe,
     author_skeleton,
     author_slider,
+    author_time_range,
 )
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.textures import TextureFolder, texture_home
@@ -54,6 +56,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
 
     :param textures: asset path by texture name; names themselves where not given
     """
+    require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
     prim = root.GetPrim()
@@ -92,3 +95,4 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
             parts.animations, unique_identifiers(one.name for one in parts.animations), strict=True
         ):
             author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
+        author_time_range(stage, parts.animations)

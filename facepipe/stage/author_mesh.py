@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.names import unique_identifiers
-from facepipe.parts import Blendshape, FloatArray, Mesh, Skin
+from facepipe.parts import Blendshape, Mesh, Skin
+from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
 
 
@@ -24,10 +25,9 @@ def author_mesh(
 ) -> UsdGeom.Mesh:
     """Define one mesh with its shapes, skin, regions and subsets.
 
-    :raises InputError: NaN or infinity in points or offsets, or an unknown material
+    :raises InputError: a name that USD can't hold, or an unknown material
     """
     prim = UsdGeom.Mesh.Define(stage, path)
-    _finite(mesh.points, path, "points")
     prim.CreatePointsAttr(to_vec3f(mesh.points))
     prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
     prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
@@ -44,7 +44,7 @@ def author_mesh(
         binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
         if mesh.skin and joints:
-            _author_skin(binding, mesh.skin, path)
+            _author_skin(binding, mesh.skin)
         if mesh.blendshapes:
             _author_blendshapes(stage, binding, mesh.blendshapes, names.blendshapes)
     for name, subset in zip(names.point_subsets, mesh.point_subsets.values(), strict=True):
@@ -68,10 +68,12 @@ class _ChildNames:
 def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
     """Write the landmarks and the anchor of `mesh` on a Mesh prim."""
     for scheme, landmarks in mesh.landmarks.items():
+        check_property_name(prim.GetPath(), "landmark scheme", scheme, tokens.LANDMARKS_API)
         prim.ApplyAPI(tokens.LANDMARKS_API, scheme)
         prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:indices").Set(to_ints(landmarks.indices))
-        if landmarks.names:
-            prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Set(list(landmarks.names))
+        names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names")
+        if landmarks.names or names.HasAuthoredValue():  # those of earlier landmarks must not stay
+            names.Set(list(landmarks.names))
     if mesh.anchor is not None:
         prim.ApplyAPI(tokens.ANCHOR_API)
         prim.GetAttribute(tokens.ANCHOR).Set(int(mesh.anchor))
@@ -84,6 +86,7 @@ def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
         prim.CreateNormalsAttr(to_vec3f(mesh.normals))
         prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex if per_point else UsdGeom.Tokens.faceVarying)
     for uv in mesh.uv_sets:
+        check_property_name(prim.GetPath(), "UV set", uv.name)
         kind = UsdGeom.Tokens.vertex if uv.indices is None else UsdGeom.Tokens.faceVarying
         primvar = api.CreatePrimvar(uv.name, Sdf.ValueTypeNames.TexCoord2fArray, kind)
         primvar.Set(to_vec2f(uv.values))
@@ -92,6 +95,7 @@ def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
     if mesh.colors is not None:
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
     for name, mask in mesh.regions.items():
+        check_property_name(prim.GetPath(), "region", name, tokens.REGION_API)
         prim.GetPrim().ApplyAPI(tokens.REGION_API, name)
         region = api.CreatePrimvar(tokens.REGION_PRIMVAR + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex)
         region.Set(to_floats(mask))
@@ -117,8 +121,7 @@ def _author_materials(
         api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
 
 
-def _author_skin(binding: UsdSkel.BindingAPI, skin: Skin, path: Sdf.Path) -> None:
-    _finite(skin.joint_weights, path, "joint weights")
+def _author_skin(binding: UsdSkel.BindingAPI, skin: Skin) -> None:
     width = skin.joint_indices.shape[1]
     binding.CreateJointIndicesPrimvar(False, width).Set(to_ints(skin.joint_indices))
     binding.CreateJointWeightsPrimvar(False, width).Set(to_floats(skin.joint_weights))
@@ -133,23 +136,16 @@ def _author_blendshapes(
     for shape, name in zip(shapes, names, strict=True):
         target = UsdSkel.BlendShape.Define(stage, parent.AppendChild(name))
         targets.append(target.GetPath())
-        _finite(shape.offsets, target.GetPath(), "offsets")
         target.CreatePointIndicesAttr(to_ints(shape.point_indices))
         target.CreateOffsetsAttr(to_vec3f(shape.offsets))
         if shape.normal_offsets is not None:
-            _finite(shape.normal_offsets, target.GetPath(), "normal offsets")
             target.CreateNormalOffsetsAttr(to_vec3f(shape.normal_offsets))
-        for inbetween in shape.inbetweens:
-            _finite(inbetween.offsets, target.GetPath(), f"offsets of {inbetween.name}")
-            one = target.CreateInbetween(Tf.MakeValidIdentifier(inbetween.name))
+        own_names = unique_identifiers(one.name for one in shape.inbetweens)
+        for inbetween, own in zip(shape.inbetweens, own_names, strict=True):
+            one = target.CreateInbetween(own)
             one.SetWeight(float(inbetween.weight))
             one.SetOffsets(to_vec3f(inbetween.offsets))
             if inbetween.normal_offsets is not None:
                 one.CreateNormalOffsetsAttr(to_vec3f(inbetween.normal_offsets))
     binding.CreateBlendShapesAttr([shape.name for shape in shapes])
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
-
-
-def _finite(values: FloatArray, path: Sdf.Path, what: str) -> None:
-    if not np.isfinite(values).all():
-        raise InputError(path, f"{what} hold NaN or infinity, expected finite numbers")

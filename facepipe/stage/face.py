@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
-from facepipe.names import identifier
+from facepipe.finite import require_finite
+from facepipe.names import unique_identifiers
 from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
@@ -81,17 +83,15 @@ class Face:
         :raises SchemaError, TopologyError: a mesh that doesn't follow the stage convention
         """
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
-        names = [one.GetName() for one in prims]
-        own = [
-            name if names.count(name) == 1 else identifier(str(prim.GetPath().MakeRelativePath(self.prim.GetPath())))
-            for name, prim in zip(names, prims, strict=True)
-        ]
+        own = _unique_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
         with self._trail():
             bindings, materials = self._bindings(), dict(self._material_names)
-            return tuple(
+            meshes = tuple(
                 read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
                 for prim, name in zip(prims, own, strict=True)
             )
+            require_finite(meshes, self.where.partition(" -> ")[0], error=SchemaError)
+        return meshes
 
     @cached_property
     def skeleton(self) -> Skeleton:
@@ -143,7 +143,7 @@ class Face:
         with self._trail():
             limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
             recipe = read_recipe(self.prim)
-        return FaceParts(
+        parts = FaceParts(
             name=self.name,
             meters_per_unit=self.meters_per_unit,
             up_axis="Z" if self.up_axis == "Z" else "Y",
@@ -157,6 +157,8 @@ class Face:
             attribution=self._text(tokens.ATTRIBUTION),
             recipe=recipe,
         )
+        require_finite(parts, self.where.partition(" -> ")[0], error=SchemaError)
+        return parts
 
     def rig(self) -> Rig:
         """The rig: what moves the points."""
@@ -275,11 +277,8 @@ class Face:
     @cached_property
     def _material_names(self) -> dict[str, str]:
         prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
-        names = [one.GetName() for one in prims]
-        return {
-            str(prim.GetPath()): name if names.count(name) == 1 else identifier(str(prim.GetPath()))
-            for prim, name in zip(prims, names, strict=True)
-        }
+        paths = [str(one.GetPath()) for one in prims]
+        return dict(zip(paths, _unique_names(prims, paths), strict=True))
 
     def _bindings(self) -> dict[str, Binding]:
         cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
@@ -313,6 +312,16 @@ def _check_metadata(face: Face) -> None:
         raise SchemaError(face.where, f"metersPerUnit {face.meters_per_unit:g}, expected a length above 0")
     if face.up_axis not in ("Y", "Z"):
         raise SchemaError(face.where, f"upAxis '{face.up_axis}', expected Y or Z")
+
+
+def _unique_names(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:
+    """The prims' own names; of prims that share one, identifiers of their paths that nothing else is called."""
+    names = [str(one.GetName()) for one in prims]
+    count = Counter(names)
+    single = [name for name in names if count[name] == 1]
+    shared = [path for name, path in zip(names, paths, strict=True) if count[name] > 1]
+    others = iter(unique_identifiers([*single, *shared])[len(single) :])
+    return [name if count[name] == 1 else next(others) for name in names]
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:
