@@ -361,11 +361,11 @@ def test_numbers_that_are_not_finite_are_named_by_their_place(tmp_path: Path) ->
     shape = replace(head.blendshapes[0], offsets=np.full((4, 3), np.inf))
     limits = BoneLimits(lower=np.full((3, 9), -np.inf), upper=np.zeros((3, 9)))
     broken = {
-        "Tiny -> Head -> jointWeights": replace(face, meshes=(replace_mesh(head, skin=skin),)),
+        "Tiny -> Head -> skin -> joint_weights": replace(face, meshes=(replace_mesh(head, skin=skin),)),
         "Tiny -> Head -> jawOpen -> offsets": replace(face, meshes=(replace_mesh(head, blendshapes=(shape,)),)),
-        "Tiny -> Skeleton -> bone limits -> lower": replace(face, bone_limits=limits),
-        "Tiny -> slider open": replace(face, sliders=(Slider(name="open", shapes=(("jawOpen", np.nan),)),)),
-        "Tiny -> metersPerUnit": replace(face, meters_per_unit=np.nan),
+        "Tiny -> bone_limits -> lower": replace(face, bone_limits=limits),
+        "Tiny -> open -> shapes": replace(face, sliders=(Slider(name="open", shapes=(("jawOpen", np.nan),)),)),
+        "Tiny -> meters_per_unit": replace(face, meters_per_unit=np.nan),
     }
     for where, parts in broken.items():
         with pytest.raises(ExportError) as caught:

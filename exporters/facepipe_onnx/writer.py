@@ -11,6 +11,7 @@ import numpy as np
 
 from facepipe.atomic import replacing
 from facepipe.errors import ExportError, InputError
+from facepipe.finite import require_finite
 from facepipe.geometry.polygons import point_triangles
 from facepipe.names import select
 from facepipe.parts import FaceParts, IntArray
@@ -18,7 +19,6 @@ from facepipe.reports import ExportReport
 from facepipe.rig import Rig
 from facepipe.rig import build as build_rig
 from facepipe_onnx import sidecar
-from facepipe_onnx.checks import require_finite
 from facepipe_onnx.graph import build, select_shapes
 from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.options import Options
@@ -48,7 +48,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     """
     start = time.perf_counter()
     (target, beside), options = outputs(path), options or Options()
-    require_finite(parts)
+    require_finite(parts, parts.name, error=ExportError)
     whole = build_rig(parts)
     model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
     rig = select_shapes(whole, select(whole.shapes, options.shapes, "shapes"))
