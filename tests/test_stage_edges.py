@@ -213,3 +213,12 @@ def test_time_range_of_clips_is_on_the_stage(tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(tmp_path / "clips.usda"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, 1.5 * stage.GetTimeCodesPerSecond())
     assert not Sdf.Layer.FindOrOpen(str(tmp_path / "poses.usda")).HasStartTimeCode()
+
+
+def test_a_clip_with_nan_is_refused_when_it_is_sampled(tmp_path: Path) -> None:
+    clip = p.Animation(name="clip", shapes=("jawOpen",), shape_weights=np.float32([[0.625]]))
+    file = tmp_path / "face.usda"
+    save_parts(replace(tiny_face(), animations=(clip,)), file)
+    file.write_text(file.read_text().replace("[0.625]", "[nan]"))
+    with pytest.raises(SchemaError, match="clip -> shape_weights: NaN"):
+        facepipe.open(file).sample("clip")

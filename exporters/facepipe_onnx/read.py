@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.errors import InputError
+from facepipe.reading import read_bytes
 from facepipe_onnx import sidecar
 from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
 
@@ -43,12 +44,7 @@ def read(path: Path) -> Any:
     """
     import onnx
 
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(path, f"more than {MAX_BYTES} bytes, expected an ONNX file")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    data = read_bytes(path, MAX_BYTES)
     model = onnx.ModelProto()
     try:
         model.ParseFromString(data)

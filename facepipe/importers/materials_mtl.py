@@ -13,6 +13,7 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.importers.wavefront import read_text
 from facepipe.parts import Material, Texture, TextureInput
+from facepipe.reading import read_bytes
 
 MAX_TEXTURE_BYTES = 1 << 28
 
@@ -105,12 +106,7 @@ def _texture(path: Path, where: str, result: Materials) -> Texture | None:
     if not path.is_file():
         result.warnings.append(f"{where}: texture {ascii(path.name)[:80]} not there, the colour is used")
         return None
-    try:
-        if path.stat().st_size > MAX_TEXTURE_BYTES:
-            raise InputError(path, f"texture larger than {MAX_TEXTURE_BYTES} bytes")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    data = read_bytes(path, MAX_TEXTURE_BYTES)
     taken = {texture.name for texture in result.textures.values()}
     name = path.name if path.name not in taken else f"{len(taken)}_{path.name}"
     result.files.append(path)

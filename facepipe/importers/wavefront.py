@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.reading import read_bytes
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -102,12 +103,7 @@ def read_text(path: Path) -> str:
 
     :raises InputError: not readable, too large, or binary
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(path, f"larger than {MAX_BYTES} bytes")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    data = read_bytes(path, MAX_BYTES)
     if b"\0" in data:
         raise InputError(path, "is binary, expected text")
     try:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
@@ -26,6 +27,8 @@ from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
 from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, prims_below
+
+Read = TypeVar("Read")
 
 
 class Face:
@@ -86,12 +89,12 @@ class Face:
         own = _unique_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
         with self._trail():
             bindings, materials = self._bindings(), dict(self._material_names)
-            meshes = tuple(
-                read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
-                for prim, name in zip(prims, own, strict=True)
+            return self._finite(
+                tuple(
+                    read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
+                    for prim, name in zip(prims, own, strict=True)
+                )
             )
-            require_finite(meshes, self.where.partition(" -> ")[0], error=SchemaError)
-        return meshes
 
     @cached_property
     def skeleton(self) -> Skeleton:
@@ -103,20 +106,20 @@ class Face:
     def animations(self) -> tuple[Animation, ...]:
         """Poses and clips below the face."""
         with self._trail():
-            return tuple(read_animation(one) for one in self._below() if one.IsA(UsdSkel.Animation))
+            return self._finite(tuple(read_animation(one) for one in self._below() if one.IsA(UsdSkel.Animation)))
 
     @cached_property
     def sliders(self) -> tuple[Slider, ...]:
         """The face's sliders, by name."""
         with self._trail():
-            return read_sliders(self.prim)
+            return self._finite(read_sliders(self.prim))
 
     @cached_property
     def materials(self) -> tuple[Material, ...]:
         """Its UsdPreviewSurface materials, with their textures."""
         with self._trail():
             read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self._material_names.items())
-            return tuple(material for material in read if material is not None)
+            return self._finite(tuple(material for material in read if material is not None))
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -157,8 +160,7 @@ class Face:
             attribution=self._text(tokens.ATTRIBUTION),
             recipe=recipe,
         )
-        require_finite(parts, self.where.partition(" -> ")[0], error=SchemaError)
-        return parts
+        return self._finite(parts)
 
     def rig(self) -> Rig:
         """The rig: what moves the points."""
@@ -266,6 +268,10 @@ class Face:
             if mesh.name == name:
                 return prim
         raise InputError(self.where, f"no mesh '{name}'")
+
+    def _finite(self, read: Read) -> Read:
+        require_finite(read, self.where.partition(" -> ")[0], error=SchemaError)
+        return read
 
     def _text(self, name: str) -> str:
         with self._trail():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pxr import Ar, Sdf, Usd, UsdShade
 
@@ -12,7 +12,14 @@ from facepipe.parts import Color, Material, Texture, TextureInput
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.textures import is_image
 
-_WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "clamp", "useMetadata": "repeat"}
+Wrap = Literal["repeat", "mirror", "clamp"]
+_WRAPS: dict[str, Wrap] = {
+    "repeat": "repeat",
+    "mirror": "mirror",
+    "clamp": "clamp",
+    "black": "clamp",
+    "useMetadata": "repeat",
+}
 
 
 @reads_prim
@@ -74,11 +81,16 @@ def _texture(shader: UsdShade.Shader, name: str) -> TextureInput | None:
         texture=_image(source, asset),
         channels=attributes[0].GetName().rpartition(":")[2],
         uv_set=_uv_set(source),
-        scale=tuple(float(x) for x in _value(source, "scale", (1, 1, 1, 1))),  # type: ignore[arg-type]
-        bias=tuple(float(x) for x in _value(source, "bias", (0, 0, 0, 0))),  # type: ignore[arg-type]
-        wrap_s=_WRAPS.get(str(_value(source, "wrapS", "repeat")), "repeat"),  # type: ignore[arg-type]
-        wrap_t=_WRAPS.get(str(_value(source, "wrapT", "repeat")), "repeat"),  # type: ignore[arg-type]
+        scale=_four(_value(source, "scale", (1, 1, 1, 1))),
+        bias=_four(_value(source, "bias", (0, 0, 0, 0))),
+        wrap_s=_WRAPS.get(str(_value(source, "wrapS", "repeat")), "repeat"),
+        wrap_t=_WRAPS.get(str(_value(source, "wrapT", "repeat")), "repeat"),
     )
+
+
+def _four(value: Any) -> tuple[float, float, float, float]:
+    red, green, blue, alpha = value
+    return (float(red), float(green), float(blue), float(alpha))
 
 
 def _uv_set(texture: UsdShade.Shader) -> str:

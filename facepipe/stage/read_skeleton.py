@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -113,15 +114,15 @@ def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
 
 
 def _slider(prim: Usd.Prim, name: str) -> Slider:
-    def value(field: str) -> object:
+    def value(field: str) -> Any:
         return prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{name}:{field}").Get()
 
     def number(field: str, otherwise: float) -> float:
         found = value(field)
-        return otherwise if found is None else float(found)  # type: ignore[arg-type]
+        return otherwise if found is None else float(found)
 
     def words(field: str) -> list[str]:
-        return [str(word) for word in value(field) or []]  # type: ignore[attr-defined]
+        return [str(word) for word in value(field) or []]
 
     joints, channels, gains = words("joints"), words("channels"), floats(value("channelGains")).tolist()
     shapes, shape_gains = words("shapes"), floats(value("shapeGains")).tolist()
