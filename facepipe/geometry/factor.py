@@ -1,0 +1,73 @@
+"""Factors of sparse symmetric positive definite matrices, made once and solved many times."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+
+Solver = Literal["auto", "cholespy", "splu"]
+
+
+class Factor(Protocol):
+    """A factored matrix A of shape (n, n)."""
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """The x of A x = `right`, (n,) or (n, m) float64."""
+        ...
+
+
+def factorise(matrix: Any, solver: Solver = "auto") -> Factor:
+    """Factor a scipy sparse matrix, symmetric positive definite, by Cholesky.
+
+    :param solver: ``auto`` takes CHOLMOD through cholespy where it is installed, otherwise scipy's SuperLU with a
+        symmetric minimum degree ordering (its default ordering fills in far more)
+    :raises ImportError: cholespy asked for and not installed
+    :raises RuntimeError, ValueError: the matrix is not positive definite
+    """
+    compressed = matrix.tocsc()
+    compressed.sort_indices()
+    if compressed.shape[0] == 0:
+        return _Empty()
+    if solver != "splu":
+        try:
+            return _Cholmod(compressed)
+        except ImportError:
+            if solver == "cholespy":
+                raise
+    return _SuperLu(compressed)
+
+
+class _Empty:
+    def solve(self, right: FloatArray) -> FloatArray:
+        return np.asarray(right, dtype=np.float64).copy()
+
+
+class _Cholmod:
+    def __init__(self, matrix: Any) -> None:
+        from cholespy import CholeskySolverD, MatrixType
+
+        pointers, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        data = matrix.data.astype(np.float64)
+        self._solver = CholeskySolverD(matrix.shape[0], pointers, indices, data, MatrixType.CSC)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        given = np.ascontiguousarray(right, dtype=np.float64)
+        found = np.zeros_like(given)
+        if given.size:
+            self._solver.solve(given, found)
+        return found
+
+
+class _SuperLu:
+    def __init__(self, matrix: Any) -> None:
+        from scipy.sparse.linalg import splu
+
+        options = {"SymmetricMode": True}
+        self._solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        return np.asarray(self._solver.solve(np.asarray(right, dtype=np.float64)))
