@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.borders import back_of_border
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
 from facepipe.importers.ict_regions import REGIONS, head_regions
 from facepipe.importers.imported import Imported, check_ranges, import_recipe
 from facepipe.importers.mesh_pieces import (
-    back_of_border,
     compact_uvs,
     face_corners,
     material_faces,

@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.geometry.borders import back_of_border
 from facepipe.importers.imported import Imported, check_ranges, import_recipe
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import REGIONS, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
-from facepipe.importers.mesh_pieces import back_of_border, compact_uvs, sparse_shape, whole_region
+from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.names import identifier
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.polygons import edges
 from facepipe.parts import Blendshape, MaterialFaces, UvSet
 
 FloatArray = npt.NDArray[np.floating]
@@ -49,16 +48,3 @@ def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[Mater
 def whole_region(names: Sequence[str], region: str, count: int) -> dict[str, FloatArray]:
     """Masks (count,) of all regions `names` for a loose mesh that belongs to `region` alone."""
     return {name: np.full(count, float(name == region)) for name in names}
-
-
-def back_of_border(points: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> int | None:
-    """The point at the back of the open border, nearest to the middle in x; None for a closed mesh.
-
-    The face looks along +Z. On a head this is the nape end of the neck border: the anchor.
-    """
-    pairs, faces = edges(face_vertex_counts, face_vertex_indices)
-    border = np.unique(pairs[faces == 1])
-    if len(border) == 0:
-        return None
-    behind = border[points[border, 2] <= np.median(points[border, 2])]
-    return int(behind[np.argmin(np.abs(points[behind, 0]))])

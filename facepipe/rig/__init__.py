@@ -2,7 +2,7 @@
 
 from facepipe.rig.animation import sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.build import build
+from facepipe.rig.build import build, mesh_spaces
 from facepipe.rig.rig import Rig, Target
 from facepipe.rig.sliders import slide
 
@@ -13,6 +13,7 @@ __all__ = [
     "build",
     "coefficient_matrices",
     "matrix_coefficients",
+    "mesh_spaces",
     "rest_coefficients",
     "sample_transforms",
     "sample_weights",

@@ -23,8 +23,7 @@ def build(parts: FaceParts) -> Rig:
     """
     skeleton = parts.skeleton
     offsets = np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in parts.meshes], dtype=np.int64)])
-    to_skeleton = _inverse(skeleton.transform, f"{parts.name} -> {skeleton.name}")
-    spaces = [mesh.skin.geom_bind_transform if mesh.skin else to_skeleton @ mesh.transform for mesh in parts.meshes]
+    spaces = mesh_spaces(parts)
     shapes = tuple(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
     points = [_transform(space, mesh.points) for space, mesh in zip(spaces, parts.meshes, strict=True)]
     return Rig(
@@ -46,6 +45,15 @@ def build(parts: FaceParts) -> Rig:
         parent_world=np.asarray(skeleton.transform, dtype=np.float64),
         influences=_influences(parts, offsets),
     )
+
+
+def mesh_spaces(parts: FaceParts) -> list[FloatArray]:
+    """(4, 4) matrix of every mesh from its own space to skeleton space at bind time.
+
+    :raises TopologyError: a singular skeleton transform
+    """
+    to_skeleton = _inverse(parts.skeleton.transform, f"{parts.name} -> {parts.skeleton.name}")
+    return [mesh.skin.geom_bind_transform if mesh.skin else to_skeleton @ mesh.transform for mesh in parts.meshes]
 
 
 def _transform(matrix: FloatArray, points: FloatArray) -> FloatArray:
