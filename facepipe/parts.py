@@ -7,7 +7,7 @@ into USD values and back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -99,6 +99,15 @@ class Mesh:
     material: str | None = None  # bound to the whole mesh
     material_faces: tuple[MaterialFaces, ...] = ()  # stronger, face by face
     double_sided: bool = False
+
+
+def all_regions(meshes: Sequence[Mesh]) -> dict[str, FloatArray]:
+    """Region -> mask (n,) over the points of all meshes, by name; 0 on meshes without it."""
+    names = sorted({name for mesh in meshes for name in mesh.regions})
+    return {
+        name: np.concatenate([mesh.regions.get(name, np.zeros(len(mesh.points), np.float32)) for mesh in meshes])
+        for name in names
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ COMMANDS = {
     "eval": "run an exported ONNX file",
     "render": "draw a face",
     "landmarks": "author named landmarks",
+    "regions": "list regions, or author them from a painted map",
     "schema-path": "print the folder of the USD schemas",
 }
 

@@ -3,6 +3,7 @@
 examples:
   facepipe render head.usda -o head.png --view three-quarter --set jawOpen=0.7
   facepipe render head.usda -o moved.png --set jawOpen=1 --heatmap displacement
+  facepipe render head.usda -o regions.png --regions
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
         metavar="PRIMVAR",
         help="colour by a per-point primvar in mm, or by `displacement` from the neutral",
     )
+    parser.add_argument("--regions", action="store_true", help="colour by the face's regions, with a legend")
     parser.add_argument("--landmarks", metavar="SCHEME", help="draw numbered landmarks of a scheme")
 
 
@@ -57,15 +59,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Path) -> None:
-    from facepipe.render import PictureOptions, picture, save_png
+    from facepipe.render import PictureOptions, RegionColors, picture, save_png
 
+    parts = face.parts()
     options = PictureOptions(
         size=arguments.size,
         view=arguments.view,
         heatmap=_heatmap(face, points, arguments.heatmap),
+        regions=RegionColors.of(parts) if arguments.regions else None,
         landmarks=arguments.landmarks,
     )
-    save_png(picture(face.parts(), points, options), out)
+    save_png(picture(parts, points, options), out)
 
 
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:

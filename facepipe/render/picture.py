@@ -18,6 +18,7 @@ from facepipe.render.camera import Camera, Frame, View, portrait
 from facepipe.render.draw import draw
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.landmarks import draw_landmarks
+from facepipe.render.regions import RegionColors, draw_legend, legend_width
 from facepipe.render.scene import Scene, build_scene, world_points
 from facepipe.render.shade import Shader
 from facepipe.render.textures import TextureCache, srgb_to_linear
@@ -37,7 +38,7 @@ LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corn
 class PictureOptions:
     """How a picture is taken.
 
-    :raises InputError: a size, sample count or background out of range
+    :raises InputError: a size, sample count or background out of range, or a heat map and regions
     """
 
     size: int = 800  # pixels a side, 16 to 4096
@@ -45,6 +46,7 @@ class PictureOptions:
     background: Color | tuple[Color, Color] = LIGHT_GREY  # sRGB 0..1: one colour, or middle and corners
     samples: int = 3  # per pixel and direction, 1 to 8
     heatmap: HeatMap | None = None
+    regions: RegionColors | None = None  # instead of a heat map
     landmarks: str | None = None  # scheme whose points get dots with their number in the scheme, from 0
     title: str = ""
     framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
@@ -54,6 +56,8 @@ class PictureOptions:
             raise InputError("size", f"{self.size} pixels, expected {SMALLEST} to {LARGEST}")
         if not 1 <= self.samples <= 8:
             raise InputError("samples", f"{self.samples}, expected 1 to 8")
+        if self.heatmap is not None and self.regions is not None:
+            raise InputError("regions", "given with a heat map, expected only one of them")
         colors = np.array(self.background, dtype=np.float64)
         if colors.shape not in ((3,), (2, 3)) or not ((colors >= 0) & (colors <= 1)).all():
             raise InputError("background", f"{self.background}, expected one or two sRGB colours in 0..1")
@@ -77,15 +81,20 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
     count = len(scene.points)
     if options.heatmap is not None and options.heatmap.values.shape != (count,):
         raise InputError(f"{parts.name} -> heat map", f"shape {options.heatmap.values.shape}, expected ({count},)")
+    paint = None if options.regions is None else options.regions.colors
+    if paint is not None and len(paint) != count:
+        raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
     camera = _camera(parts, scene, options)
     textures = TextureCache(largest=2 * options.size)
-    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap)
+    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap, paint)
     behind = partial(backdrop, options.size, options.background)
     image = Image.fromarray(draw(shader, options.size, behind, options.samples))
     if options.landmarks is not None:
         draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.written:
         overlay.color_bar(image, options.heatmap)
+    if options.regions is not None and options.written:
+        draw_legend(image, options.regions)
     if options.title and options.written:
         overlay.title(image, options.title)
     return image
@@ -115,7 +124,14 @@ def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
     frame = Frame(
         width=options.size,
         height=options.size,
-        right=overlay.bar_width(options.size) if options.heatmap is not None and options.written else 0,
+        right=_right_border(options),
         top=overlay.title_height(options.size) if options.title and options.written else 0,
     )
     return portrait(points[used], options.view, frame)
+
+
+def _right_border(options: PictureOptions) -> int:
+    """Pixels that a colour bar or a legend takes."""
+    if options.regions is not None and options.written:
+        return legend_width(options.regions, options.size)
+    return overlay.bar_width(options.size) if options.heatmap is not None and options.written else 0

@@ -33,11 +33,12 @@ class Shader:
     camera: Camera
     textures: TextureCache
     heatmap: HeatMap | None = None
+    paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
 
     @cached_property
     def studio(self) -> Studio:
         """Even light where colours must be read, portrait light otherwise."""
-        return PORTRAIT if self.heatmap is None else EVEN
+        return PORTRAIT if self.heatmap is None and self.paint is None else EVEN
 
     @cached_property
     def homogeneous(self) -> FloatArray:
@@ -55,10 +56,11 @@ class Shader:
     def point_values(self) -> npt.NDArray[np.float32]:
         """(n, 11) what is interpolated: camera position, normal, sky seen, own colour, heat value."""
         scene = self.scene
-        colors = np.ones((len(scene.points), 3))
+        colors: FloatArray = np.ones((len(scene.points), 3))
         for surface, start in self._mesh_starts():
             if surface.mesh.colors is not None:
                 colors[start : start + len(surface.mesh.points)] = surface.mesh.colors
+        colors = colors if self.paint is None else self.paint
         heat = np.zeros(len(scene.points)) if self.heatmap is None else self.heatmap.values
         position = self.camera.to_camera(scene.points)
         sky = ambient_occlusion(scene.points, scene.normals, self._occluders)
@@ -141,6 +143,8 @@ class Shader:
                 opacity[at] = opacity[at] >= threshold
         if self.heatmap is not None:
             base = self.heatmap.colors(values[:, 10]).astype(np.float32)
+        elif self.paint is not None:
+            base = values[:, 7:10]
         return base.astype(np.float32), roughness, opacity
 
     @staticmethod

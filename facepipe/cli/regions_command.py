@@ -1,0 +1,173 @@
+"""List the regions of a face; with --map author them from a picture painted over its UV layout.
+
+The map is a PNG, the legend a JSON object {"#ff0000": "eyes", ...} or {"regions": {"eyes": "#ff0000", ...}}. Beside the
+colours a legend may have "outside": the region of points that the map does not cover (without it they keep the regions
+they have), "meshes": {"Eye*": "eyes"}: regions of other meshes, whole, and "background": a colour that means unpainted.
+A map covers the UV tile 0 to 1 unless --tile says otherwise. OUT is an override layer over FACE.
+
+examples:
+  facepipe regions head.usda --picture regions.png
+  facepipe regions head.usda --map map.png --legend legend.json -o head.regions.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.cli.parser import add_options, options_from, output_of
+from facepipe.cli.show import emit, table, warn
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from facepipe.parts import Recipe
+    from facepipe.processors.regions import RegionCount, RegionsReport, SetRegions
+    from facepipe.stage import Face
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.geometry.region_map import MapSampling
+
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    parser.add_argument("--map", type=Path, metavar="PNG", help="regions painted over the UV layout, a colour each")
+    parser.add_argument("--legend", type=Path, metavar="JSON", help="which colour is which region")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="override layer to write, with --map")
+    parser.add_argument("--force", action="store_true", help="overwrite OUT and the picture where they exist")
+    parser.add_argument("--mesh", metavar="NAMES", help="meshes the map covers, globs (default: that of most points)")
+    parser.add_argument("--uv-set", metavar="NAME", help="UV set that it was painted over (default: st, or the first)")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the regions on the face")
+    parser.add_argument("--flatten", action="store_true", help="write a standalone file")
+    parser.add_argument("--json", action="store_true", help="print what there is or was authored as JSON")
+    add_options(parser, MapSampling, "lookup")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List, or read map and legend and author the layer."""
+    import facepipe
+
+    if arguments.map is None:
+        for flag in ("legend", "output", "mesh", "uv_set"):
+            if getattr(arguments, flag) is not None:
+                raise InputError(f"--{flag.replace('_', '-')}", "given without --map, expected both or neither")
+        picture = _picture_path(arguments, [arguments.face])
+        return _list(facepipe.open(arguments.face), arguments, picture)
+    if arguments.legend is None:
+        raise InputError("--legend", "none given, expected a JSON file with --map")
+    inputs = [arguments.face, arguments.map, arguments.legend]
+    out = output_of(arguments, inputs)
+    return _author(arguments, out, _picture_path(arguments, inputs, out))
+
+
+def _picture_path(arguments: argparse.Namespace, inputs: list[Path], out: Path | None = None) -> Path | None:
+    if arguments.picture is None:
+        return None
+    path = output_of(argparse.Namespace(output=arguments.picture, force=arguments.force), inputs)
+    if path.suffix.lower() != ".png":
+        raise InputError(path, f"suffix '{path.suffix}', expected .png")
+    if out is not None and path.absolute() == out.absolute():
+        raise InputError(path, "is the output too, expected another file")
+    return path
+
+
+def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> int:
+    from facepipe.parts import all_regions
+    from facepipe.processors.regions import count_regions
+
+    whole = count_regions(all_regions(face.meshes))
+    if picture is not None:
+        _save(_draw(face), picture)
+    result = {
+        "face": face.where,
+        "points": sum(len(mesh.points) for mesh in face.meshes),
+        "regions": _plain(whole),
+        "meshes": {mesh.name: _plain(count_regions(mesh.regions)) for mesh in face.meshes},
+        "picture": str(picture) if picture else None,
+    }
+    lines = [_table(whole) if whole else f"{face.where}: no regions", *([str(picture)] if picture else [])]
+    emit(result, "\n".join(lines), as_json=arguments.json)
+    return 0
+
+
+def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> int:
+    import facepipe
+    from facepipe.geometry.region_map import MapSampling
+    from facepipe.importers.region_image import read_region_image
+    from facepipe.processors.region_legend import read_legend
+    from facepipe.processors.regions import SetRegions
+    from facepipe.stage import Face
+    from facepipe.stage.author_skeleton import author_recipe
+
+    set_regions = SetRegions(
+        image=read_region_image(arguments.map),
+        legend=read_legend(arguments.legend),
+        mesh=arguments.mesh,
+        uv_set=arguments.uv_set,
+        sampling=options_from(arguments, MapSampling),
+    )
+    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
+        report = set_regions(face)
+        author_recipe(face.prim, _recipe(arguments, set_regions, out))
+        image = _draw(Face(face.stage, face.prim)) if picture else None
+    if image is not None and picture is not None:
+        _save(image, picture)
+    warn(report.warnings)
+    result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
+    emit(result, _text(out, picture, report), as_json=arguments.json)
+    return 0
+
+
+def _draw(face: Face) -> Image:
+    from facepipe.render import PictureOptions, RegionColors, picture
+
+    parts = face.parts()
+    return picture(parts, None, PictureOptions(regions=RegionColors.of(parts)))
+
+
+def _save(image: Image, path: Path) -> None:
+    from facepipe.render import save_png
+
+    save_png(image, path)
+
+
+def _text(out: Path, picture: Path | None, report: RegionsReport) -> str:
+    lines = []
+    for one in report.meshes:
+        facts = [f"{one.points} points"]
+        facts += [f"{count} {what}" for count, what in ((one.outside, "outside the map"), (one.kept, "kept")) if count]
+        facts += [f"removed: {', '.join(one.removed)}"] if one.removed else []
+        lines += [f"{out} -> {one.mesh}: {'; '.join(facts)}", *([_table(one.regions)] if one.covered else [])]
+    return "\n".join([*lines, *([str(picture)] if picture else [])])
+
+
+def _table(regions: Any) -> str:
+    rows = [[name, one.points, one.most, f"{one.share * 100:.1f}%"] for name, one in regions.items()]
+    return table([["region", "points", "most of", "share"], *rows])
+
+
+def _plain(regions: dict[str, RegionCount]) -> dict[str, Any]:
+    return {name: dataclasses.asdict(one) for name, one in regions.items()}
+
+
+def _recipe(arguments: argparse.Namespace, set_regions: SetRegions, out: Path) -> Recipe:
+    from facepipe import __version__
+    from facepipe.importers.imported import digest
+    from facepipe.parts import Recipe
+    from facepipe.stage.files import relative_path
+
+    sources = (arguments.face, arguments.map, arguments.legend)
+    return Recipe(
+        verb="regions",
+        sources=tuple(relative_path(str(source), out.parent) for source in sources),
+        digests=tuple(digest([source]) for source in sources),
+        options={
+            "mesh": arguments.mesh,
+            "uv_set": arguments.uv_set,
+            **dataclasses.asdict(set_regions.sampling),
+        },
+        version=__version__,
+    )

@@ -1,0 +1,206 @@
+"""Soft region masks of a mesh from a map painted over its UV layout, one colour a region."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.region_texels import Image8, Palette, texel_shares
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
+WIDEST_EDGE, WIDEST_FOOTPRINT = 8, 256  # texels
+FIRST_TILE, LAST_TILE = 1001, 1999  # UDIM: 1001 + column + 10 row, ten columns
+_TAPS = 8  # lookups a side of a footprint, at most
+_SLACK = 1e-6  # in UV: what exporters leave of an exact 0 or 1
+
+
+def tile_number(text: str) -> int | None:
+    """A UDIM tile, or None for ``all``.
+
+    :raises InputError: neither
+    """
+    if text == "all":
+        return None
+    if not (text.isascii() and text.isdigit()):
+        raise InputError("tile", f"'{text[:20]}', expected a UDIM number like {FIRST_TILE}, or all")
+    return int(text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSampling:
+    """How a map is looked up.
+
+    :raises InputError: an option out of range
+    """
+
+    tolerance: float = field(
+        default=8.0,
+        metadata={"help": "distance to a legend colour that still is that colour", "unit": "RGB, 0 to 255 a channel"},
+    )
+    edge: int = field(
+        default=2,
+        metadata={"help": "how far antialiased borders run, and paint counts beyond its end", "unit": "texels"},
+    )
+    footprint: int = field(
+        default=1, metadata={"help": "side of the square averaged at a point; 1: its texel", "unit": "texels"}
+    )
+    tile: int | None = field(
+        default=FIRST_TILE,
+        metadata={"help": "UDIM tile that the map covers, or `all`: it repeats in every tile", "parse": tile_number},
+    )
+
+    def __post_init__(self) -> None:
+        _check("tolerance", self.tolerance, 0, LARGEST_RGB_DISTANCE)
+        _check("edge", self.edge, 0, WIDEST_EDGE)
+        _check("footprint", self.footprint, 1, WIDEST_FOOTPRINT)
+        if self.tile is not None:
+            _check("tile", self.tile, FIRST_TILE, LAST_TILE)
+
+
+class RegionMasks(NamedTuple):
+    """Masks (n, k), rows of sum 1 or 0, and the points (n,) that the map covers: those of sum 1."""
+
+    masks: FloatArray
+    covered: BoolArray
+
+
+def region_masks(
+    image: Image8,
+    colors: Image8,
+    uv_values: FloatArray,
+    uv_indices: IntArray,
+    face_vertex_indices: IntArray,
+    point_count: int,
+    sampling: MapSampling,
+    *,
+    background: Image8 | None = None,
+) -> RegionMasks:
+    """Masks of the regions whose colours a map shows at the points of a mesh.
+
+    A UV takes the texel that it lies in, v up: column ``floor(u w)``, row ``floor((1 - v) h)``; or the mean over a
+    footprint of texels around it. `texel_shares` says what a texel counts for. A point takes the mean over its
+    corners, those outside the tile or on unpainted texels left out; one without any corner left is not covered.
+
+    :param image: (h, w, 3|4) RGB or RGBA, top row first; alpha below 128 is unpainted
+    :param colors: (k, 3) one colour per mask
+    :param uv_values: (u, 2) texture coordinates
+    :param uv_indices: (corners,) the corner's row of `uv_values`
+    :param face_vertex_indices: (corners,) the corner's point
+    :param background: (3,) a colour that is unpainted
+    :raises InputError: a colour that the legend lacks, or an image or colours of another shape
+    :raises TopologyError: lists of corners that don't fit each other
+    """
+    _check_arrays(image, colors, uv_values, uv_indices, face_vertex_indices)
+    palette = Palette(colors=colors, background=background, tolerance=sampling.tolerance, edge=sampling.edge)
+    used, corner_uv = np.unique(uv_indices, return_inverse=True)
+    lookup = _Lookup(image, palette)
+    shares = lookup.sample(np.asarray(uv_values, dtype=np.float64)[used], sampling)
+    if lookup.unknown:
+        raise _unknown_color(image, palette, lookup, corner_uv, np.asarray(face_vertex_indices))
+    summed = np.stack(
+        [np.bincount(face_vertex_indices, column[corner_uv], minlength=point_count) for column in shares.T], axis=1
+    )
+    total = summed.sum(axis=1, keepdims=True)
+    return RegionMasks(np.divide(summed, total, out=np.zeros_like(summed), where=total > 0), total[:, 0] > 0)
+
+
+class _Lookup:
+    """A map being sampled; remembers the texels of unknown colour and the UVs that hit them."""
+
+    def __init__(self, image: Image8, palette: Palette) -> None:
+        self.image, self.palette = image, palette
+        self.unknown: list[tuple[IntArray, IntArray]] = []  # (texels, rows of the UVs), parallel
+
+    def sample(self, uv: FloatArray, sampling: MapSampling) -> FloatArray:
+        """(u, k) shares of UVs (u, 2): rows of sum 1, or 0 outside the tile and where nothing is painted."""
+        place, inside = _in_tile(uv, sampling.tile)
+        rows = np.flatnonzero(inside)
+        height, width = self.image.shape[:2]
+        column, row = place[rows, 0] * width, (1.0 - place[rows, 1]) * height
+        found = np.zeros((len(uv), len(self.palette.colors)))
+        taps = min(sampling.footprint, _TAPS)
+        offsets = (np.arange(taps) + 0.5) / taps * sampling.footprint - sampling.footprint / 2
+        for down in offsets if len(rows) else ():
+            for right in offsets:
+                x = np.clip(np.floor(column + right), 0, width - 1).astype(np.int64)
+                y = np.clip(np.floor(row + down), 0, height - 1).astype(np.int64)
+                found[rows] += self._texels(y * width + x, rows)
+        total = found.sum(axis=1, keepdims=True)
+        return np.asarray(np.divide(found, total, out=found, where=total > 0))
+
+    def _texels(self, texels: IntArray, rows: IntArray) -> FloatArray:
+        distinct, back = np.unique(texels, return_inverse=True)
+        shares, unknown = texel_shares(self.image, distinct, self.palette)
+        if unknown.any():
+            hit = unknown[back.ravel()]
+            self.unknown.append((texels[hit], rows[hit]))
+        return np.asarray(shares[back.ravel()])
+
+
+def _in_tile(uv: FloatArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
+    """UVs (u, 2) relative to the tile's lower left corner, and which lie in it; its far borders belong to it too."""
+    if tile is None:
+        unit = ((uv >= 0) & (uv <= 1)).all(axis=1)
+        return np.where(unit[:, None], uv, uv - np.floor(uv)), np.ones(len(uv), dtype=bool)
+    row, column = divmod(tile - FIRST_TILE, 10)
+    place = uv - (column, row)
+    inside = np.asarray(((place >= -_SLACK) & (place <= 1 + _SLACK)).all(axis=1))
+    return np.clip(place, 0.0, 1.0), inside
+
+
+def _unknown_color(
+    image: Image8, palette: Palette, lookup: _Lookup, corner_uv: IntArray, corner_point: IntArray
+) -> InputError:
+    """The colour that hits the most points, with how many, where, and the nearest that the legend has."""
+    texels, rows = (np.concatenate(group) for group in zip(*lookup.unknown, strict=True))
+    colors, of_hit = np.unique(image.reshape(-1, image.shape[2])[texels, :3], axis=0, return_inverse=True)
+    of_hit = of_hit.ravel()
+    of_uv = np.full(corner_uv.max() + 1, -1)
+    of_uv[rows] = of_hit
+    hit = of_uv[corner_uv] >= 0
+    pairs = np.unique(np.stack([of_uv[corner_uv[hit]], corner_point[hit]]), axis=1)
+    points = np.bincount(pairs[0], minlength=len(colors))
+    worst = int(points.argmax())
+    y, x = divmod(int(texels[of_hit == worst].min()), image.shape[1])
+    distance = np.linalg.norm(palette.colors.astype(np.float64) - colors[worst], axis=1)
+    nearest = int(distance.argmin())
+    more = f" ({len(colors)} such colours at {len(np.unique(pairs[1]))} points in all)" if len(colors) > 1 else ""
+    return InputError(
+        f"region map -> texel {x}, {y}",
+        f"colour {hex_color(colors[worst])} at {points[worst]} points{more}, expected one of the legend: the nearest, "
+        f"{hex_color(palette.colors[nearest])}, is {distance[nearest]:.0f} away, the tolerance {palette.tolerance:g}",
+    )
+
+
+def hex_color(color: npt.ArrayLike) -> str:
+    """``#rrggbb`` of three numbers 0..255."""
+    return "#" + "".join(f"{int(channel):02x}" for channel in np.asarray(color)[:3])
+
+
+def _check_arrays(
+    image: Image8, colors: Image8, uv_values: FloatArray, uv_indices: IntArray, face_vertex_indices: IntArray
+) -> None:
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4) or not image.size:
+        raise InputError("region map", f"{image.dtype} of shape {image.shape}, expected uint8 (height, width, 3 or 4)")
+    if colors.dtype != np.uint8 or colors.ndim != 2 or colors.shape[1] != 3 or not len(colors):
+        raise InputError("legend", f"{colors.dtype} colours of shape {colors.shape}, expected uint8 (k, 3), k above 0")
+    if len(np.unique(colors, axis=0)) != len(colors):
+        raise InputError("legend", "a colour twice, expected each once")
+    if len(uv_indices) != len(face_vertex_indices):
+        raise TopologyError("UV set", f"{len(uv_indices)} corners, expected {len(face_vertex_indices)}")
+    if len(uv_indices) and not (np.min(uv_indices) >= 0 and np.max(uv_indices) < len(uv_values)):
+        raise TopologyError("UV set", f"indices outside 0..{len(uv_values) - 1}")
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InputError(name, f"{value}, expected {low:g} to {high:g}")
