@@ -23,6 +23,7 @@ RECIPE_OPTIONS = "facepipe:recipe:options"
 RECIPE_VERSION = "facepipe:recipe:version"
 
 REGION_PRIMVAR = "facepipe:region:"  # a primvar, so "primvars:" comes before it in full attribute names
+SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetres
 LANDMARKS_PREFIX = "facepipe:landmarks:"
 SLIDER_PREFIX = "facepipe:slider:"
 

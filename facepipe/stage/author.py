@@ -12,16 +12,10 @@ from facepipe import __version__, tokens
 from facepipe.finite import require_finite
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
+from facepipe.stage.author_animations import author_animation, author_time_range
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
-from facepipe.stage.author_skeleton import (
-    author_animation,
-    author_limits,
-    author_recipe,
-    author_skeleton,
-    author_slider,
-    author_time_range,
-)
+from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.textures import TextureFolder, texture_home
 

@@ -10,9 +10,15 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.names import unique_identifiers
-from facepipe.parts import Blendshape, Mesh, Skin
+from facepipe.parts import FloatArray, Mesh, Skin
+from facepipe.stage.author_blendshapes import author_blendshapes
+from facepipe.stage.author_regions import SUBSET_FAMILY, author_regions
+from facepipe.stage.bindings import inherited_attribute
+from facepipe.stage.differences import same
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
+
+_INFLUENCES = ("joint_indices", "joint_weights")
 
 
 def author_mesh(
@@ -44,11 +50,11 @@ def author_mesh(
         binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
         if mesh.skin and joints:
-            _author_skin(binding, mesh.skin)
+            author_skin(prim.GetPrim(), mesh.skin, joints)
         if mesh.blendshapes:
-            _author_blendshapes(stage, binding, mesh.blendshapes, names.blendshapes)
+            author_blendshapes(prim.GetPrim(), mesh.blendshapes, names.blendshapes)
     for name, subset in zip(names.point_subsets, mesh.point_subsets.values(), strict=True):
-        UsdGeom.Subset.CreateGeomSubset(prim, name, UsdGeom.Tokens.point, to_ints(subset), "facepipeRegion")
+        UsdGeom.Subset.CreateGeomSubset(prim, name, UsdGeom.Tokens.point, to_ints(subset), SUBSET_FAMILY)
     author_landmarks(prim.GetPrim(), mesh)
     return prim
 
@@ -82,9 +88,7 @@ def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
 def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
     api = UsdGeom.PrimvarsAPI(prim)
     if mesh.normals is not None:
-        per_point = len(mesh.normals) == len(mesh.points)
-        prim.CreateNormalsAttr(to_vec3f(mesh.normals))
-        prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex if per_point else UsdGeom.Tokens.faceVarying)
+        author_normals(prim, mesh.normals)
     for uv in mesh.uv_sets:
         check_property_name(prim.GetPath(), "UV set", uv.name)
         kind = UsdGeom.Tokens.vertex if uv.indices is None else UsdGeom.Tokens.faceVarying
@@ -94,11 +98,14 @@ def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
             primvar.SetIndices(to_ints(uv.indices))
     if mesh.colors is not None:
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
-    for name, mask in mesh.regions.items():
-        check_property_name(prim.GetPath(), "region", name, tokens.REGION_API)
-        prim.GetPrim().ApplyAPI(tokens.REGION_API, name)
-        region = api.CreatePrimvar(tokens.REGION_PRIMVAR + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex)
-        region.Set(to_floats(mask))
+    author_regions(prim.GetPrim(), mesh)
+
+
+def author_normals(prim: UsdGeom.Mesh, normals: FloatArray) -> None:
+    """Write (n, 3) normals per point, or (corners, 3) face-varying ones."""
+    per_point = len(normals) == len(prim.GetPointsAttr().Get())
+    prim.CreateNormalsAttr(to_vec3f(normals))
+    prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex if per_point else UsdGeom.Tokens.faceVarying)
 
 
 def _author_materials(
@@ -121,31 +128,27 @@ def _author_materials(
         api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
 
 
-def _author_skin(binding: UsdSkel.BindingAPI, skin: Skin) -> None:
-    width = skin.joint_indices.shape[1]
-    binding.CreateJointIndicesPrimvar(False, width).Set(to_ints(skin.joint_indices))
-    binding.CreateJointWeightsPrimvar(False, width).Set(to_floats(skin.joint_weights))
-    binding.CreateGeomBindTransformAttr(to_matrix(skin.geom_bind_transform))
+def author_skin(prim: Usd.Prim, skin: Skin, joints: Sequence[str], present: Skin | None = None) -> None:
+    """Write what of a skin differs from `present`, or all, on a Mesh prim: influences per point, into `joints`."""
+    binding, width = UsdSkel.BindingAPI(prim), skin.joint_indices.shape[1]
+    if not (present and all(same(getattr(skin, one), getattr(present, one)) for one in _INFLUENCES)):
+        indices = binding.CreateJointIndicesPrimvar(False, width)
+        weights = binding.CreateJointWeightsPrimvar(False, width)
+        indices.Set(to_ints(skin.joint_indices))
+        weights.Set(to_floats(skin.joint_weights))
+        for primvar in (indices, weights):
+            if primvar.IsIndexed():
+                primvar.BlockIndices()
+        if inherited_attribute(prim, "skel:joints"):  # another order of the joints
+            binding.CreateJointsAttr(list(joints))
+    if not (present and same(skin.geom_bind_transform, present.geom_bind_transform)):
+        binding.CreateGeomBindTransformAttr(to_matrix(skin.geom_bind_transform))
 
 
-def _author_blendshapes(
-    stage: Usd.Stage, binding: UsdSkel.BindingAPI, shapes: tuple[Blendshape, ...], names: Sequence[str]
-) -> None:
-    parent = binding.GetPrim().GetPath()
-    targets = []
-    for shape, name in zip(shapes, names, strict=True):
-        target = UsdSkel.BlendShape.Define(stage, parent.AppendChild(name))
-        targets.append(target.GetPath())
-        target.CreatePointIndicesAttr(to_ints(shape.point_indices))
-        target.CreateOffsetsAttr(to_vec3f(shape.offsets))
-        if shape.normal_offsets is not None:
-            target.CreateNormalOffsetsAttr(to_vec3f(shape.normal_offsets))
-        own_names = unique_identifiers(one.name for one in shape.inbetweens)
-        for inbetween, own in zip(shape.inbetweens, own_names, strict=True):
-            one = target.CreateInbetween(own)
-            one.SetWeight(float(inbetween.weight))
-            one.SetOffsets(to_vec3f(inbetween.offsets))
-            if inbetween.normal_offsets is not None:
-                one.CreateNormalOffsetsAttr(to_vec3f(inbetween.normal_offsets))
-    binding.CreateBlendShapesAttr([shape.name for shape in shapes])
-    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+def author_point_values(prim: Usd.Prim, name: str, values: FloatArray) -> None:
+    """Write a float primvar with one value (n,) per point on a Mesh prim."""
+    kind = Sdf.ValueTypeNames.FloatArray
+    primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, UsdGeom.Tokens.vertex)
+    primvar.Set(to_floats(values))
+    if primvar.IsIndexed():
+        primvar.BlockIndices()

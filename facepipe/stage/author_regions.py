@@ -43,7 +43,7 @@ def author_regions(prim: Usd.Prim, mesh: Mesh) -> None:
     for primvar in api.GetPrimvarsWithAuthoredValues():
         name = str(primvar.GetPrimvarName())
         if name.startswith(tokens.REGION_PRIMVAR) and name.removeprefix(tokens.REGION_PRIMVAR) not in mesh.regions:
-            api.BlockPrimvar(name)
+            primvar.GetAttr().Block()  # BlockPrimvar blocks nothing that a weaker layer holds
     for name in _instances(prim):
         if name not in mesh.regions:
             prim.RemoveAPI(tokens.REGION_API, name)

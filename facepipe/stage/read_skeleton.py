@@ -109,6 +109,7 @@ def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
     names = {
         one.GetName().removeprefix(tokens.SLIDER_PREFIX).rpartition(":")[0]
         for one in prim.GetAuthoredPropertiesInNamespace(tokens.SLIDER_PREFIX.rstrip(":"))
+        if isinstance(one, Usd.Attribute) and one.HasAuthoredValue()  # an override layer blocks sliders that are gone
     }
     return tuple(_slider(prim, name) for name in sorted(names))
 

@@ -1,0 +1,154 @@
+"""Poses and clips authored from parts, and changes of those that a face has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import InputError
+from facepipe.names import unique_identifiers
+from facepipe.parts import Animation, FloatArray, Skeleton
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.trs import decompose
+from facepipe.stage.differences import same
+from facepipe.stage.opinions import editable, put
+from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
+
+_ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "joints": ("joints", list),
+    "translations": ("translations", to_vec3f),
+    "rotations": ("rotations", to_quatf),
+    "scales": ("scales", to_vec3h),
+    "coefficients": (tokens.BONE_COEFFICIENTS, to_floats),
+    "shapes": ("blendShapes", list),
+    "shape_weights": ("blendShapeWeights", to_floats),
+}
+
+
+def author_animation(stage: Usd.Stage, path: Sdf.Path, animation: Animation, skeleton: Skeleton) -> None:
+    """Define a SkelAnimation; what it leaves out of a joint's transform is authored from rest."""
+    prim = UsdSkel.Animation.Define(stage, path)
+    _write(prim, _completed(animation, skeleton, path), tuple(_ATTRIBUTES))
+
+
+def author_animation_changes(
+    face: Usd.Prim, prims: Sequence[Usd.Prim], old: Sequence[Animation], new: Sequence[Animation], skeleton: Skeleton
+) -> tuple[str, ...]:
+    """Author on a face what of its animations differs, matched by name; one line each.
+
+    Prims of animations that are gone are deactivated.
+
+    :param prims: what `old` was read from
+    :param skeleton: what `new` counts on
+    """
+    there = list(zip(prims, old, strict=True))
+    lines = []
+    for animation in new:
+        own = next((i for i, (_, one) in enumerate(there) if one.name == animation.name), None)
+        if own is None:
+            author_animation(face.GetStage(), _new_path(face, animation.name), animation, skeleton)
+            lines.append(f"{animation.name}: added")
+            continue
+        prim, before = there.pop(own)
+        done = _completed(animation, skeleton, prim.GetPath())
+        fields = () if same(before, animation) else _differing(before, done)
+        if fields:
+            _write(UsdSkel.Animation(editable(prim)), done, fields)
+            lines.append(f"{animation.name}: {', '.join(fields)}")
+    for prim, before in there:
+        editable(prim).SetActive(False)
+        lines.append(f"{before.name}: removed")
+    if not same([one.times for one in old], [one.times for one in new]):
+        author_time_range(face.GetStage(), new)
+    return tuple(lines)
+
+
+def _new_path(face: Usd.Prim, name: str) -> Sdf.Path:
+    """A path for an animation, which is called as its prim: that of a deactivated one where there is one."""
+    folder = face.GetPath().AppendChild(tokens.ANIMATIONS_SCOPE)
+    scope = face.GetStage().GetPrimAtPath(folder) or UsdGeom.Scope.Define(face.GetStage(), folder).GetPrim()
+    children = {str(child.GetName()): child for child in editable(scope, below=True).GetAllChildren()}
+    if name in children and not children[name].IsActive():
+        children.pop(name).SetActive(True)
+    return folder.AppendChild(unique_identifiers([*children, name])[-1])
+
+
+def _differing(before: Animation, done: Animation) -> tuple[str, ...]:
+    """Fields of a completed animation that differ from what is there; all where the times do."""
+    retimed = not same(before.times, done.times)
+    pairs = {field: (getattr(before, field), getattr(done, field)) for field in _ATTRIBUTES}
+    if pairs["scales"][0] is not None and pairs["scales"][1] is not None:
+        pairs["scales"] = (_halves(before.scales), _halves(done.scales))
+    return tuple(field for field, (one, other) in pairs.items() if not same(one, other) or (retimed and _has(other)))
+
+
+def _has(value: Any) -> bool:
+    return value is not None and len(value) > 0
+
+
+def _halves(scales: FloatArray | None) -> FloatArray:
+    """Scales in the precision of SkelAnimation."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.asarray(scales, dtype=np.float32).astype(np.float16))
+
+
+def author_time_range(stage: Usd.Stage, animations: Iterable[Animation]) -> None:
+    """Write the first and last time of the clips as the stage's time range; nothing where there are only poses."""
+    times = [float(time) for one in animations if one.times is not None for time in one.times]
+    if times:
+        rate = stage.GetTimeCodesPerSecond()
+        stage.SetStartTimeCode(min(times) * rate)
+        stage.SetEndTimeCode(max(times) * rate)
+
+
+def _write(prim: UsdSkel.Animation, animation: Animation, fields: Collection[str]) -> None:
+    """Write the named fields of a completed animation, in place of what the prim has; None hides that."""
+    rate = prim.GetPrim().GetStage().GetTimeCodesPerSecond()
+    times = [Usd.TimeCode.Default()] if animation.times is None else [Usd.TimeCode(t * rate) for t in animation.times]
+    if "coefficients" in fields and animation.coefficients is not None:
+        prim.GetPrim().ApplyAPI(tokens.POSE_API)
+    for field in fields:
+        name, to_usd = _ATTRIBUTES[field]
+        attribute, values = prim.GetPrim().GetAttribute(name), getattr(animation, field)
+        if values is None or to_usd is list:
+            put(attribute, list(values) if values else None)
+            continue
+        attribute.Clear()
+        for time, row in zip(times, values, strict=True):
+            attribute.Set(to_usd(row), time)
+
+
+def _completed(animation: Animation, skeleton: Skeleton, where: object) -> Animation:
+    """The animation as it is authored: all parts of joint transforms or none, shapes with weights or none.
+
+    :raises InputError: transforms that are not finite or not one per joint and sample
+    """
+    if not animation.shapes or animation.shape_weights is None:
+        animation = replace(animation, shapes=(), shape_weights=None)
+    if not animation.joints:
+        return replace(animation, translations=None, rotations=None, scales=None, coefficients=None)
+    translations, rotations, scales = _transforms(animation, skeleton, where)
+    return replace(animation, translations=translations, rotations=rotations, scales=scales)
+
+
+def _transforms(animation: Animation, skeleton: Skeleton, where: object) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(T, j, 3), (T, j, 4), (T, j, 3): as given, or what the rig makes of what is given."""
+    samples = 1 if animation.times is None else len(animation.times)
+    given = (animation.translations, animation.rotations, animation.scales)
+    shape = (samples, len(animation.joints))
+    for part in (*given, animation.coefficients):
+        if part is not None and (np.shape(part)[:2] != shape or not np.isfinite(part).all()):
+            raise InputError(where, f"{np.shape(part)} transforms, expected {samples} x {shape[1]} finite ones")
+    trs = decompose(local_transforms(skeleton, animation))
+    translations, rotations, scales = given
+    kept = animation.coefficients is None or all(part is not None for part in given)
+    return (
+        translations if kept and translations is not None else trs.translation,
+        rotations if kept and rotations is not None else trs.rotation,
+        scales if kept and scales is not None else trs.scale,
+    )

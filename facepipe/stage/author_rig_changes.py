@@ -1,0 +1,84 @@
+"""What of a skeleton, its limits, sliders and texts of the face differs, authored over the prims."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from pxr import Usd
+
+from facepipe import tokens
+from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
+from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider
+from facepipe.stage.differences import same
+from facepipe.stage.opinions import editable, put
+from facepipe.stage.values import to_matrices
+
+
+def author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tuple[str, ...]:
+    """Author on a Skeleton prim the bind and rest transforms that differ; the names of these."""
+    pairs = {
+        "bindTransforms": (old.bind_transforms, new.bind_transforms),
+        "restTransforms": (old.rest_transforms, new.rest_transforms),
+    }
+    changed = {name: there for name, (before, there) in pairs.items() if not same(before, there)}
+    for name, transforms in changed.items():
+        put(editable(prim).GetAttribute(name), to_matrices(transforms))
+    return tuple(f"{new.name}: {name}" for name in changed)
+
+
+def author_limit_changes(prim: Usd.Prim, old: BoneLimits | None, new: BoneLimits | None) -> tuple[str, ...]:
+    """Author on a Skeleton prim its bone limits where they differ; a line then."""
+    if same(old, new):
+        return ()
+    prim = editable(prim)
+    if new is not None:
+        author_limits(prim, new)
+    else:
+        for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
+            put(prim.GetAttribute(name), None)
+        prim.RemoveAPI(tokens.BONE_LIMITS_API)
+    return ("bone limits",)
+
+
+def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[Slider]) -> tuple[str, ...]:
+    """Author on the face prim the sliders that differ, and hide those that are gone; a line for each."""
+    before, after = ({slider.name: slider for slider in sliders} for sliders in (old, new))
+    changed = [slider for slider in new if not same(slider, before.get(slider.name))]
+    for slider in changed:
+        author_slider(prim, slider)
+    removed = [name for name in before if name not in after]
+    for name in removed:
+        for attribute in prim.GetAuthoredPropertiesInNamespace(f"{tokens.SLIDER_PREFIX}{name}"):
+            if attribute.GetName().rpartition(":")[0] == f"{tokens.SLIDER_PREFIX}{name}":
+                put(attribute, None)
+        prim.RemoveAPI(tokens.SLIDER_API, name)
+    return tuple(f"slider {name}" for name in (*(slider.name for slider in changed), *removed))
+
+
+def author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple[str, ...]:
+    """Author on the face prim attribution, attach joint and recipe where they differ; a line for each."""
+    lines = []
+    for name, line, before, after in (
+        (tokens.ATTRIBUTION, "attribution", old.attribution, new.attribution),
+        (tokens.ATTACH_JOINT, "attach joint", old.attach_joint or "", new.attach_joint or ""),
+    ):
+        if before != after:
+            put(prim.GetAttribute(name), after)
+            lines.append(line)
+    if _content(old.recipe) != _content(new.recipe):
+        if new.recipe is not None:
+            author_recipe(prim, new.recipe)
+        else:
+            for attribute in prim.GetAuthoredPropertiesInNamespace(tokens.RECIPE_VERB.rpartition(":")[0]):
+                put(attribute, None)
+            prim.RemoveAPI(tokens.RECIPE_API)
+        lines.append("recipe")
+    return tuple(lines)
+
+
+def _content(recipe: Recipe | None) -> tuple[object, ...] | None:
+    if recipe is None:
+        return None
+    options = json.dumps(dict(recipe.options), sort_keys=True)
+    return recipe.verb, tuple(recipe.sources), tuple(recipe.digests), options, recipe.version

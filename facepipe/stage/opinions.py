@@ -1,0 +1,32 @@
+"""Opinions of an override layer: where they may stand, and what they hide of weaker layers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pxr import Usd
+
+
+def editable(prim: Usd.Prim, *, below: bool = False) -> Usd.Prim:
+    """The prim at the same path where opinions count: instances that it stands in are no longer instanced.
+
+    :param below: for opinions on prims below it too
+    """
+    stage, path = prim.GetStage(), prim.GetPath()
+    while prim.IsInstanceProxy() or (below and prim.IsInstance()):
+        instance = prim
+        while instance.IsInstanceProxy() or not instance.IsInstance():
+            instance = instance.GetParent()
+        instance.SetInstanceable(False)
+        prim = stage.GetPrimAtPath(path)
+    return prim
+
+
+def put(attribute: Usd.Attribute, value: Any) -> None:
+    """Set the one value of an attribute, in place of all time samples; None hides what weaker layers say."""
+    if value is None:
+        if attribute and attribute.HasAuthoredValue():
+            attribute.Block()
+        return
+    attribute.Clear()
+    attribute.Set(value)
