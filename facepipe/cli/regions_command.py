@@ -125,7 +125,7 @@ def _draw(face: Face) -> Image:
     from facepipe.render import PictureOptions, RegionColors, picture
 
     parts = face.parts()
-    return picture(parts, None, PictureOptions(regions=RegionColors.of(parts)))
+    return picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.of(parts)))
 
 
 def _save(image: Image, path: Path) -> None:

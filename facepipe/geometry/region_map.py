@@ -76,8 +76,8 @@ class RegionMasks(NamedTuple):
 def region_masks(
     image: Image8,
     colors: Image8,
-    uv_values: FloatArray,
-    uv_indices: IntArray,
+    uv: FloatArray,
+    face_vertex_counts: IntArray,
     face_vertex_indices: IntArray,
     point_count: int,
     sampling: MapSampling,
@@ -86,29 +86,29 @@ def region_masks(
 ) -> RegionMasks:
     """Masks of the regions whose colours a map shows at the points of a mesh.
 
-    A UV takes the texel that it lies in, v up: column ``floor(u w)``, row ``floor((1 - v) h)``; or the mean over a
-    footprint of texels around it. `texel_shares` says what a texel counts for. A point takes the mean over its
-    corners, those outside the tile or on unpainted texels left out; one without any corner left is not covered.
+    A corner takes the texel that its UV lies in, v up: column ``floor(u w)``, row ``floor((1 - v) h)``; or the mean
+    over a footprint of texels around it. `texel_shares` says what a texel counts for. Corners belong to the tile in
+    which the middle of their face lies. A point takes the mean over its corners, those in other tiles or on unpainted
+    texels left out; one without any corner left is not covered.
 
     :param image: (h, w, 3|4) RGB or RGBA, top row first; alpha below 128 is unpainted
     :param colors: (k, 3) one colour per mask
-    :param uv_values: (u, 2) texture coordinates
-    :param uv_indices: (corners,) the corner's row of `uv_values`
+    :param uv: (corners, 2) texture coordinates
+    :param face_vertex_counts: (faces,) corners of each face
     :param face_vertex_indices: (corners,) the corner's point
     :param background: (3,) a colour that is unpainted
     :raises InputError: a colour that the legend lacks, or an image or colours of another shape
     :raises TopologyError: lists of corners that don't fit each other
     """
-    _check_arrays(image, colors, uv_values, uv_indices, face_vertex_indices)
+    _check_arrays(image, colors, uv, face_vertex_counts, face_vertex_indices)
     palette = Palette(colors=colors, background=background, tolerance=sampling.tolerance, edge=sampling.edge)
-    used, corner_uv = np.unique(uv_indices, return_inverse=True)
+    place, inside = _in_tile(np.asarray(uv, dtype=np.float64), face_vertex_counts, sampling.tile)
+    points = np.asarray(face_vertex_indices)[inside]
     lookup = _Lookup(image, palette)
-    shares = lookup.sample(np.asarray(uv_values, dtype=np.float64)[used], sampling)
+    shares = lookup.sample(place[inside], sampling.footprint)
     if lookup.unknown:
-        raise _unknown_color(image, palette, lookup, corner_uv, np.asarray(face_vertex_indices))
-    summed = np.stack(
-        [np.bincount(face_vertex_indices, column[corner_uv], minlength=point_count) for column in shares.T], axis=1
-    )
+        raise _unknown_color(image, palette, lookup, points)
+    summed = np.stack([np.bincount(points, column, minlength=point_count) for column in shares.T], axis=1) + 0.0
     total = summed.sum(axis=1, keepdims=True)
     return RegionMasks(np.divide(summed, total, out=np.zeros_like(summed), where=total > 0), total[:, 0] > 0)
 
@@ -120,63 +120,61 @@ class _Lookup:
         self.image, self.palette = image, palette
         self.unknown: list[tuple[IntArray, IntArray]] = []  # (texels, rows of the UVs), parallel
 
-    def sample(self, uv: FloatArray, sampling: MapSampling) -> FloatArray:
-        """(u, k) shares of UVs (u, 2): rows of sum 1, or 0 outside the tile and where nothing is painted."""
-        place, inside = _in_tile(uv, sampling.tile)
-        rows = np.flatnonzero(inside)
+    def sample(self, place: FloatArray, footprint: int) -> FloatArray:
+        """(m, k) shares at (m, 2) places in 0..1: rows of sum 1, or 0 where nothing is painted."""
         height, width = self.image.shape[:2]
-        column, row = place[rows, 0] * width, (1.0 - place[rows, 1]) * height
-        found = np.zeros((len(uv), len(self.palette.colors)))
-        taps = min(sampling.footprint, _TAPS)
-        offsets = (np.arange(taps) + 0.5) / taps * sampling.footprint - sampling.footprint / 2
-        for down in offsets if len(rows) else ():
+        column, row = place[:, 0] * width, (1.0 - place[:, 1]) * height
+        found = np.zeros((len(place), len(self.palette.colors)))
+        taps = min(footprint, _TAPS)
+        offsets = (np.arange(taps) + 0.5) / taps * footprint - footprint / 2
+        for down in offsets if len(place) else ():
             for right in offsets:
                 x = np.clip(np.floor(column + right), 0, width - 1).astype(np.int64)
                 y = np.clip(np.floor(row + down), 0, height - 1).astype(np.int64)
-                found[rows] += self._texels(y * width + x, rows)
+                found += self._texels(y * width + x)
         total = found.sum(axis=1, keepdims=True)
         return np.asarray(np.divide(found, total, out=found, where=total > 0))
 
-    def _texels(self, texels: IntArray, rows: IntArray) -> FloatArray:
+    def _texels(self, texels: IntArray) -> FloatArray:
         distinct, back = np.unique(texels, return_inverse=True)
         shares, unknown = texel_shares(self.image, distinct, self.palette)
         if unknown.any():
-            hit = unknown[back.ravel()]
-            self.unknown.append((texels[hit], rows[hit]))
+            rows = np.flatnonzero(unknown[back.ravel()])
+            self.unknown.append((texels[rows], rows))
         return np.asarray(shares[back.ravel()])
 
 
-def _in_tile(uv: FloatArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
-    """UVs (u, 2) relative to the tile's lower left corner, and which lie in it; its far borders belong to it too."""
+def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
+    """Places (corners, 2) in 0..1 of the map, and the corners (corners,) that lie on it.
+
+    A face's middle says which tile its corners belong to: those on the line between two tiles lie in either.
+    """
+    face = np.repeat(np.arange(len(counts)), counts)
+    sums = np.stack([np.bincount(face, axis, minlength=len(counts)) for axis in uv.T], axis=1)
+    corner = np.floor(sums / np.maximum(counts, 1)[:, None])[face]
+    place = uv - corner
     if tile is None:
-        unit = ((uv >= 0) & (uv <= 1)).all(axis=1)
-        return np.where(unit[:, None], uv, uv - np.floor(uv)), np.ones(len(uv), dtype=bool)
+        unit = np.asarray(((place >= 0) & (place <= 1)).all(axis=1))
+        return np.where(unit[:, None], place, uv - np.floor(uv)), np.ones(len(uv), dtype=bool)
     row, column = divmod(tile - FIRST_TILE, 10)
-    place = uv - (column, row)
-    inside = np.asarray(((place >= -_SLACK) & (place <= 1 + _SLACK)).all(axis=1))
-    return np.clip(place, 0.0, 1.0), inside
+    inside = (corner == (column, row)) & (place >= -_SLACK) & (place <= 1 + _SLACK)
+    return np.clip(place, 0.0, 1.0), np.asarray(inside.all(axis=1))
 
 
-def _unknown_color(
-    image: Image8, palette: Palette, lookup: _Lookup, corner_uv: IntArray, corner_point: IntArray
-) -> InputError:
+def _unknown_color(image: Image8, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
     """The colour that hits the most points, with how many, where, and the nearest that the legend has."""
     texels, rows = (np.concatenate(group) for group in zip(*lookup.unknown, strict=True))
     colors, of_hit = np.unique(image.reshape(-1, image.shape[2])[texels, :3], axis=0, return_inverse=True)
-    of_hit = of_hit.ravel()
-    of_uv = np.full(corner_uv.max() + 1, -1)
-    of_uv[rows] = of_hit
-    hit = of_uv[corner_uv] >= 0
-    pairs = np.unique(np.stack([of_uv[corner_uv[hit]], corner_point[hit]]), axis=1)
-    points = np.bincount(pairs[0], minlength=len(colors))
-    worst = int(points.argmax())
-    y, x = divmod(int(texels[of_hit == worst].min()), image.shape[1])
+    pairs = np.unique(np.stack([of_hit.ravel(), points[rows]]), axis=1)
+    hits = np.bincount(pairs[0], minlength=len(colors))
+    worst = int(hits.argmax())
+    y, x = divmod(int(texels[of_hit.ravel() == worst].min()), image.shape[1])
     distance = np.linalg.norm(palette.colors.astype(np.float64) - colors[worst], axis=1)
     nearest = int(distance.argmin())
     more = f" ({len(colors)} such colours at {len(np.unique(pairs[1]))} points in all)" if len(colors) > 1 else ""
     return InputError(
         f"region map -> texel {x}, {y}",
-        f"colour {hex_color(colors[worst])} at {points[worst]} points{more}, expected one of the legend: the nearest, "
+        f"colour {hex_color(colors[worst])} at {hits[worst]} points{more}, expected one of the legend: the nearest, "
         f"{hex_color(palette.colors[nearest])}, is {distance[nearest]:.0f} away, the tolerance {palette.tolerance:g}",
     )
 
@@ -187,7 +185,7 @@ def hex_color(color: npt.ArrayLike) -> str:
 
 
 def _check_arrays(
-    image: Image8, colors: Image8, uv_values: FloatArray, uv_indices: IntArray, face_vertex_indices: IntArray
+    image: Image8, colors: Image8, uv: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray
 ) -> None:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4) or not image.size:
         raise InputError("region map", f"{image.dtype} of shape {image.shape}, expected uint8 (height, width, 3 or 4)")
@@ -195,10 +193,10 @@ def _check_arrays(
         raise InputError("legend", f"{colors.dtype} colours of shape {colors.shape}, expected uint8 (k, 3), k above 0")
     if len(np.unique(colors, axis=0)) != len(colors):
         raise InputError("legend", "a colour twice, expected each once")
-    if len(uv_indices) != len(face_vertex_indices):
-        raise TopologyError("UV set", f"{len(uv_indices)} corners, expected {len(face_vertex_indices)}")
-    if len(uv_indices) and not (np.min(uv_indices) >= 0 and np.max(uv_indices) < len(uv_values)):
-        raise TopologyError("UV set", f"indices outside 0..{len(uv_values) - 1}")
+    corners = len(face_vertex_indices)
+    if np.shape(uv) != (corners, 2) or int(np.sum(face_vertex_counts)) != corners:
+        what = f"UVs of shape {np.shape(uv)} and faces of {int(np.sum(face_vertex_counts))} corners"
+        raise TopologyError("UV set", f"{what}, expected those of {corners}")
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:

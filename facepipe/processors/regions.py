@@ -57,10 +57,10 @@ class RegionsReport(Report):
 class SetRegions:
     """Regions of meshes from a map; those they had are replaced.
 
-    Points that the map does not cover (UVs in other tiles, unpainted texels) take the legend's outside region, or
-    keep the regions they have. Other meshes keep theirs, but those that the legend's `meshes` names lie in one region
-    whole; a region left without any point on the face is removed from all its meshes. Where point subsets stood for a
-    mesh's regions they follow.
+    Points that the map does not cover (UVs in other tiles, unpainted texels, no face) take the legend's outside
+    region, or keep the regions they have. Other meshes keep theirs, but those that the legend's `meshes` names lie in
+    one region whole; a region left without any point on the face is removed from all its meshes. Where point subsets
+    stood for a mesh's regions they follow.
 
     :param image: (h, w, 3|4) uint8 pixels, top row first
     :param legend: what its colours mean
@@ -122,15 +122,14 @@ class SetRegions:
         """Masks of one mesh under the map, and what became of its points."""
         where = f"{face.where} -> {mesh.name}"
         uv = _uv_of(where, mesh, self.uv_set)
-        own = np.arange(len(mesh.points))  # one UV a point: points without faces have one too
         background = self.legend.background
         try:
             shares, covered = region_masks(
                 self.image,
                 self.legend.color_array,
-                uv.values,
-                own if uv.indices is None else uv.indices,
-                own if uv.indices is None else mesh.face_vertex_indices,
+                np.asarray(uv.values)[mesh.face_vertex_indices if uv.indices is None else uv.indices],
+                mesh.face_vertex_counts,
+                mesh.face_vertex_indices,
                 len(mesh.points),
                 self.sampling,
                 background=None if background is None else np.array(background, dtype=np.uint8),
