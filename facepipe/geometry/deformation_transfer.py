@@ -1,0 +1,205 @@
+"""Deformation-gradient transfer between faces on one topology: a shape for the face that lacks it.
+
+The gradient of a deformation over a triangle is the 3 x 3 matrix S that takes two edges and the scaled normal
+``n = e1 x e2 / sqrt(|e1 x e2|)`` of the undeformed triangle to those of the deformed one (Sumner & Popović,
+"Deformation Transfer for Triangle Meshes", SIGGRAPH 2004, section 3: the normal is their fourth vertex). Their transfer
+is the least-squares fit of the target's gradients to the source's. The target's fourth vertices are free and each
+belongs to one triangle, so they take up the part of S along the target's normal without cost and drop out. What is left
+is the Poisson system of Botsch, Sumner, Pauly & Gross, "Deformation Transfer for Detail-Preserving Surface Editing",
+VMV 2006, weighted by area: a cotangent Laplacian in the points alone, solved here for displacements.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.factor import factorise
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+_FLAT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
+
+
+class Transfer:
+    """One face, ready to take over deformations from others on its topology.
+
+    Minimises ``sum_t area_t |grad(x) - S_t grad(neutral)|^2`` over the triangles t, in a frame of axes that all faces
+    share: moving any neutral together with its deformed points changes nothing; moving or uniformly scaling this face
+    moves or scales the result. Turning it alone does not turn the deformation: a jaw that opens downwards still does.
+    Only where the sources turn along is the result turned. A deformation that is one affine map for all triangles comes
+    over as that map.
+
+    Where the gradients say nothing, displacements are taken from the sources: the weighted mean, each multiplied by
+    this face's size over the source's (size: RMS distance of all points from their centroid).
+
+    - A piece without fixed points (connected through its triangles: an eyeball, a tooth): its centroid moves by the
+      mean displacement of its points.
+    - A point without triangles, or with none that has an area here: it moves by its own mean displacement.
+    - A triangle without area in all sources of a `solve`: its gradient is that of the mean displacements. One without
+      area in some sources takes the mean of the others.
+
+    :param points: (n, 3) neutral of the face that lacks the shape
+    :param triangles: (t, 3) points of each triangle
+    :param fixed: (n,) points that keep their place, to the bit
+    :raises InputError: NaN or infinity
+    :raises TopologyError: arrays that don't fit each other
+    """
+
+    def __init__(self, points: FloatArray, triangles: IntArray, fixed: BoolArray) -> None:
+        self._points = _finite("points", points)
+        self._triangles = _checked_triangles(triangles, self._points)
+        self._fixed = np.array(fixed, dtype=bool)
+        if self._fixed.shape != (len(self._points),):
+            raise TopologyError("fixed", f"shape {self._fixed.shape}, expected one flag for {len(self._points)} points")
+        duals, areas = _duals(_frames(self._points, self._triangles))
+        self._flat = areas == 0
+        # gradients of the hat functions of the three corners
+        self._hats = np.stack([-duals[:, 0] - duals[:, 1], duals[:, 0], duals[:, 1]], axis=1)
+        self._areas = areas
+        self._pieces = _pieces(len(self._points), self._triangles[~self._flat])
+        self._alone = np.bincount(self._triangles[~self._flat].ravel(), minlength=len(self._points)) == 0
+        anchored = np.bincount(self._pieces, self._fixed) > 0
+        self._floating = ~anchored[self._pieces] & ~self._alone
+        first = np.unique(self._pieces, return_index=True)[1]  # holds a floating piece while it is solved for
+        held = self._fixed | self._alone
+        held[first] |= self._floating[first]
+        self._free = np.flatnonzero(~held)
+        self._factor = factorise(self._laplacian()[self._free][:, self._free])
+
+    def solve(self, neutrals: FloatArray, deformed: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+        """The deformed points (n, 3) of this face.
+
+        :param neutrals: (m, n, 3) of the sources
+        :param deformed: (m, n, 3) of the sources
+        :param weights: (m,) of the sources, 0 or more, not all 0; equal by default. They are normalised
+        :raises InputError: NaN or infinity, or weights that can't be used
+        :raises TopologyError: arrays that don't fit each other
+        """
+        neutrals, deformed = _finite("neutrals", neutrals), _finite("deformed", deformed)
+        for name, given in (("neutrals", neutrals), ("deformed", deformed)):
+            if given.ndim != 3 or given.shape[1:] != self._points.shape or given.shape != neutrals.shape:
+                expected = f"(sources, {len(self._points)}, 3), the same for both"
+                raise TopologyError(name, f"shape {given.shape}, expected {expected}")
+        shares = _shares(weights, len(neutrals))
+        mean = self._mean_displacements(neutrals, deformed, shares)
+        divergence = self._divergence(self._gradients(neutrals, deformed, shares, mean))
+        moved = np.zeros_like(self._points)
+        moved[self._free] = self._factor.solve(divergence[self._free])
+        moved[self._alone] = mean[self._alone]
+        moved[self._floating] += self._piece_means(mean - moved)[self._floating]
+        result = self._points + moved
+        result[self._fixed] = self._points[self._fixed]
+        return np.asarray(result)
+
+    def _laplacian(self) -> Any:
+        """(n, n) sparse: the hat functions' Dirichlet products."""
+        from scipy.sparse import coo_array
+
+        products = self._areas[:, None, None] * (self._hats @ self._hats.transpose(0, 2, 1))
+        rows = np.repeat(self._triangles, 3, axis=1).ravel()
+        columns = np.tile(self._triangles, (1, 3)).ravel()
+        count = len(self._points)
+        return coo_array((products.ravel(), (rows, columns)), shape=(count, count)).tocsr()
+
+    def _mean_displacements(self, neutrals: FloatArray, deformed: FloatArray, shares: FloatArray) -> FloatArray:
+        """(n, 3) displacements of the sources, brought to the size of this face."""
+        mean = np.zeros_like(self._points)
+        for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
+            size = _size(neutral)
+            mean += share * (_size(self._points) / size if size > 0 else 1.0) * (shape - neutral)
+        return mean
+
+    def _gradients(
+        self, neutrals: FloatArray, deformed: FloatArray, shares: FloatArray, mean: FloatArray
+    ) -> FloatArray:
+        """(t, 3, 3) gradients of the displacements: the sources' weighted mean S - I."""
+        summed = np.zeros((len(self._triangles), 3, 3))
+        total = np.zeros(len(self._triangles))
+        for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
+            frames = _frames(neutral, self._triangles)
+            duals, areas = _duals(frames)
+            change = _frames(shape, self._triangles) - frames  # exactly 0 where nothing moves
+            summed += share * (change.transpose(0, 2, 1) @ duals)
+            total += share * (areas > 0)
+        unknown = total <= 0
+        summed[~unknown] /= total[~unknown, None, None]
+        summed[unknown] = mean[self._triangles[unknown]].transpose(0, 2, 1) @ self._hats[unknown]
+        return summed
+
+    def _divergence(self, gradients: FloatArray) -> FloatArray:
+        """(n, 3) right-hand side of the normal equations."""
+        flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
+        corners, count = self._triangles.ravel(), len(self._points)
+        return np.stack([np.bincount(corners, flux[..., axis].ravel(), minlength=count) for axis in range(3)], axis=1)
+
+    def _piece_means(self, values: FloatArray) -> FloatArray:
+        """(n, 3) the mean of `values` over each point's piece."""
+        counts = np.bincount(self._pieces)
+        sums = np.stack([np.bincount(self._pieces, column) for column in values.T], axis=1)
+        return np.asarray((sums / counts[:, None])[self._pieces])
+
+
+def _frames(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(t, 3, 3) rows: two edges, and the normal as long as the square root of their cross product."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.stack([b - a, c - a, normal / np.sqrt(np.maximum(length, np.finfo(np.float64).tiny))], axis=1)
+
+
+def _duals(frames: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows (t, 3, 3) with ``frame^T dual`` the identity, and areas (t,); both 0 for triangles without area."""
+    first, second, normal = frames.transpose(1, 0, 2)
+    doubled = (normal * normal).sum(axis=1)  # |n|^2 = |e1 x e2|
+    longest = np.maximum.reduce([(side * side).sum(axis=1) for side in (first, second, second - first)])
+    flat = doubled <= _FLAT * longest
+    doubled = np.where(flat, 1.0, doubled)[:, None]
+    upright = normal / np.sqrt(doubled)
+    rows = (np.cross(second, upright), np.cross(upright, first), normal)
+    duals = np.stack([row / doubled for row in rows], axis=1)
+    duals[flat] = 0.0
+    return duals, np.where(flat, 0.0, 0.5 * doubled[:, 0])
+
+
+def _pieces(count: int, triangles: IntArray) -> IntArray:
+    """(n,) number of the piece that each point belongs to, connected through triangles."""
+    from facepipe.geometry.polygons import components
+
+    return components(count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
+
+
+def _size(points: FloatArray) -> float:
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _shares(weights: FloatArray | None, count: int) -> FloatArray:
+    given = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
+    if given.shape != (count,) or count == 0 or not np.isfinite(given).all() or (given < 0).any() or not given.any():
+        raise InputError("weights", f"expected {max(count, 1)} finite numbers of 0 or more, one above 0")
+    return np.asarray(given / given.max() / (given / given.max()).sum())
+
+
+def _finite(name: str, points: FloatArray) -> FloatArray:
+    found = np.array(points, dtype=np.float64)
+    if not np.isfinite(found).all():
+        raise InputError(name, "NaN or infinity, expected finite numbers")
+    return found
+
+
+def _checked_triangles(triangles: IntArray, points: FloatArray) -> IntArray:
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise TopologyError("points", f"shape {points.shape}, expected (n, 3) with n at least 1")
+    found = np.array(triangles)
+    if found.size == 0:
+        return np.zeros((0, 3), dtype=np.int64)
+    if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
+        raise TopologyError("triangles", f"{found.dtype} of shape {found.shape}, expected integers (t, 3)")
+    if found.min() < 0 or found.max() >= len(points):
+        raise TopologyError("triangles", f"points {found.min()} to {found.max()}, expected 0 to {len(points) - 1}")
+    return found.astype(np.int64)

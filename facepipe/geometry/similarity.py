@@ -1,0 +1,191 @@
+"""Least-squares similarity and rigid fits of one point set onto another, one at a time or by groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+# Singular values below this share of the largest tell no direction: a set 1e-5 as thick as it is long is a line.
+_FLAT = 1e-10
+# A spread below this share of the coordinates is rounding: the set is one point.
+_POINT = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarity:
+    """``target = scale rotation source + translation``."""
+
+    rotation: FloatArray  # (3, 3), proper
+    translation: FloatArray  # (3,)
+    scale: float = 1.0
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """(..., 3) points moved."""
+        return np.asarray(self.scale * (np.asarray(points, dtype=np.float64) @ self.rotation.T) + self.translation)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(4, 4), for column vectors."""
+        return _matrices(self.rotation, self.translation, np.float64(self.scale))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarities:
+    """One similarity a group."""
+
+    rotation: FloatArray  # (g, 3, 3), proper
+    translation: FloatArray  # (g, 3)
+    scale: FloatArray  # (g,)
+
+    def __getitem__(self, group: int) -> Similarity:
+        """The similarity of one group."""
+        return Similarity(
+            rotation=self.rotation[group], translation=self.translation[group], scale=float(self.scale[group])
+        )
+
+    def apply(self, points: FloatArray, groups: IntArray) -> FloatArray:
+        """(n, 3) points moved, each by the similarity of its group (n,)."""
+        turned = np.einsum("nij,nj->ni", self.rotation[groups], np.asarray(points, dtype=np.float64))
+        return np.asarray(self.scale[groups, None] * turned + self.translation[groups])
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(g, 4, 4), for column vectors."""
+        return _matrices(self.rotation, self.translation, self.scale)
+
+
+def fit_similarity(
+    source: FloatArray, target: FloatArray, *, scale: bool = True, weights: FloatArray | None = None
+) -> Similarity:
+    """The similarity that moves `source` (n, 3) closest to `target` (n, 3), by the weighted sum of squared distances.
+
+    Never a reflection. Where the points leave the rotation open it is the smallest one that fits: about a line, the
+    shortest arc between the lines; for one point, or points that are all equal, none, with scale 1.
+
+    Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991,
+    eq. (40)-(42).
+
+    :param scale: fit the scale too; False gives the rigid fit
+    :param weights: (n,), 0 or more, not all 0
+    :raises InputError: no points, NaN or infinity, shapes or weights that don't fit
+    """
+    one_group = np.zeros(len(np.atleast_1d(source)), dtype=np.int64)
+    return fit_similarities(source, target, one_group, scale=scale, weights=weights)[0]
+
+
+def fit_similarities(
+    source: FloatArray,
+    target: FloatArray,
+    groups: IntArray,
+    *,
+    scale: bool = True,
+    weights: FloatArray | None = None,
+) -> Similarities:
+    """`fit_similarity` for every group of points at once.
+
+    :param source: (n, 3)
+    :param target: (n, 3)
+    :param groups: (n,) group of every point, 0 or more; a number without points gives the identity
+    :param weights: (n,), 0 or more, not all 0 in any group
+    :return: groups 0 to the largest number
+    :raises InputError: no points, NaN or infinity, shapes, groups or weights that don't fit
+    """
+    source, target, groups, share = _checked(source, target, groups, weights)
+    count = int(groups.max()) + 1
+    from_centre, to_centre = _group_sums(source * share, groups, count), _group_sums(target * share, groups, count)
+    # in units of the largest coordinate, so that no square overflows
+    from_unit, to_unit = _unit(source), _unit(target)
+    a, b = (source - from_centre[groups]) / from_unit, (target - to_centre[groups]) / to_unit
+    covariance = np.stack([_group_sums(b * share * a[:, axis, None], groups, count) for axis in range(3)], axis=2)
+    from_variance = _group_sums(a * a * share, groups, count).sum(axis=1)
+    to_variance = _group_sums(b * b * share, groups, count).sum(axis=1)
+    rotation, strength = _rotations(covariance, (from_variance > _POINT**2) & (to_variance > _POINT**2))
+    factor = np.ones(count)
+    if scale:
+        fitted = strength > 0
+        factor[fitted] = strength[fitted] / from_variance[fitted] * (to_unit / from_unit)
+    moved = factor[:, None] * np.einsum("gij,gj->gi", rotation, from_centre)
+    return Similarities(rotation=rotation, translation=to_centre - moved, scale=factor)
+
+
+def _rotations(covariance: FloatArray, spread: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """The rotation (g, 3, 3) of each covariance (g, 3, 3), and the trace (g,) of Umeyama's D S; 0: left at identity."""
+    U, D, Vt = np.linalg.svd(covariance)
+    signs = np.ones_like(D)
+    signs[:, 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
+    rotation = (U * signs[:, None, :]) @ Vt
+    line = D[:, 1] <= _FLAT * D[:, 0]
+    rotation[line] = _shortest_arcs(Vt[line, 0], U[line, :, 0])
+    unknown = ~spread | (D[:, 0] <= np.finfo(np.float64).tiny)
+    rotation[unknown] = np.eye(3)
+    return rotation, np.where(unknown, 0.0, (D * signs).sum(axis=1))
+
+
+def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
+    """(g, 3, 3) rotations from unit vectors `start` (g, 3) to `end` (g, 3).
+
+    A half-turn about `start`, then one about the vector halfway to `end`.
+    """
+    halfway = start + end
+    length = np.linalg.norm(halfway, axis=1)
+    opposite = length < 1e-8
+    across = np.eye(3)[np.abs(start).argmin(axis=1)]
+    across -= (across * start).sum(axis=1, keepdims=True) * start
+    halfway = np.where(opposite[:, None], across, halfway)
+    halfway = halfway / np.linalg.norm(halfway, axis=1, keepdims=True)
+    turns = _half_turns(halfway) @ _half_turns(start)
+    turns[opposite] = _half_turns(halfway[opposite])
+    return turns
+
+
+def _half_turns(axis: FloatArray) -> FloatArray:
+    return np.asarray(2.0 * axis[:, :, None] * axis[:, None, :] - np.eye(3))
+
+
+def _checked(
+    source: FloatArray, target: FloatArray, groups: IntArray, weights: FloatArray | None
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+    """The arrays in float64 and int64, and each point's share (n, 1) of its group's weight."""
+    source, target = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    for name, points in (("source", source), ("target", target)):
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+            raise InputError(name, f"an array of shape {points.shape}, expected (n, 3) with n at least 1")
+        if not np.isfinite(points).all():
+            raise InputError(name, "NaN or infinity, expected finite numbers")
+    if source.shape != target.shape:
+        raise InputError("target", f"{len(target)} points, expected the {len(source)} of the source")
+    groups = np.asarray(groups)
+    if groups.shape != (len(source),) or groups.dtype.kind not in "iu" or groups.min() < 0:
+        raise InputError("groups", f"expected {len(source)} integers of 0 or more")
+    groups = groups.astype(np.int64)
+    weights = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if weights.shape != (len(source),) or not np.isfinite(weights).all() or (weights < 0).any():
+        raise InputError("weights", f"expected {len(source)} finite numbers of 0 or more")
+    total = np.bincount(groups, weights / max(weights.max(), np.finfo(np.float64).tiny))
+    if (total[groups] <= 0).any():
+        raise InputError("weights", "all are 0, expected one above 0 in every group")
+    return source, target, groups, (weights / weights.max() / total[groups])[:, None]
+
+
+def _group_sums(values: FloatArray, groups: IntArray, count: int) -> FloatArray:
+    """(count, c) sums of the rows of `values` (n, c) that each group has."""
+    return np.stack([np.bincount(groups, column, minlength=count) for column in values.T], axis=1)
+
+
+def _unit(points: FloatArray) -> float:
+    return max(float(np.abs(points).max()), np.finfo(np.float64).tiny)
+
+
+def _matrices(rotation: FloatArray, translation: FloatArray, scale: FloatArray | np.float64) -> FloatArray:
+    matrices = np.zeros((*rotation.shape[:-2], 4, 4))
+    matrices[..., :3, :3] = np.asarray(scale)[..., None, None] * rotation
+    matrices[..., :3, 3] = translation
+    matrices[..., 3, 3] = 1.0
+    return matrices
