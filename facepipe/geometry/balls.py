@@ -1,0 +1,78 @@
+"""Balls fitted to points: where an eyeball has its centre, whatever its cornea does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import FitError
+
+FloatArray = npt.NDArray[np.floating]
+
+_STEPS = 100
+_SETTLED = 1e-12  # of the radius
+_OUTLIER = 4.685  # Tukey's constant: 95% efficient on normal residuals
+_NORMAL = 1.4826  # median absolute residual -> standard deviation
+_EXACT = 1e-9  # residuals below this share of the radius are rounding, none of them an outlier
+_FLAT = 1e-6  # points thinner than this share of their spread are a plane
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball through points."""
+
+    centre: FloatArray  # (3,)
+    radius: float
+    rms: float  # of the distances of all points from the surface
+
+
+def fit_ball(points: FloatArray) -> Ball:
+    """The ball whose surface is nearest to `points` (n, 3), n at least 4; points that bulge out of it count little.
+
+    An algebraic fit, made geometric by Gauss-Newton steps, with Tukey's weights against the median of the residuals:
+    as long as the bulge (a cornea) takes less than about a third of the points, the ball is that of the others.
+
+    :raises FitError: fewer than 4 points, or points in one plane
+    """
+    points = np.asarray(points, np.float64)
+    if len(points) < 4:
+        raise FitError("ball", f"{len(points)} points, expected at least 4")
+    middle = points.mean(axis=0)
+    local = points - middle
+    spread = np.linalg.svd(local, compute_uv=False)
+    if not spread[2] > _FLAT * spread[0]:
+        raise FitError("ball", "all points lie in one plane, expected points around it")
+    centre, radius = _algebraic(local)
+    centre, radius = _geometric(local, centre, radius)
+    residuals = np.linalg.norm(local - centre, axis=1) - radius
+    return Ball(centre + middle, radius, float(np.sqrt((residuals**2).mean())))
+
+
+def _algebraic(points: FloatArray) -> tuple[FloatArray, float]:
+    """Least squares of ``|p|^2 = 2 c.p + (r^2 - c.c)``."""
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    found = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = found[:3]
+    return centre, float(np.sqrt(max(found[3] + centre @ centre, 0.0)))
+
+
+def _geometric(points: FloatArray, centre: FloatArray, radius: float) -> tuple[FloatArray, float]:
+    for _ in range(_STEPS):
+        offsets = points - centre
+        distances = np.linalg.norm(offsets, axis=1)
+        residuals = distances - radius
+        weights = _weights(residuals, radius)
+        slopes = np.column_stack([-offsets / np.maximum(distances, radius * 1e-12)[:, None], -np.ones(len(points))])
+        step = np.linalg.lstsq(slopes * weights[:, None], -residuals * weights, rcond=None)[0]
+        centre, radius = centre + step[:3], radius + float(step[3])
+        if np.abs(step).max() <= _SETTLED * radius:
+            break
+    return centre, radius
+
+
+def _weights(residuals: FloatArray, radius: float) -> FloatArray:
+    """Square roots of Tukey's weights."""
+    reach = _OUTLIER * max(_NORMAL * float(np.median(np.abs(residuals))), _EXACT * radius)
+    return np.asarray(np.maximum(1.0 - (residuals / reach) ** 2, 0.0))

@@ -1,0 +1,140 @@
+"""The nearest places of a triangulated surface to given points, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+# Where on its triangle a nearest place lies: at a corner, on the edge from corner 0 to 1, 1 to 2 or 2 to 0, or inside.
+CORNER, EDGE, INSIDE = 0, 3, 6
+
+_FIRST_NEIGHBOURS = 8  # triangles tried for every point at first
+_PAIRS = 1 << 18  # point-triangle pairs at a time: a bound on memory
+_SIZE_STEP = 4.0  # triangles of one search tree differ in size by less than this factor
+
+
+@dataclass(frozen=True)
+class ClosestPlaces:
+    """The nearest place of the surface to each of m points."""
+
+    distances: FloatArray  # (m,)
+    triangles: IntArray  # (m,)
+    places: FloatArray  # (m, 3)
+    features: IntArray  # (m,) CORNER + 0..2, EDGE + 0..2 or INSIDE
+
+
+def surface_distances(points: FloatArray, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(m,) unsigned distances of `points` (m, 3) from the surface `surface_points` (n, 3), `triangles` (t, 3).
+
+    :raises InputError: no triangle, or one at a point that is not there
+    """
+    return closest_places(points, surface_points, triangles).distances
+
+
+def closest_places(points: FloatArray, surface_points: FloatArray, triangles: IntArray) -> ClosestPlaces:
+    """The nearest place of the surface `surface_points` (n, 3), `triangles` (t, 3), to each of `points` (m, 3).
+
+    Exact: a triangle is left out only where its bounding sphere lies further away than a place already found.
+    Triangles without area count as the segments or points that they are.
+
+    :raises InputError: no triangle, or one at a point that is not there
+    """
+    points, surface_points = np.asarray(points, np.float64), np.asarray(surface_points, np.float64)
+    triangles = np.asarray(triangles)
+    if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(surface_points):
+        what = f"{len(triangles)} triangles, expected at least one, all at points 0 to {len(surface_points) - 1}"
+        raise InputError("surface", what)
+    corners = surface_points[triangles]
+    found = ClosestPlaces(
+        np.full(len(points), np.inf),
+        np.zeros(len(points), np.int64),
+        np.zeros((len(points), 3)),
+        np.zeros(len(points), np.int64),
+    )
+    if len(points):
+        centres = corners.mean(axis=1)
+        sizes = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
+        for members in _by_size(sizes):
+            _search(found, points, corners, centres, float(sizes[members].max()), members)
+    return found
+
+
+def _by_size(sizes: FloatArray) -> list[IntArray]:
+    """Triangles in groups of like size, the most numerous first: one large one widens the search for no others."""
+    steps = np.floor(np.log(np.maximum(sizes, sizes.max() * 1e-6 + 1e-300)) / np.log(_SIZE_STEP))
+    values, counts = np.unique(steps, return_counts=True)
+    return [np.flatnonzero(steps == value) for value in values[np.argsort(-counts, kind="stable")]]
+
+
+def _search(
+    found: ClosestPlaces, points: FloatArray, corners: FloatArray, centres: FloatArray, size: float, members: IntArray
+) -> None:
+    """Try the triangles `members`, more and more of them for the points where a nearer one may still come."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(centres[members])
+    open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
+    while len(open_points):
+        reached = np.empty(len(open_points))
+        for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS)):
+            numbers = open_points[part]
+            far, near = tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
+            reached[part] = far[:, -1]
+            row, column = np.nonzero(far - size <= found.distances[numbers, None])
+            _improve(found, points, corners, numbers[row], members[near[row, column]])
+        if count == len(members):
+            return
+        open_points = open_points[reached - size <= found.distances[open_points]]
+        tried, count = count, min(4 * count, len(members))
+
+
+def _improve(
+    found: ClosestPlaces, points: FloatArray, corners: FloatArray, numbers: IntArray, triangles: IntArray
+) -> None:
+    """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far."""
+    squares, places, features = _nearest_on(points[numbers], corners[triangles])
+    order = np.lexsort((triangles, squares, numbers))
+    first = order[np.concatenate([[True], np.diff(numbers[order]) > 0])] if len(order) else order
+    distances = np.sqrt(squares[first])
+    point = numbers[first]
+    better = distances < found.distances[point]
+    first, point = first[better], point[better]
+    found.distances[point] = distances[better]
+    found.triangles[point] = triangles[first]
+    found.places[point] = places[first]
+    found.features[point] = features[first]
+
+
+def _nearest_on(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Squared distance, place and feature on triangles (p, 3, 3), each with its own point (p, 3).
+
+    The foot of the perpendicular where that lies inside; otherwise the nearest place on the three edges.
+    """
+    starts, ends = corners, corners[:, [1, 2, 0]]
+    sides = ends - starts
+    lengths = np.einsum("pei,pei->pe", sides, sides)
+    offsets = points[:, None] - starts
+    along = np.einsum("pei,pei->pe", offsets, sides) / np.where(lengths > 0, lengths, 1.0)
+    along = np.clip(along, 0.0, 1.0)
+    on_edges = starts + along[..., None] * sides
+    squares = ((points[:, None] - on_edges) ** 2).sum(axis=2)
+    edge = squares.argmin(axis=1)
+    rows = np.arange(len(points))
+    best, places, share = squares[rows, edge], on_edges[rows, edge], along[rows, edge]
+    features = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    areas = np.einsum("pi,pi->p", normals, normals)
+    above = np.einsum("pei,pi->pe", np.cross(sides, offsets), normals)
+    inside = (above > 0).all(axis=1) & (areas > 0)
+    lift = np.einsum("pi,pi->p", offsets[:, 0], normals)[inside] / areas[inside]
+    places[inside] = points[inside] - lift[:, None] * normals[inside]
+    best[inside] = np.einsum("p,p,p->p", lift, lift, areas[inside])
+    features[inside] = INSIDE
+    return best, places, features
