@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _recipe(arguments: argparse.Namespace, out: Path) -> Recipe:
     from facepipe import __version__
-    from facepipe.importers.imported import digest
+    from facepipe.digests import digest
     from facepipe.parts import Recipe
     from facepipe.stage.files import relative_path
 

@@ -20,7 +20,7 @@ from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
 from facepipe.importers.ict_regions import REGIONS, head_regions
-from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.mesh_pieces import (
     compact_uvs,
     face_corners,
@@ -29,6 +29,7 @@ from facepipe.importers.mesh_pieces import (
     whole_region,
 )
 from facepipe.importers.wavefront import read_text
+from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
 
 FloatArray = npt.NDArray[np.floating]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.geometry.borders import back_of_border
-from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import REGIONS, skin_regions
@@ -25,6 +25,7 @@ from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.names import identifier
+from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
 
 FloatArray = npt.NDArray[np.floating]

@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.importers.imported import Imported, check_ranges, import_recipe
+from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
 from facepipe.importers.obj_shapes import read_offsets
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.names import identifier, unique_identifiers
+from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 
 FloatArray = npt.NDArray[np.floating]

@@ -154,7 +154,7 @@ def read_recipe(prim: Usd.Prim) -> Recipe | None:
     text = prim.GetAttribute(tokens.RECIPE_OPTIONS).Get() or "{}"
     try:
         options = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise SchemaError(f"{prim.GetPath()}.{tokens.RECIPE_OPTIONS}", "no JSON, expected a JSON object") from None
     return Recipe(
         verb=str(verb),
