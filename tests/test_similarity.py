@@ -198,5 +198,5 @@ def test_unusable_input_is_refused(source: Any, target: Any, groups: Any, weight
 
 @pytest.mark.parametrize("source", [LINE[0], LINE[:0], bad(LINE, np.nan), 1.0])
 def test_the_fit_of_one_set_refuses_the_same(source: Any) -> None:
-    with pytest.raises(InputError, match="^source: "):
+    with pytest.raises(InputError, match=r"^source: "):
         fit_similarity(source, LINE)

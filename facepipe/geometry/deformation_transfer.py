@@ -32,8 +32,8 @@ class Transfer:
     Minimises ``sum_t area_t |grad(x) - S_t grad(neutral)|^2`` over the triangles t, in a frame of axes that all faces
     share: moving any neutral together with its deformed points changes nothing; moving or uniformly scaling this face
     moves or scales the result. Turning it alone does not turn the deformation: a jaw that opens downwards still does.
-    Only where the sources turn along is the result turned. A deformation that is one affine map for all triangles comes
-    over as that map.
+    Only where the sources turn along is the result turned. A piece that the source turns and uniformly scales as a whole
+    is turned and scaled alike (general affine maps are not: the scaled normal does not follow them).
 
     Where the gradients say nothing, displacements are taken from the sources: the weighted mean, each multiplied by
     this face's size over the source's (size: RMS distance of all points from their centroid).
