@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import replace_mesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from oracle import bake, difference
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from test_stage import assert_same, full_face
@@ -429,6 +431,55 @@ def test_stages_of_other_tools(source: Path, tmp_path: Path, edit: Callable[[Usd
     mesh = UsdGeom.Mesh(again.mesh_prim("Head"))
     np.testing.assert_array_equal(mesh.GetPointsAttr().Get(1.5), parts.meshes[0].points.astype(np.float32))
     assert changed(out, tmp_path / "third.usda", parts) == ()
+
+
+def test_bounds_above_a_changed_mesh_are_computed_again(tmp_path: Path) -> None:
+    def bound(stage: Usd.Stage) -> None:
+        UsdGeom.Boundable(stage.GetDefaultPrim()).CreateExtentAttr([(0, 0, 0), (1, 1, 1)])
+
+    other = edited(bound, tmp_path / "other.usda")
+    parts = head(points=MOVED * 50)(facepipe.open(other).parts())
+    boxes = []
+    for name, wanted in (("none", facepipe.open(other).parts()), ("moved", parts)):
+        changed(other, tmp_path / f"{name}.usda", wanted)
+        stage = facepipe.open(tmp_path / f"{name}.usda").stage
+        cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"])
+        boxes.append(cache.ComputeWorldBound(stage.GetDefaultPrim()).ComputeAlignedRange().GetSize()[0])
+    assert boxes[0] == 1
+    assert boxes[1] > 100
+
+
+GROUPS = (
+    ("points",),
+    ("normals", "normals by corner", "normals gone"),
+    tuple(name for name in CASES if name.startswith(("offsets", "normal offsets", "moving", "inbetween", "shape"))),
+    ("skin", "skin of more influences", "skin placed"),
+    ("bind", "rest"),
+    tuple(name for name in CASES if name.startswith(("clip", "pose"))),
+    tuple(name for name in CASES if name.startswith("slider")),
+    ("limits", "limits gone"),
+    tuple(name for name in CASES if name.startswith("region")),
+    ("landmarks", "landmarks gone"),
+    ("anchor", "anchor gone"),
+    ("texts", "recipe gone"),
+)
+CHOICES = st.tuples(*(st.sampled_from(("nothing", *group)) for group in GROUPS))
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(CHOICES, CHOICES)
+def test_any_changes_over_any_changes(
+    source: Path, tmp_path: Path, first: tuple[str, ...], second: tuple[str, ...]
+) -> None:
+    """Two layers, each with a change of every kind or none; the second knows nothing of the first."""
+    below = source
+    for number, names in enumerate((first, second)):
+        parts, out = start(), tmp_path / f"out{number}.usda"
+        for name in names:
+            parts = CASES[name][0](parts)
+        changed(below, out, parts)
+        same_content(parts, read(out))
+        below = out
 
 
 def test_usdskel_deforms_the_layer_as_the_rig_does(source: Path, tmp_path: Path) -> None:

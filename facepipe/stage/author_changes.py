@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
@@ -22,7 +22,7 @@ from facepipe.stage.author_rig_changes import (
 )
 from facepipe.stage.differences import same
 from facepipe.stage.face import Face
-from facepipe.stage.opinions import editable
+from facepipe.stage.opinions import editable, put
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.traversal import prims_below
@@ -53,6 +53,8 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     lines: list[str] = []
     for path, before, after in zip(meshes, old.meshes, parts.meshes, strict=True):
         lines += author_mesh_changes(at(path), before, after, at(skeleton), parts.skeleton.joints, shared)
+    if lines:
+        _hide_extents(at(path) for path in (face.prim.GetPath(), skeleton))
     lines += _author_point_values(face, meshes, values)
     lines += author_skeleton_changes(at(skeleton), old.skeleton, parts.skeleton)
     lines += author_limit_changes(at(skeleton), old.bone_limits, parts.bone_limits)
@@ -103,6 +105,13 @@ def _shared_targets(face: Face, meshes: list[Sdf.Path]) -> set[Sdf.Path]:
     prims = [face.stage.GetPrimAtPath(path) for path in meshes]
     count = Counter(one for prim in prims for one in UsdSkel.BindingAPI(prim).GetBlendShapeTargetsRel().GetTargets())
     return {path for path, times in count.items() if times > 1}
+
+
+def _hide_extents(prims: Iterable[Usd.Prim]) -> None:
+    """Bounds that were authored above the meshes no longer hold; USD computes what is not authored."""
+    for prim in prims:
+        for name in ("extent", "extentsHint"):
+            put(editable(prim).GetAttribute(name), None)
 
 
 def _author_point_values(face: Face, meshes: list[Sdf.Path], primvars: Mapping[str, FloatArray]) -> list[str]:
