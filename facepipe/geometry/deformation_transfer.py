@@ -32,15 +32,14 @@ class Transfer:
     Minimises ``sum_t area_t |grad(x) - S_t grad(neutral)|^2`` over the triangles t, in a frame of axes that all faces
     share: moving any neutral together with its deformed points changes nothing; moving or uniformly scaling this face
     moves or scales the result. Turning it alone does not turn the deformation: a jaw that opens downwards still does.
-    Only where the sources turn along is the result turned. A piece that the source turns and uniformly scales as a whole
-    is turned and scaled alike (general affine maps are not: the scaled normal does not follow them).
+    Only where the sources turn along is the result turned. A piece that the source turns and uniformly scales as a
+    whole is turned and scaled alike (general affine maps are not: the scaled normal does not follow them).
 
     Where the gradients say nothing, displacements are taken from the sources: the weighted mean, each multiplied by
     this face's size over the source's (size: RMS distance of all points from their centroid).
 
-    - A piece without fixed points (connected through its triangles: an eyeball, a tooth): its centroid moves by the
-      mean displacement of its points.
-    - A point without triangles, or with none that has an area here: it moves by its own mean displacement.
+    - A piece without fixed points (connected through triangles that have an area here: an eyeball, a tooth, a point
+      alone): its centroid moves by the mean displacement of its points.
     - A triangle without area in all sources of a `solve`: its gradient is that of the mean displacements. One without
       area in some sources takes the mean of the others.
 
@@ -58,16 +57,14 @@ class Transfer:
         if self._fixed.shape != (len(self._points),):
             raise TopologyError("fixed", f"shape {self._fixed.shape}, expected one flag for {len(self._points)} points")
         duals, areas = _duals(_frames(self._points, self._triangles))
-        self._flat = areas == 0
         # gradients of the hat functions of the three corners
         self._hats = np.stack([-duals[:, 0] - duals[:, 1], duals[:, 0], duals[:, 1]], axis=1)
         self._areas = areas
-        self._pieces = _pieces(len(self._points), self._triangles[~self._flat])
-        self._alone = np.bincount(self._triangles[~self._flat].ravel(), minlength=len(self._points)) == 0
+        self._pieces = _pieces(len(self._points), self._triangles[areas > 0])
         anchored = np.bincount(self._pieces, self._fixed) > 0
-        self._floating = ~anchored[self._pieces] & ~self._alone
+        self._floating = ~anchored[self._pieces]
         first = np.unique(self._pieces, return_index=True)[1]  # holds a floating piece while it is solved for
-        held = self._fixed | self._alone
+        held = self._fixed.copy()
         held[first] |= self._floating[first]
         self._free = np.flatnonzero(~held)
         self._factor = factorise(self._laplacian()[self._free][:, self._free])
@@ -91,7 +88,6 @@ class Transfer:
         divergence = self._divergence(self._gradients(neutrals, deformed, shares, mean))
         moved = np.zeros_like(self._points)
         moved[self._free] = self._factor.solve(divergence[self._free])
-        moved[self._alone] = mean[self._alone]
         moved[self._floating] += self._piece_means(mean - moved)[self._floating]
         result = self._points + moved
         result[self._fixed] = self._points[self._fixed]

@@ -131,7 +131,7 @@ def _rotations(covariance: FloatArray, spread: npt.NDArray[np.bool_]) -> tuple[F
 def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
     """(g, 3, 3) rotations from unit vectors `start` (g, 3) to `end` (g, 3).
 
-    A half-turn about `start`, then one about the vector halfway to `end`.
+    A half-turn about `start`, then one about the vector halfway to `end`; across `start` where they are opposite.
     """
     halfway = start + end
     length = np.linalg.norm(halfway, axis=1)
@@ -140,9 +140,7 @@ def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
     across -= (across * start).sum(axis=1, keepdims=True) * start
     halfway = np.where(opposite[:, None], across, halfway)
     halfway = halfway / np.linalg.norm(halfway, axis=1, keepdims=True)
-    turns = _half_turns(halfway) @ _half_turns(start)
-    turns[opposite] = _half_turns(halfway[opposite])
-    return turns
+    return np.asarray(_half_turns(halfway) @ _half_turns(start))
 
 
 def _half_turns(axis: FloatArray) -> FloatArray:
