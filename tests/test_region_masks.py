@@ -126,7 +126,7 @@ def test_what_is_away_from_borders_stays_bitwise_and_width_0_changes_nothing() -
 
 def test_points_with_nothing_held_around_them_keep_their_masks() -> None:
     points, pairs, masks = _strip(6, 3)
-    loose = points + (0.0, 5.0, 0.0)
+    loose = points + np.array([0.0, 5.0, 0.0])
     both = smooth_masks(
         np.concatenate([masks, masks], axis=1), np.concatenate([points, loose]), np.concatenate([pairs, pairs + 6]), 100
     )

@@ -1,0 +1,227 @@
+"""Least squares over products of simplices: shares of sources, region by region, that explain a target best.
+
+    minimise 1/2 a.G a - g.a   over R groups of K shares, each share 0 or more and each group summing to 1
+
+G may have any rank. The problem is solved as a short run of strictly convex ones, each with a faint pull towards the
+solution of the one before, the first towards the prior (Rockafellar, "Monotone operators and the proximal point
+algorithm", SIAM J. Control Optim. 1976): they end at a minimum of the given problem, and what it leaves open stays at
+the prior. Accelerated projected gradients find most of the shares that are 0; from there on the primal active-set
+method is exact (Nocedal and Wright, "Numerical Optimization", algorithm 16.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import FitError, InputError
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+
+_PULL = 1e-8  # towards the step before, relative to the largest curvature
+_SETTLED = 1e-11  # gap at which steps end
+_ACCEPTED = 1e-9  # largest gap of a usable result
+_STEPS = 50
+_GRADIENTS = 200
+_FLAT = 1e-10  # curvature below 0 that is rounding
+_UPHILL = 1e-13  # slope that is rounding
+
+
+@dataclass(frozen=True)
+class SimplexFit:
+    """Shares that minimise the problem."""
+
+    weights: FloatArray  # (R, K), 0 or more, rows summing to 1
+    iterations: int  # linear systems solved
+    # sum of share * (slope - least slope of its group): 0 where the Karush-Kuhn-Tucker conditions hold, and never less
+    # than the objective's distance from its minimum; relative to the largest element of G and g
+    residual: float
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A problem with no element above 1, over v = groups * sources shares, group after group."""
+
+    gram: FloatArray  # (v, v)
+    linear: FloatArray  # (v,)
+    sources: int
+
+    def slopes(self, shares: FloatArray) -> FloatArray:
+        return np.asarray(self.gram @ shares - self.linear)
+
+    def gap(self, shares: FloatArray) -> float:
+        slopes = self.slopes(shares).reshape(-1, self.sources)
+        above = slopes - slopes.min(axis=1, keepdims=True)
+        return float((shares.reshape(slopes.shape) * above).sum())
+
+    def pulled(self, centre: FloatArray, strength: float) -> _Problem:
+        """With ``strength / 2 |a - centre|^2`` added."""
+        gram = self.gram + strength * np.eye(len(self.linear))
+        return _Problem(gram, self.linear + strength * centre, self.sources)
+
+
+def fit_simplex(
+    gram: FloatArray,
+    linear: FloatArray,
+    groups: int,
+    sources: int,
+    *,
+    prior: FloatArray | None = None,
+    locked: Mapping[int, FloatArray] | None = None,
+    ridge: float = 0.0,
+) -> SimplexFit:
+    """The shares (R, K) that minimise ``1/2 a.G a - g.a``, every share 0 or more, every group summing to 1.
+
+    :param gram: G (R K, R K), symmetric positive semidefinite, group after group
+    :param linear: g (R K,)
+    :param groups: R
+    :param sources: K, at least 1
+    :param prior: (R, K) shares that groups take as far as the problem leaves them open; default all the same
+    :param locked: group -> its shares (K,), kept as given
+    :param ridge: pull towards the prior, relative to the largest diagonal element of G; 0 or more. None is needed for
+        problems without a unique solution
+    :raises InputError: shapes that don't fit, NaN or infinity, an unknown group, a negative ridge, or G of the free
+        groups not positive semidefinite
+    :raises FitError: rounding left no usable result
+    """
+    gram, linear, shares = _checked(gram, linear, groups, sources, prior, ridge)
+    free = _lock(shares, locked or {})
+    if not free.any():
+        return SimplexFit(shares, 0, 0.0)
+    problem = _without(gram, linear, np.repeat(free, sources), shares)
+    curvature = float(np.abs(np.diag(problem.gram)).max()) or 1.0
+    found = shares[free].ravel()
+    problem = problem.pulled(found, ridge * curvature)
+    found = _descend(problem.pulled(found, _PULL * curvature), found)
+    centre, iterations = shares[free].ravel(), 0
+    for _ in range(_STEPS):
+        found, solved = _solve(problem.pulled(centre, _PULL * curvature), found)
+        centre, iterations = found, iterations + solved
+        if problem.gap(found) <= _SETTLED:
+            break
+    residual = problem.gap(found)
+    if not residual <= _ACCEPTED:
+        raise FitError("shares", f"no minimum found: a gap of {residual:.1e}, expected at most {_ACCEPTED:g}")
+    shares[free] = found.reshape(-1, sources)
+    return SimplexFit(shares, iterations, residual)
+
+
+def _checked(
+    gram: FloatArray, linear: FloatArray, groups: int, sources: int, prior: FloatArray | None, ridge: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """G, g and the prior (R, K) as float64."""
+    size = groups * sources
+    if groups < 0 or sources < 1:
+        raise InputError("shares", f"{groups} groups of {sources} sources, expected at least one source")
+    even = np.full((groups, sources), 1.0 / sources)
+    given = {"gram": (gram, (size, size)), "linear": (linear, (size,)), "prior": (prior, (groups, sources))}
+    for name, (values, shape) in given.items():
+        if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
+            raise InputError(name, f"shape {np.shape(values)}, expected {shape}, all finite")
+    if not (np.isfinite(ridge) and ridge >= 0):
+        raise InputError("ridge", f"{ridge:g}, expected a finite number of 0 or more")
+    shares = even if prior is None else _projected(np.asarray(prior, np.float64))
+    return np.asarray(gram, np.float64), np.asarray(linear, np.float64), shares
+
+
+def _lock(shares: FloatArray, locked: Mapping[int, FloatArray]) -> BoolArray:
+    """Put the locked rows into `shares` (R, K); the groups (R,) that are left free."""
+    free = np.ones(len(shares), dtype=np.bool_)
+    for group, row in locked.items():
+        if not 0 <= group < len(shares):
+            raise InputError(f"locked -> {group}", f"no such group, expected 0 to {len(shares) - 1}")
+        if np.shape(row) != shares[group].shape or not np.isfinite(row).all():
+            raise InputError(f"locked -> {group}", f"expected {shares.shape[1]} finite shares")
+        shares[group] = row
+        free[group] = False
+    return free
+
+
+def _without(gram: FloatArray, linear: FloatArray, free: BoolArray, shares: FloatArray) -> _Problem:
+    """The problem of the `free` (v,) shares, the others held, scaled."""
+    symmetric = (gram + gram.T) / 2
+    left = symmetric[np.ix_(free, free)]
+    pull = linear[free] - symmetric[np.ix_(free, ~free)] @ shares.ravel()[~free]
+    scale = max(float(np.abs(left).max()), float(np.abs(pull).max())) or 1.0
+    curvatures = np.linalg.eigvalsh(left / scale)
+    if curvatures[0] < -_FLAT:
+        raise InputError("gram", f"curvature {curvatures[0] * scale:g}, expected a positive semidefinite matrix")
+    return _Problem(left / scale, pull / scale, shares.shape[1])
+
+
+def _projected(rows: FloatArray) -> FloatArray:
+    """The nearest rows of shares (Held, Wolfe and Crowder 1974); rows that are shares already stay bit for bit."""
+    down = -np.sort(-rows, axis=1)
+    excess = (np.cumsum(down, axis=1) - 1.0) / np.arange(1, rows.shape[1] + 1)
+    last = (down > excess).sum(axis=1) - 1
+    level = excess[np.arange(len(rows)), last]
+    level[np.abs(level) < 4 * np.finfo(np.float64).eps] = 0.0
+    return np.asarray(np.maximum(rows - level[:, None], 0.0))
+
+
+def _descend(problem: _Problem, start: FloatArray) -> FloatArray:
+    """Nesterov's projected gradients, restarted where they turn uphill (O'Donoghue and Candes 2015)."""
+    step = 1.0 / max(float(np.abs(problem.gram).sum(axis=1).max()), np.finfo(np.float64).tiny)
+    shares, ahead, momentum = start, start, 1.0
+    for _ in range(_GRADIENTS):
+        moved = _projected((ahead - step * problem.slopes(ahead)).reshape(-1, problem.sources)).ravel()
+        if (ahead - moved) @ (moved - shares) > 0:
+            momentum = 1.0
+        following = (1.0 + np.sqrt(1.0 + 4.0 * momentum**2)) / 2.0
+        ahead = moved + (momentum - 1.0) / following * (moved - shares)
+        shares, momentum = moved, following
+    return shares
+
+
+def _solve(problem: _Problem, start: FloatArray) -> tuple[FloatArray, int]:
+    """The minimum of a strictly convex problem by active sets from `start`, and the number of systems solved."""
+    shares, free, released = start.copy(), start > 0, -1
+    for count in range(1, 100 + 20 * len(start)):
+        target = _face_minimum(problem, free)
+        below = np.flatnonzero(free & (target < 0))
+        if len(below):
+            reach = shares[below] / (shares[below] - target[below])
+            hit = below[reach <= reach.min()]
+            shares = shares + reach.min() * (target - shares)
+            shares[hit], free[hit] = 0.0, False
+            if reach.min() <= 0 and released in hit:
+                return shares, count  # its slope was rounding
+            continue
+        shares = target
+        released, slope = _steepest(problem, shares, free)
+        if slope >= -_UPHILL:
+            return shares, count
+        free[released] = True
+    raise FitError("shares", f"no minimum found in {count} steps")
+
+
+def _face_minimum(problem: _Problem, free: BoolArray) -> FloatArray:
+    """The minimum (v,) over the `free` shares of any sign, groups summing to 1, the others 0."""
+    numbers = np.flatnonzero(free)
+    groups = len(free) // problem.sources
+    size = len(numbers)
+    system = np.zeros((size + groups, size + groups))
+    system[:size, :size] = problem.gram[np.ix_(numbers, numbers)]
+    sums = numbers // problem.sources == np.arange(groups)[:, None]
+    system[size:, :size], system[:size, size:] = sums, sums.T
+    try:
+        solved = np.linalg.solve(system, np.concatenate([problem.linear[numbers], np.ones(groups)]))
+    except np.linalg.LinAlgError as error:
+        raise FitError("shares", "no minimum found: a singular system") from error
+    target = np.zeros(len(free))
+    target[numbers] = solved[:size]
+    return target
+
+
+def _steepest(problem: _Problem, shares: FloatArray, free: BoolArray) -> tuple[int, float]:
+    """The share held at 0 whose slope is the furthest below those of the free shares of its group, and how far."""
+    slopes = problem.slopes(shares).reshape(-1, problem.sources)
+    inside = free.reshape(slopes.shape)
+    level = np.where(inside, slopes, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+    above = np.where(inside, np.inf, slopes - level[:, None]).ravel()
+    steepest = int(above.argmin())
+    return steepest, float(above[steepest])
