@@ -1,0 +1,57 @@
+"""Blends faces of one topology in the gradient domain, with regions, expressions and rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from facepipe.parts import Recipe
+from facepipe.processors.blend.options import BlendOptions
+from facepipe.processors.blend.quality import BlendReport, measure
+from facepipe.processors.blend.result import result_parts
+from facepipe.processors.blend.session import BlendSession
+from facepipe.processors.blend.weights import Weights
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.tokens import SEAM_RESIDUAL
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blend:
+    """Edge vectors of K faces, mixed by region, and the points that fit them best.
+
+    Source: the gradient-domain face blending document, claims 1-10, S601-S606'. Its incidence matrix holds 1 at both
+    ends of an edge, which can't satisfy ``M x = D``; here rows hold -1 and +1.
+
+    >>> with sources[0].deriving("blended.usda") as face:
+    ...     report = Blend(weights=Weights(regions={"eyes": (0.8, 0.2)}))(face, sources)
+    """
+
+    weights: Weights = field(default_factory=Weights)
+    options: BlendOptions = field(default_factory=BlendOptions)
+
+    def __call__(
+        self,
+        face: Face,
+        sources: Sequence[Face] | BlendSession,
+        *,
+        recipe: Recipe | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> BlendReport:
+        """Blend and author the result on `face`, which stands over the first source.
+
+        :param sources: the faces, or a session over them, whose options win
+        :param recipe: authored with the result
+        :param done: called after every sculpt
+        :raises InputError, TopologyError: sources, weights or options that can't be blended; nothing is authored then
+        """
+        start = time.perf_counter()
+        session = sources if isinstance(sources, BlendSession) else BlendSession(sources, self.options)
+        solution = session.solve(self.weights, done)
+        report, residual = measure(session, solution)
+        parts = result_parts(session, solution)
+        if recipe is not None:
+            parts = replace(parts, recipe=recipe)
+        authored = author_changes(face, parts, primvars={SEAM_RESIDUAL: residual})
+        return replace(report, authored=authored, seconds=time.perf_counter() - start)

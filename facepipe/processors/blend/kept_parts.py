@@ -1,0 +1,100 @@
+"""Parts that keep their shape: eyeballs stay round, teeth rigid up to scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.similarity import fit_similarities
+from facepipe.names import select
+from facepipe.processors.blend.mixing import mix, sums
+from facepipe.processors.blend.network import Network
+from facepipe.processors.blend.sources import Sources
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+CONCENTRIC = 0.25  # components whose centres lie this close, in radii of the larger, are one part: iris, lens and ball
+
+
+@dataclass(frozen=True)
+class KeptParts:
+    """Loose parts and their shapes in the sources, each moved onto the base's by a similarity."""
+
+    points: IntArray  # (p,) into all points
+    part: IntArray  # (p,) number of the part, from 0
+    shapes: FloatArray  # (K, p, 3)
+
+    def fit(self, solved: FloatArray, shares: FloatArray) -> FloatArray:
+        """(p, 3) the parts' mean shape under their shares, moved by similarities nearest to the solved points.
+
+        :param solved: (n, 3) all points
+        :param shares: (n, K) of all points
+        """
+        if not len(self.points):
+            return np.zeros((0, 3))
+        counts = np.bincount(self.part)
+        own = sums(self.part, shares[self.points], len(counts)) / counts[:, None]
+        shape = mix(own[self.part], self.shapes)
+        return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
+
+    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, moving: npt.NDArray[np.bool_]) -> None:
+        """Replace, in `offsets` (n, 3), those of every part that moves as a whole by the nearest similarity's.
+
+        A part with static points stays as solved: they must not move.
+        """
+        if not len(self.points):
+            return
+        still = np.bincount(self.part, ~moving[self.points], minlength=int(self.part.max()) + 1) > 0
+        chosen = ~still[self.part]
+        points, numbers = self.points[chosen], np.unique(self.part[chosen], return_inverse=True)[1].ravel()
+        if len(points):
+            start = neutral[points]
+            fitted = fit_similarities(start, start + offsets[points], numbers).apply(start, numbers)
+            offsets[points] = fitted - start
+
+
+def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
+    """The loose parts of the meshes whose names `globs` match.
+
+    :raises InputError: a glob that matches no mesh
+    """
+    names = tuple(mesh.name for mesh in sources.base.meshes)
+    chosen = _default(names) if globs == "auto" else select(names, globs, "keep_shape")
+    ranges = dict(zip(names, zip(sources.mesh_offsets[:-1], sources.mesh_offsets[1:], strict=True), strict=True))
+    points = np.concatenate([np.zeros(0, np.int64), *(np.arange(*ranges[name]) for name in chosen)])
+    points = points[~network.main[points]]
+    mesh = np.searchsorted(sources.mesh_offsets, points, side="right")
+    part = _merge_concentric(sources.points[0, points], network.component[points], mesh)
+    if not len(points):
+        return KeptParts(points, part, np.zeros((len(sources.points), 0, 3)))
+    base = sources.points[0, points]
+    aligned = [fit_similarities(own[points], base, part).apply(own[points], part) for own in sources.points]
+    return KeptParts(points, part, np.stack(aligned))
+
+
+def _default(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Meshes that are eyeballs or teeth by their names."""
+    words = ("eyeball", "teeth", "tooth")
+    return tuple(
+        name for name in names if any(word in name.lower() for word in words) or name in ("EyeLeft", "EyeRight")
+    )
+
+
+def _merge_concentric(points: FloatArray, component: IntArray, mesh: IntArray) -> IntArray:
+    """(p,) part numbers from 0: the components, those about one centre in one mesh as one."""
+    numbers, first, place = np.unique(component, return_index=True, return_inverse=True)
+    place = place.ravel()
+    counts = np.bincount(place, minlength=len(numbers))
+    centres = sums(place, points, len(numbers)) / np.maximum(counts, 1)[:, None]
+    radii = np.zeros(len(numbers))
+    np.maximum.at(radii, place, np.linalg.norm(points - centres[place], axis=1))
+    owner = np.arange(len(numbers))
+    for number in np.argsort(-radii, kind="stable"):
+        if owner[number] == number:
+            near = np.linalg.norm(centres - centres[number], axis=1) <= CONCENTRIC * radii[number]
+            near &= (mesh[first] == mesh[first[number]]) & (owner == np.arange(len(numbers))) & (radii <= radii[number])
+            owner[near] = number
+    return np.unique(owner[place], return_inverse=True)[1].ravel()

@@ -1,0 +1,76 @@
+"""Weights that best explain a target: the document's adjusting step (claim 10), turned round."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.differences import edge_vectors
+from facepipe.geometry.simplex_fit import fit_simplex
+from facepipe.processors.blend.mixing import mean_of_ends
+from facepipe.processors.blend.session import BlendSession
+from facepipe.processors.blend.sources import stack
+from facepipe.processors.blend.weights import Weights
+from facepipe.reports import Report
+from facepipe.stage import Face
+
+FloatArray = npt.NDArray[np.floating]
+
+PRIOR = 1e-9  # pull towards even weights, relative to the largest curvature: decides only what the target leaves open
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchReport(Report):
+    """Weights found for a target, and how near the blended edges come to the target's."""
+
+    weights: Weights
+    rms_mm: float
+    max_mm: float
+
+
+def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None = None) -> MatchReport:
+    """The region weights, 0 or more and summing to 1, whose blend is nearest to `target`.
+
+    A blend is linear in its weights, so the least squares over all edge vectors is a small convex problem. Parts that
+    keep their shape are left out of it. Neither the place of the target nor its shapes matter.
+
+    :param target: a face of the sources' topology
+    :param locked: region -> number of the source (from 1) that it stays with
+    :raises TopologyError, InputError: another topology, or locks that don't fit
+    """
+    net, count = session.network, len(session.sources.points)
+    (_, wanted) = stack([session.faces[0], target]).points
+    edges = net.edges[~np.isin(net.edges, session.kept.points).any(axis=1)]
+    goal = edge_vectors(wanted, edges).ravel()
+    basis = np.stack([edge_vectors(points, edges).ravel() for points in _responses(session)], axis=1)
+    rows = len(net.regions) + 1
+    locks = {net.regions.index(name): np.eye(count)[number - 1] for name, number in _checked(session, locked).items()}
+    fitted = fit_simplex(
+        basis.T @ basis, basis.T @ goal, rows, count, prior=np.full((rows, count), 1 / count), locked=locks, ridge=PRIOR
+    )
+    off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
+    table = [tuple(map(float, row)) for row in fitted.weights]
+    weights = Weights(
+        regions=dict(zip(net.regions, table[:-1], strict=True)), default=table[-1], locked=dict(locked or {})
+    )
+    return MatchReport(weights=weights, rms_mm=float(np.sqrt((off**2).mean())), max_mm=float(off.max(initial=0.0)))
+
+
+def _responses(session: BlendSession) -> list[FloatArray]:
+    """(n, 3) points that each region's whole weight on each source gives, region by region, with the anchor at 0."""
+    net, found = session.network, []
+    bridges = net.bridges
+    for mask in net.masks:
+        along = mean_of_ends(mask[:, None], net.edges[:, 0], net.edges[:, 1])
+        across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
+        for edge, bridge in zip(session.edge_vectors, session.bridge_vectors, strict=True):
+            found.append(session.system.solve(along * edge, across * bridge, np.zeros(3)))
+    return found
+
+
+def _checked(session: BlendSession, locked: Mapping[str, int] | None) -> Mapping[str, int]:
+    Weights(locked=locked or {}).shares(session.network.regions, len(session.sources.points))
+    return locked or {}

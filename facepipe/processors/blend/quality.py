@@ -1,0 +1,143 @@
+"""How good a blend is: what the report says, in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.differences import edge_vectors
+from facepipe.geometry.flips import flipped_triangles
+from facepipe.processors.blend.mixing import mix
+from facepipe.processors.blend.session import BlendSession, Solution
+from facepipe.reports import Report
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deviation:
+    """Lengths of the differences between solved edge vectors and the blended ones that were asked for."""
+
+    edges: int
+    mean_mm: float
+    rms_mm: float
+    p95_mm: float
+    p99_mm: float
+    max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeQuality:
+    """One sculpt of the result."""
+
+    moving: int  # points
+    static: int  # points that are the blended neutral's to the bit
+    deviation: Deviation  # over the edges at moving points
+    border_step_mm: float  # the largest deviation over edges between static and moving points
+    flipped_triangles: int  # at weight 1, against the same mix of the sources' expressions
+    largest_offset_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlendReport(Report):
+    """What a blend did and how good it is."""
+
+    sources: tuple[str, ...]
+    points: int
+    loose_parts: int  # connected components beside the one that holds the anchor
+    kept_parts: int  # those of them that keep their shape
+    weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # as used: normalised, per source
+    deviation: Deviation
+    regions: Mapping[str, Deviation] = field(default_factory=dict)  # edges by the region that most of them is in
+    shapes: Mapping[str, ShapeQuality] = field(default_factory=dict)
+    flipped_triangles: int = 0  # of the neutral, against the mean of the sources
+    skipped: tuple[str, ...] = ()  # shapes that some source lacks
+    transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
+    authored: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, FloatArray]:
+    """The report of a solution, and the seam residual (n,): RMS deviation of the edges at each point, mm."""
+    sources, net, neutral = session.sources, session.network, solution.neutral
+    lengths = _lengths(edge_vectors(neutral.points, net.edges) - neutral.wanted, sources.mm_per_unit)
+    region = np.argmax(net.masks[:, net.edges[:, 0]] + net.masks[:, net.edges[:, 1]], axis=0)
+    names = (*net.regions, "default")
+    mean = mix(neutral.shares, sources.points)
+    report = BlendReport(
+        sources=sources.names,
+        points=len(mean),
+        loose_parts=len(np.unique(net.component)) - 1,
+        kept_parts=len(np.unique(session.kept.part)),
+        weights={name: tuple(map(float, row)) for name, row in zip(names, neutral.table, strict=True)},
+        deviation=_deviation(lengths),
+        regions={name: _deviation(lengths[region == i]) for i, name in enumerate(names) if (region == i).any()},
+        shapes={sculpt.name: _shape(session, solution, number, mean) for number, sculpt in enumerate(solution.sculpts)},
+        flipped_triangles=int(flipped_triangles(mean, neutral.points, net.triangles).sum()),
+        skipped=session.skipped,
+        transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
+        warnings=(*sources.warnings, *neutral.notes, *_warnings(session)),
+    )
+    return report, _at_points(lengths, net.edges, len(mean))
+
+
+def _shape(session: BlendSession, solution: Solution, number: int, mean: FloatArray) -> ShapeQuality:
+    net, sculpt, mm = session.network, solution.sculpts[number], session.sources.mm_per_unit
+    expression, neutral = session.expression(number), solution.neutral
+    moving = np.zeros(len(mean), dtype=bool)
+    moving[sculpt.points] = True
+    offsets = np.zeros(mean.shape)
+    offsets[sculpt.points] = solution.offsets[number]
+    ends = net.edges[expression.edges]
+    lengths = _lengths(edge_vectors(offsets, ends) - expression.wanted(neutral), mm)
+    border = moving[ends[:, 0]] != moving[ends[:, 1]]
+    touched = net.triangles[moving[net.triangles].any(axis=1)]
+    expected = mean.copy()
+    expected[sculpt.points] += mix(neutral.shares[sculpt.points], sculpt.offsets)
+    return ShapeQuality(
+        moving=len(sculpt.points),
+        static=len(mean) - len(sculpt.points),
+        deviation=_deviation(lengths[moving[ends].any(axis=1)]),
+        border_step_mm=float(lengths[border].max(initial=0.0)),
+        flipped_triangles=int(flipped_triangles(expected, neutral.points + offsets, touched).sum()),
+        largest_offset_mm=float(_lengths(solution.offsets[number], mm).max(initial=0.0)),
+    )
+
+
+def _warnings(session: BlendSession) -> list[str]:
+    lines = []
+    if len(session.sources.points) == 1:
+        lines.append("one source: the result is that face")
+    short = _lengths(edge_vectors(session.sources.points, session.network.edges), 1.0)
+    count = int((short <= 0).any(axis=0).sum())
+    if count:
+        lines.append(f"{count} edges without length in some source: they stay as short as their blended vectors")
+    return lines
+
+
+def _lengths(vectors: FloatArray, mm_per_unit: float) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=-1) * mm_per_unit)
+
+
+def _deviation(lengths: FloatArray) -> Deviation:
+    if not len(lengths):
+        return Deviation(edges=0, mean_mm=0.0, rms_mm=0.0, p95_mm=0.0, p99_mm=0.0, max_mm=0.0)
+    p95, p99 = np.percentile(lengths, [95, 99])
+    return Deviation(
+        edges=len(lengths),
+        mean_mm=float(lengths.mean()),
+        rms_mm=float(np.sqrt((lengths**2).mean())),
+        p95_mm=float(p95),
+        p99_mm=float(p99),
+        max_mm=float(lengths.max()),
+    )
+
+
+def _at_points(lengths: FloatArray, edges: IntArray, count: int) -> FloatArray:
+    ends = edges.ravel()
+    squares = np.bincount(ends, np.repeat(lengths**2, 2), minlength=count)
+    return np.sqrt(squares / np.maximum(np.bincount(ends, minlength=count), 1))

@@ -1,0 +1,150 @@
+"""The blended face as parts: the base with everything that a solution changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.polygons import point_triangles
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider
+from facepipe.processors.blend.animations import rebase_animations
+from facepipe.processors.blend.normals import blend_normals, normal_offsets
+from facepipe.processors.blend.session import BlendSession, Solution
+from facepipe.processors.blend.skeletons import blend_skeletons
+from facepipe.processors.blend.skins import blend_skins, joint_map
+from facepipe.processors.blend.sources import Sources
+from facepipe.rig import mesh_spaces
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
+    """The base's parts with blended points, normals, shapes, skin weights, joints, and clips re-based on them.
+
+    Sliders, bone limits, landmarks, regions, UVs and materials are the base's; sliders and clips lose the shapes that
+    were skipped.
+    """
+    sources, neutral = session.sources, solution.neutral
+    base = sources.base
+    meshes = tuple(_mesh(sources, solution, number) for number in range(len(base.meshes)))
+    skeleton = blend_skeletons(
+        [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
+    )
+    gone = set(session.skipped)
+    return replace(
+        base,
+        meshes=meshes,
+        skeleton=skeleton,
+        animations=tuple(
+            _without_tracks(one, gone) for one in rebase_animations(base.animations, base.skeleton, skeleton)
+        ),
+        sliders=tuple(_without_shapes(one, gone) for one in base.sliders),
+    )
+
+
+def _skin(sources: Sources, shares: FloatArray, number: int) -> Skin | None:
+    base = sources.base.skeleton.joints
+    maps = [
+        joint_map(parts.skeleton.joints, base, name) for name, parts in zip(sources.names, sources.parts, strict=True)
+    ]
+    return blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, maps)
+
+
+def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
+    meshes = [parts.meshes[number] for parts in sources.parts]
+    base, own = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
+    back = np.linalg.inv(mesh_spaces(sources.base)[number])
+    points = solution.neutral.points[own] @ back[:3, :3].T + back[:3, 3]
+    shares = solution.neutral.shares[own]
+    return replace(
+        base,
+        points=points,
+        normals=_normals(sources, shares, number),
+        skin=_skin(sources, shares, number),
+        blendshapes=_blendshapes(meshes, points, solution, own, back[:3, :3]),
+    )
+
+
+def _normals(sources: Sources, shares: FloatArray, number: int) -> FloatArray | None:
+    base = sources.base.meshes[number]
+    if base.normals is None:
+        return None
+    corners = base.face_vertex_indices
+    found: list[FloatArray | None] = []
+    back = np.linalg.inv(mesh_spaces(sources.base)[number])[:3, :3]
+    for parts, to_base in zip(sources.parts, sources.to_base, strict=True):
+        own = parts.meshes[number].normals
+        if own is not None and len(own) != len(base.normals):  # per point where the base has them per corner
+            own = own[corners] if len(base.normals) == len(corners) else None
+        turn = back @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
+        found.append(None if own is None else own @ np.linalg.inv(turn))  # rows: the inverse transpose
+    rows = shares if len(base.normals) == len(shares) else shares[corners]
+    return blend_normals(found, rows)
+
+
+def _blendshapes(
+    meshes: list[Mesh], points: FloatArray, solution: Solution, own: slice, linear: FloatArray
+) -> tuple[Blendshape, ...]:
+    """The shapes of one mesh, in the order of the base."""
+    triangles = point_triangles(meshes[0].face_vertex_counts, meshes[0].face_vertex_indices)
+    with_normals = {shape.name for mesh in meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
+    collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
+    for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
+        inside = slice(*np.searchsorted(sculpt.points, [own.start, own.stop]))
+        local = (sculpt.points[inside] - own.start, offsets[inside] @ linear.T)
+        collected.setdefault(sculpt.shape, {})[sculpt.weight, sculpt.inbetween] = local
+    shapes = []
+    for name, sculpts in collected.items():
+        indices = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
+        if len(indices):
+            spread = {key: _spread(indices, *sculpt) for key, sculpt in sculpts.items()}
+            shapes.append(_shape(name, indices, spread, (points, triangles) if name in with_normals else None))
+    return tuple(shapes)
+
+
+def _spread(indices: IntArray, places: IntArray, offsets: FloatArray) -> FloatArray:
+    """(k, 3) offsets at `indices`, 0 where the sculpt moves nothing."""
+    full = np.zeros((len(indices), 3))
+    full[np.searchsorted(indices, places)] = offsets
+    return full
+
+
+def _shape(
+    name: str,
+    indices: IntArray,
+    sculpts: Mapping[tuple[float, str | None], FloatArray],
+    surface: tuple[FloatArray, IntArray] | None,
+) -> Blendshape:
+    def normals(offsets: FloatArray) -> FloatArray | None:
+        if surface is None:
+            return None
+        points, triangles = surface
+        moved = points.copy()
+        moved[indices] += offsets
+        return normal_offsets(points, moved, triangles, indices)
+
+    inbetweens = tuple(
+        Inbetween(name=own, weight=weight, offsets=offsets, normal_offsets=normals(offsets))
+        for (weight, own), offsets in sculpts.items()
+        if own is not None
+    )
+    whole = sculpts[1.0, None]
+    return Blendshape(
+        name=name, point_indices=indices, offsets=whole, normal_offsets=normals(whole), inbetweens=inbetweens
+    )
+
+
+def _without_shapes(slider: Slider, gone: Iterable[str]) -> Slider:
+    return replace(slider, shapes=tuple(one for one in slider.shapes if one[0] not in gone))
+
+
+def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:
+    kept = [number for number, name in enumerate(animation.shapes) if name not in gone]
+    if len(kept) == len(animation.shapes) or animation.shape_weights is None:
+        return animation
+    names = tuple(animation.shapes[number] for number in kept)
+    return replace(animation, shapes=names, shape_weights=animation.shape_weights[:, kept])

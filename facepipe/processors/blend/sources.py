@@ -1,0 +1,118 @@
+"""The faces to blend, stacked as arrays in the space of the first one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.parts import FaceParts, Mesh
+from facepipe.rig import Rig, build
+from facepipe.stage import Face
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """K faces of one topology; the first is the base: the result is made over it, in its units, axes and mesh order.
+
+    Points of all meshes stand one after another. "Bind space" is the base's skeleton space at bind time.
+    """
+
+    names: tuple[str, ...]  # where each comes from, for messages
+    parts: tuple[FaceParts, ...]  # meshes in the order of the base
+    rigs: tuple[Rig, ...]
+    to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units and up axis
+    points: FloatArray  # (K, n, 3) neutral points in bind space
+    mm_per_unit: float  # of the base
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def base(self) -> FaceParts:
+        """The first source."""
+        return self.parts[0]
+
+    @property
+    def mesh_offsets(self) -> IntArray:
+        """(meshes + 1,) first point of each mesh, and the count."""
+        return self.rigs[0].mesh_offsets
+
+
+def stack(faces: Sequence[Face]) -> Sources:
+    """Read the faces.
+
+    :raises InputError: no face, or one that can't be read
+    :raises TopologyError: meshes that differ, with the first difference
+    """
+    if not faces:
+        raise InputError("sources", "none given, expected at least one face")
+    names = tuple(face.where.partition(" -> ")[0] for face in faces)
+    base = faces[0].parts()
+    if not any(len(mesh.points) for mesh in base.meshes):
+        raise TopologyError(names[0], "has no points, expected a face with meshes")
+    parts, warnings = [base], []
+    for name, face in zip(names[1:], faces[1:], strict=True):
+        other = face.parts()
+        parts.append(_in_order(base, names[0], other, name))
+        extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
+        if extra:
+            warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
+    rigs = tuple(build(one) for one in parts)
+    to_base = np.array([_to_base(one, base) for one in parts])
+    moved = [rig.points @ matrix[:3, :3].T + matrix[:3, 3] for rig, matrix in zip(rigs, to_base, strict=True)]
+    return Sources(
+        names=names,
+        parts=tuple(parts),
+        rigs=rigs,
+        to_base=to_base,
+        points=np.stack(moved),
+        mm_per_unit=base.meters_per_unit * 1000.0,
+        warnings=tuple(warnings),
+    )
+
+
+def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
+    turn = np.eye(4)
+    if parts.up_axis != base.up_axis:
+        turn = _Z_TO_Y if parts.up_axis == "Z" else _Z_TO_Y.T
+    scale = parts.meters_per_unit / base.meters_per_unit
+    return np.asarray(np.diag([scale, scale, scale, 1.0]) @ turn)
+
+
+def _in_order(base: FaceParts, base_name: str, other: FaceParts, name: str) -> FaceParts:
+    """`other` with the meshes of `base`, in its order."""
+    own = {mesh.name: mesh for mesh in other.meshes}
+    for mesh in base.meshes:
+        if mesh.name not in own:
+            found = ", ".join(own) or "none"
+            raise TopologyError(name, f"no mesh '{mesh.name}', expected the meshes of {base_name}; it has {found}")
+        _check_topology(f"{name} -> {mesh.name}", own[mesh.name], mesh, base_name)
+    return replace(other, meshes=tuple(own[mesh.name] for mesh in base.meshes))
+
+
+def _check_topology(where: str, mesh: Mesh, base: Mesh, base_name: str) -> None:
+    """:raises TopologyError: the first count or face in which `mesh` is not like `base`"""
+    for what, own, expected in (
+        ("points", len(mesh.points), len(base.points)),
+        ("faces", len(mesh.face_vertex_counts), len(base.face_vertex_counts)),
+    ):
+        if own != expected:
+            raise TopologyError(where, f"{own:,} {what}, expected {expected:,} as in {base_name}")
+    counts = np.flatnonzero(mesh.face_vertex_counts != base.face_vertex_counts)
+    if len(counts):
+        face = counts[0]
+        own, expected = int(mesh.face_vertex_counts[face]), int(base.face_vertex_counts[face])
+        raise TopologyError(where, f"face {face} has {own} corners, expected {expected} as in {base_name}")
+    corners = np.flatnonzero(mesh.face_vertex_indices != base.face_vertex_indices)
+    if len(corners):
+        corner = corners[0]
+        face = int(np.searchsorted(np.cumsum(base.face_vertex_counts), corner, side="right"))
+        own, expected = int(mesh.face_vertex_indices[corner]), int(base.face_vertex_indices[corner])
+        raise TopologyError(where, f"face {face} uses point {own}, expected point {expected} as in {base_name}")

@@ -1,0 +1,85 @@
+"""Who gives how much where: weights per region and source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+
+
+class Shares(NamedTuple):
+    """Shares (regions + 1, sources), each row summing to 1, the default row last, and what the user should know."""
+
+    table: FloatArray
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Weights of the K sources, one per source, in their order.
+
+    :param regions: region name -> K weights, at least 0 and not all 0; they are normalised to sum 1
+    :param default: K weights of every region not named, and of points in no region; None: all the same
+    :param gains: K factors, one per source, on its weights everywhere
+    :param locked: region name -> number of a source (from 1) that it takes whole, whatever its weights say
+    """
+
+    regions: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    default: Sequence[float] | None = None
+    gains: Sequence[float] | None = None
+    locked: Mapping[str, int] = field(default_factory=dict)
+
+    def shares(self, regions: Sequence[str], sources: int) -> Shares:
+        """The normalised shares of the face's `regions`.
+
+        :raises InputError: an unknown region, a wrong number of weights, or weights that can't be normalised
+        """
+        for name in (*self.regions, *self.locked):
+            if name not in regions:
+                expected = ", ".join(regions) or "none: the first source has no regions"
+                raise InputError(f"weights -> {name}", f"no such region, expected one of {expected}")
+        gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)
+        default = np.ones(sources) if self.default is None else _checked("default", self.default, sources)
+        given = {name: _checked(name, row, sources) for name, row in self.regions.items()}
+        notes = [note for name, row in given.items() for note in _note(name, row)]
+        notes += _note("default", default) if self.default is not None else []
+        rows = [_normalised(name, given.get(name, default) * gains) for name in (*regions, "default")]
+        for name, number in self.locked.items():
+            rows[list(regions).index(name)] = _one_hot(name, number, sources)
+        return Shares(np.array(rows), tuple(notes))
+
+
+def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> FloatArray:
+    if len(values) != sources:
+        raise InputError(f"weights -> {name}", f"{len(values)} weights, expected {sources}, one per source")
+    for number, value in enumerate(values, 1):
+        if not math.isfinite(value) or value < 0:
+            raise InputError(f"weights -> {name} -> source {number}", f"weight {value}, expected a number of 0 or more")
+    return np.array(values, dtype=np.float64)
+
+
+def _normalised(name: str, row: FloatArray) -> FloatArray:
+    largest = row.max()
+    if not largest > 0:
+        raise InputError(f"weights -> {name}", "all weights are 0, expected one above 0")
+    row = row / largest  # sums of huge weights would overflow
+    return np.asarray(row / row.sum())
+
+
+def _note(name: str, row: FloatArray) -> list[str]:
+    total = float(row.sum())
+    return [] if abs(total - 1.0) < 1e-6 else [f"weights of {name} sum to {total:g}, normalised to 1"]
+
+
+def _one_hot(name: str, number: int, sources: int) -> FloatArray:
+    if not (isinstance(number, int) and 1 <= number <= sources):
+        raise InputError(f"lock -> {name}", f"source {number}, expected a number from 1 to {sources}")
+    return np.asarray(np.eye(sources)[number - 1])
