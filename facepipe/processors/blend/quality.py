@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.flips import flipped_triangles
+from facepipe.processors.blend.lids import LidContact, lid_contacts
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.session import BlendSession, Solution
 from facepipe.reports import Report
@@ -54,6 +55,7 @@ class BlendReport(Report):
     deviation: Deviation
     regions: Mapping[str, Deviation] = field(default_factory=dict)  # edges by the region that most of them is in
     shapes: Mapping[str, ShapeQuality] = field(default_factory=dict)
+    lids: Mapping[str, LidContact] = field(default_factory=dict)  # by eyeball mesh
     flipped_triangles: int = 0  # of the neutral, against the mean of the sources
     skipped: tuple[str, ...] = ()  # shapes that some source lacks
     transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
@@ -77,6 +79,7 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
         deviation=_deviation(lengths),
         regions={name: _deviation(lengths[region == i]) for i, name in enumerate(names) if (region == i).any()},
         shapes={sculpt.name: _shape(session, solution, number, mean) for number, sculpt in enumerate(solution.sculpts)},
+        lids=lid_contacts(session, solution),
         flipped_triangles=int(flipped_triangles(mean, neutral.points, net.triangles).sum()),
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
