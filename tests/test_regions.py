@@ -153,6 +153,16 @@ def test_a_shrunken_map_reads_as_the_mean_of_the_fine_one() -> None:
     assert np.abs(masks_at(coarse, centres) - expected).max() < 0.02
 
 
+def test_a_border_is_not_taken_for_a_region_whose_colour_lies_between() -> None:
+    """Red to blue over three texels, the middle one about the purple of a third region, which is elsewhere."""
+    purple, about = np.array((128, 0, 127), np.uint8), np.array((126, 2, 129), np.uint8)
+    colors = np.stack([RED, BLUE, purple])
+    image = solid((RED, RED, about, BLUE, BLUE, purple, purple, purple, about, purple))
+    masks = masks_at(image, [(0.25, 0.5), (0.85, 0.5)], colors, edge=1)
+    assert np.allclose(masks[0], (0.5, 0.5, 0), atol=0.02)
+    assert masks[1].tolist() == [0, 0, 1]
+
+
 def test_a_footprint_measures_area() -> None:
     image = COLORS[np.repeat((np.arange(64) >= 32).astype(int)[None], 64, axis=0)]
     u = np.linspace(0.3, 0.7, 41)
@@ -562,7 +572,7 @@ def test_a_mesh_without_uvs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     save_parts(bare, tmp_path / "tiny.usda")
     save(LEFT_RIGHT, tmp_path / "map.png")
     (tmp_path / "legend.json").write_text(json.dumps(GOOD))
-    assert "no UV set" in refuses(capsys, tmp_path, tmp_path / "tiny.usda")
+    assert "tiny.usda -> </Tiny> -> Head: no UV set" in refuses(capsys, tmp_path, tmp_path / "tiny.usda")
 
 
 def refuses(capsys: pytest.CaptureFixture[str], folder: Path, face: Path, *words: str) -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from, output_of
 from facepipe.cli.show import emit, table, warn
-from facepipe.errors import InputError
+from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -107,10 +107,14 @@ def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> i
         legend=read_legend(arguments.legend),
         mesh=arguments.mesh,
         uv_set=arguments.uv_set,
+        where=str(arguments.map),
         sampling=options_from(arguments, MapSampling),
     )
     with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        report = set_regions(face)
+        try:
+            report = set_regions(face)
+        except FacepipeError as error:  # the layer being made has no file yet: name its source
+            raise error.under(arguments.face) if error.where.startswith("<") else error from None
         author_recipe(face.prim, _recipe(arguments, set_regions, out))
         image = _draw(Face(face.stage, face.prim)) if picture else None
     if image is not None and picture is not None:
@@ -139,8 +143,10 @@ def _text(out: Path, picture: Path | None, report: RegionsReport) -> str:
     for one in report.meshes:
         facts = [f"{one.points} points"]
         facts += [f"{count} {what}" for count, what in ((one.outside, "outside the map"), (one.kept, "kept")) if count]
-        facts += [f"removed: {', '.join(one.removed)}"] if one.removed else []
-        lines += [f"{out} -> {one.mesh}: {'; '.join(facts)}", *([_table(one.regions)] if one.covered else [])]
+        if not one.covered:
+            facts += [f"all in {name}" for name, count in one.regions.items() if count.points]
+        facts += [f"removed: {', '.join(one.removed)}"] if one.removed and one.covered else []
+        lines += [f"{out} -> {one.mesh}: {', '.join(facts)}", *([_table(one.regions)] if one.covered else [])]
     return "\n".join([*lines, *([str(picture)] if picture else [])])
 
 
@@ -155,7 +161,7 @@ def _plain(regions: dict[str, RegionCount]) -> dict[str, Any]:
 
 def _recipe(arguments: argparse.Namespace, set_regions: SetRegions, out: Path) -> Recipe:
     from facepipe import __version__
-    from facepipe.importers.imported import digest
+    from facepipe.digests import digest
     from facepipe.parts import Recipe
     from facepipe.stage.files import relative_path
 

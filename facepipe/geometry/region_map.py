@@ -83,6 +83,7 @@ def region_masks(
     sampling: MapSampling,
     *,
     background: Image8 | None = None,
+    where: str = "region map",
 ) -> RegionMasks:
     """Masks of the regions whose colours a map shows at the points of a mesh.
 
@@ -97,6 +98,7 @@ def region_masks(
     :param face_vertex_counts: (faces,) corners of each face
     :param face_vertex_indices: (corners,) the corner's point
     :param background: (3,) a colour that is unpainted
+    :param where: the trail to the map for messages
     :raises InputError: a colour that the legend lacks, or an image or colours of another shape
     :raises TopologyError: lists of corners that don't fit each other
     """
@@ -107,7 +109,7 @@ def region_masks(
     lookup = _Lookup(image, palette)
     shares = lookup.sample(place[inside], sampling.footprint)
     if lookup.unknown:
-        raise _unknown_color(image, palette, lookup, points)
+        raise _unknown_color(where, image, palette, lookup, points)
     summed = np.stack([np.bincount(points, column, minlength=point_count) for column in shares.T], axis=1) + 0.0
     total = summed.sum(axis=1, keepdims=True)
     return RegionMasks(np.divide(summed, total, out=np.zeros_like(summed), where=total > 0), total[:, 0] > 0)
@@ -161,7 +163,7 @@ def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatA
     return np.clip(place, 0.0, 1.0), np.asarray(inside.all(axis=1))
 
 
-def _unknown_color(image: Image8, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
+def _unknown_color(where: str, image: Image8, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
     """The colour that hits the most points, with how many, where, and the nearest that the legend has."""
     texels, rows = (np.concatenate(group) for group in zip(*lookup.unknown, strict=True))
     colors, of_hit = np.unique(image.reshape(-1, image.shape[2])[texels, :3], axis=0, return_inverse=True)
@@ -173,7 +175,7 @@ def _unknown_color(image: Image8, palette: Palette, lookup: _Lookup, points: Int
     nearest = int(distance.argmin())
     more = f" ({len(colors)} such colours at {len(np.unique(pairs[1]))} points in all)" if len(colors) > 1 else ""
     return InputError(
-        f"region map -> texel {x}, {y}",
+        f"{where} -> texel {x}, {y}",
         f"colour {hex_color(colors[worst])} at {hits[worst]} points{more}, expected one of the legend: the nearest, "
         f"{hex_color(palette.colors[nearest])}, is {distance[nearest]:.0f} away, the tolerance {palette.tolerance:g}",
     )

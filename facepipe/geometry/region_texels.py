@@ -41,47 +41,68 @@ class Palette:
         rows = [self.colors.reshape(-1, 3), *([] if self.background is None else [self.background.reshape(1, 3)])]
         return np.concatenate(rows).astype(np.float64)
 
-    def labels(self, texels: Image8) -> IntArray:
-        """(m,) number of the nearest colour within the tolerance, k for unpainted, UNKNOWN; of (m, 3|4) texels."""
+    def labels(self, texels: Image8) -> tuple[IntArray, BoolArray]:
+        """Of (m, 3|4) texels: the nearest colour within the tolerance, k for unpainted or UNKNOWN; which are exact."""
         packed = texels.astype(np.uint32) @ (1 << 8 * np.arange(texels.shape[1], dtype=np.uint32))
         _, first, back = np.unique(packed, return_index=True, return_inverse=True)
         values = texels[first]
         distance = np.linalg.norm(values[:, None, :3].astype(np.float64) - self.known, axis=2)
-        label = distance.argmin(axis=1)
-        label[distance.min(axis=1) > self.tolerance] = UNKNOWN
+        label, least = distance.argmin(axis=1), distance.min(axis=1)
+        label[least > self.tolerance] = UNKNOWN
         if texels.shape[1] == 4:
             label[values[:, 3] < _OPAQUE] = len(self.colors)
-        return np.asarray(label[back.ravel()])
+            least[values[:, 3] < _OPAQUE] = 0.0
+        return label[back.ravel()], (least == 0)[back.ravel()]
 
 
 def texel_shares(image: Image8, texels: IntArray, palette: Palette) -> TexelShares:
     """What some texels of `image` (h, w, 3|4) say.
 
-    A colour within the tolerance of one of the palette is that one. Another must be a mix, within the tolerance, of
-    palette colours that lie at most `edge` texels away, as antialiasing makes it, and counts by its shares. An
-    unpainted texel takes the nearest painted ones at most `edge` texels away: maps often end where the UV island ends.
+    A colour of the palette is that one. Another is the nearest within the tolerance; but where that one is not found
+    at most `edge` texels away, and a mix of those that are is within the tolerance, it is the mix, as antialiasing
+    makes it, and counts by its shares: so a border is not taken for a region whose colour lies between. A colour that
+    is neither near one of the palette nor a mix is unknown. An unpainted texel takes the nearest painted ones at most
+    `edge` texels away: maps often end where the UV island ends.
 
     :param texels: (m,) numbers ``row * w + column``
     """
-    count = len(palette.colors)
-    label = palette.labels(image.reshape(-1, image.shape[2])[texels])
-    shares = np.eye(count + 1)[label]
-    unknown = label == UNKNOWN
-    unsure = np.flatnonzero(unknown | (label == count))
-    if not len(unsure) or palette.edge == 0:
-        shares[unknown] = 0.0
-        return TexelShares(shares[:, :count] * (label < count)[:, None], unknown)
-    around, distance = _neighbours(image.shape, texels[unsure], palette.edge)
-    distinct, back = np.unique(around, return_inverse=True)
-    near = palette.labels(image.reshape(-1, image.shape[2])[distinct])[back.reshape(around.shape)]
-    odd = unknown[unsure]
-    colors = image.reshape(-1, image.shape[2])[texels[unsure[odd]], :3]
-    shares[unsure[odd]], unknown[unsure[odd]] = _mixes(colors, near[odd], palette)
-    bare = ~unknown[unsure] & (shares[unsure, :count].sum(axis=1) <= 0)
-    shares[unsure[bare], :count] = _nearest(near[bare], distance[bare], count)
+    pixels, count = image.reshape(-1, image.shape[2]), len(palette.colors)
+    label, exact = palette.labels(pixels[texels])
+    shares = np.where(label[:, None] == UNKNOWN, 0.0, np.eye(count + 1)[label])
+    unsure = np.flatnonzero(~exact | (label == count))
+    if len(unsure) and palette.edge:
+        around, distance = _neighbours(image.shape, texels[unsure], palette.edge)
+        distinct, back = np.unique(around, return_inverse=True)
+        labels, pure = palette.labels(pixels[distinct])
+        near, sure = labels[back.reshape(around.shape)], pure[back.reshape(around.shape)]
+        shares[unsure] = _settled(pixels[texels[unsure], :3], label[unsure], exact[unsure], near, sure, palette)
+        bare = shares[unsure, count] >= 1
+        shares[unsure[bare], :count] = _nearest(near[bare], distance[bare], count)
+    unknown = shares.sum(axis=1) <= 0
     painted = shares[:, :count]
     total = painted.sum(axis=1, keepdims=True)
     return TexelShares(np.divide(painted, total, out=np.zeros_like(painted), where=total > 0), unknown)
+
+
+def _settled(
+    colors: Image8, label: IntArray, exact: BoolArray, near: IntArray, sure: BoolArray, palette: Palette
+) -> FloatArray:
+    """Shares (m, k + 1) of the palette's colours and the unpainted; rows of 0 are unknown.
+
+    :param label: (m,) as `Palette.labels` gives it, and `exact` (m,)
+    :param near: (m, s) labels around, and which are exact: `sure` (m, s)
+    """
+    known = label != UNKNOWN
+    shares = np.where(known[:, None], np.eye(len(palette.colors) + 1)[label], 0.0)
+    seen = ((near == label[:, None]) & sure).any(axis=1) & known
+    for choice in (np.where(sure, near, UNKNOWN), near):  # pure colours around, then those about right
+        open_ = np.flatnonzero(~exact & ~seen)
+        mixed = _mixes(colors[open_], choice[open_], palette)
+        found = mixed.any(axis=1)
+        shares[open_[found]] = mixed[found]
+        seen[open_[found]] = True
+        seen |= known  # the nearest colour goes before a mix of what is only about right
+    return shares
 
 
 def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[IntArray, IntArray]:
@@ -95,8 +116,8 @@ def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[In
     return rows * width + columns, squared
 
 
-def _mixes(colors: Image8, near: IntArray, palette: Palette) -> tuple[FloatArray, BoolArray]:
-    """Shares (m, k + 1) of the palette's colours and the background in `colors` (m, 3), and those that are no mix.
+def _mixes(colors: Image8, near: IntArray, palette: Palette) -> FloatArray:
+    """Shares (m, k + 1) of the palette's colours and the background in `colors` (m, 3); rows of 0 are no mix.
 
     :param near: (m, s) labels around each; only these colours can be mixed
     """
@@ -104,25 +125,24 @@ def _mixes(colors: Image8, near: IntArray, palette: Palette) -> tuple[FloatArray
     around = np.stack([(near == number).any(axis=1) for number in range(rows)], axis=1)
     cases, back = np.unique(np.column_stack([colors, around]), axis=0, return_inverse=True)
     found = np.zeros((len(cases), len(palette.colors) + 1))
-    off = np.zeros(len(cases), dtype=bool)
     for number, case in enumerate(cases):
-        found[number, :rows], off[number] = _mix(case[:3], np.flatnonzero(case[3:]), palette)
-    return found[back.ravel()], off[back.ravel()]
+        found[number, :rows] = _mix(case[:3], np.flatnonzero(case[3:]), palette)
+    return found[back.ravel()]
 
 
-def _mix(color: Image8, choice: IntArray, palette: Palette) -> tuple[FloatArray, bool]:
-    """Shares of the palette's rows `choice` in one colour, and whether their nearest mix is beyond the tolerance."""
+def _mix(color: Image8, choice: IntArray, palette: Palette) -> FloatArray:
+    """Shares of the palette's rows `choice` in one colour; 0 where their nearest mix is beyond the tolerance."""
     from scipy.optimize import nnls
 
     shares = np.zeros(len(palette.known))
     if not len(choice):
-        return shares, True
+        return shares
     known = palette.known[choice]
     system = np.vstack([known.T, np.full(len(choice), _SUM_WEIGHT)])
     parts, _ = nnls(system, np.append(color.astype(np.float64), _SUM_WEIGHT))
-    shares[choice] = parts
-    missed = bool(np.linalg.norm(parts @ known - color) > palette.tolerance)
-    return (np.zeros_like(shares) if missed else shares), missed
+    if np.linalg.norm(parts @ known - color) <= palette.tolerance:
+        shares[choice] = parts
+    return shares
 
 
 def _nearest(near: IntArray, squared: IntArray, count: int) -> FloatArray:

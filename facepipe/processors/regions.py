@@ -72,6 +72,7 @@ class SetRegions:
     legend: RegionLegend
     mesh: str | None = None
     uv_set: str | None = None
+    where: str = "region map"  # what messages call the image
     sampling: MapSampling = field(default_factory=MapSampling)
 
     def __call__(self, face: Face) -> RegionsReport:
@@ -123,19 +124,17 @@ class SetRegions:
         where = f"{face.where} -> {mesh.name}"
         uv = _uv_of(where, mesh, self.uv_set)
         background = self.legend.background
-        try:
-            shares, covered = region_masks(
-                self.image,
-                self.legend.color_array,
-                np.asarray(uv.values)[mesh.face_vertex_indices if uv.indices is None else uv.indices],
-                mesh.face_vertex_counts,
-                mesh.face_vertex_indices,
-                len(mesh.points),
-                self.sampling,
-                background=None if background is None else np.array(background, dtype=np.uint8),
-            )
-        except InputError as error:
-            raise error.under(where) from None
+        shares, covered = region_masks(
+            self.image,
+            self.legend.color_array,
+            np.asarray(uv.values)[mesh.face_vertex_indices if uv.indices is None else uv.indices],
+            mesh.face_vertex_counts,
+            mesh.face_vertex_indices,
+            len(mesh.points),
+            self.sampling,
+            background=None if background is None else np.array(background, dtype=np.uint8),
+            where=f"{self.where} -> {mesh.name}",
+        )
         masks: dict[str, FloatArray] = {name: np.zeros(len(mesh.points)) for name in self.legend.regions}
         for (_, name), column in zip(self.legend.colors, shares.T, strict=True):
             masks[name] += column
