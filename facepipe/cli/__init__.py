@@ -26,6 +26,7 @@ COMMANDS = {
     "render": "draw a face",
     "landmarks": "author named landmarks",
     "regions": "list regions, or author them from a painted map",
+    "blend": "mix faces of one topology by region, with shapes and rig",
     "schema-path": "print the folder of the USD schemas",
 }
 

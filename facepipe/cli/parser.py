@@ -27,15 +27,23 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
-def add_options(parser: argparse.ArgumentParser, options: type, title: str | None = None) -> None:
-    """A flag for every field of a frozen option dataclass; flags already there are shared."""
+def add_options(
+    parser: argparse.ArgumentParser, options: type, title: str | None = None, *, sparse: bool = False
+) -> None:
+    """A flag for every field of a frozen option dataclass; flags already there are shared.
+
+    :param sparse: arguments hold only the flags that were given
+    """
     group = parser.add_argument_group(title) if title else parser
     hints = typing.get_type_hints(options)
     for field in dataclasses.fields(options):
         flag = f"--{field.name.replace('_', '-')}"
         if flag in parser._option_string_actions:
             continue
-        group.add_argument(flag, dest=field.name, **_settings(field, hints[field.name]))
+        settings = _settings(field, hints[field.name])
+        if sparse:
+            settings["default"] = argparse.SUPPRESS
+        group.add_argument(flag, dest=field.name, **settings)
 
 
 def _settings(field: Any, hint: Any) -> dict[str, Any]:
@@ -84,8 +92,14 @@ def _reader(kind: Any) -> Any:
 
 
 def options_from(arguments: argparse.Namespace, options: type) -> Any:
-    """An instance of the option dataclass from parsed flags."""
-    return options(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(options)})
+    """An instance of the option dataclass from parsed flags; of flags that are not there the default."""
+    return options(**given_options(arguments, options))
+
+
+def given_options(arguments: argparse.Namespace, options: type) -> dict[str, Any]:
+    """Field -> value of the option dataclass for the flags that are there."""
+    names = [field.name for field in dataclasses.fields(options)]
+    return {name: getattr(arguments, name) for name in names if hasattr(arguments, name)}
 
 
 def add_output(parser: argparse.ArgumentParser, what: str, *, positional: bool = False) -> None:
@@ -118,6 +132,19 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
     if output.exists():
         _check_not_needed(output, inputs)
     return output
+
+
+def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path], out: Path | None = None) -> Path:
+    """The path of a picture drawn beside the output `out`, checked before any work.
+
+    :raises InputError: as `output_of`, no .png, or `out` itself
+    """
+    picture = output_of(argparse.Namespace(output=path, force=arguments.force), inputs)
+    if picture.suffix.lower() != ".png":
+        raise InputError(picture, f"suffix '{picture.suffix}', expected .png")
+    if out is not None and picture.absolute() == out.absolute():
+        raise InputError(picture, "is the output too, expected another file")
+    return picture
 
 
 def check_input(path: Path) -> None:

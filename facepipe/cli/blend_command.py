@@ -1,0 +1,131 @@
+"""Blend faces of one topology: the eyes of one, the mouth of another, with all shapes and the rig.
+
+OUT is an override layer over the first SOURCE. Weights are given per region, one per SOURCE, and normalised to sum 1;
+regions without weights take --default, or all sources alike. A file of weights holds what the flags say, which win:
+{"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"mouth": 2}}, or flat
+{"eyes": [0.8, 0.2], "default": [0.5, 0.5]}.
+
+The recipe stays on the result. --edit blends again from it, with what else the line says changed; without -o in place
+(with --force), so that anything else authored in that file is lost. --match finds the weights whose blend comes nearest
+to a target sculpt of the same topology.
+
+examples:
+  facepipe blend a.usda b.usda -o c.usda --set eyes=0.8,0.2 --set mouth=0.3,0.7 --default 0.5,0.5
+  facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
+  facepipe blend --edit c.usda --replace 2=other.usda -o d.usda
+  facepipe blend --match c.usda a.usda b.usda -o e.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.blend_request import Request, request_of
+from facepipe.cli.blend_text import as_text, match_text
+from facepipe.cli.parser import add_options
+from facepipe.cli.show import emit, progress, warn
+from facepipe.errors import FacepipeError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from facepipe.processors.blend import BlendReport, BlendSession, Weights
+    from facepipe.processors.blend.match import MatchReport
+    from facepipe.stage import Face
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.processors.blend import BlendOptions
+
+    add = parser.add_argument
+    add("sources", nargs="*", type=Path, metavar="SOURCE", help="face stages of one topology; the first is the base")
+    add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
+    add("--force", action="store_true", help="overwrite OUT, with --edit the result, and the picture")
+    add("--weights", type=Path, metavar="JSON", help="weights of a file")
+    add("--set", action="append", default=[], metavar="REGION=W,W,...", help="weights of a region; may be given again")
+    add("--default", metavar="W,W,...", help="weights of the regions without, and of points in none")
+    add("--gains", metavar="G,G,...", help="factors on the weights of each source, everywhere")
+    add("--lock", action="append", default=[], metavar="REGION=N", help="take a region whole from source N, from 1")
+    add("--unlock", action="append", default=[], metavar="REGION", help="weights of the region count again")
+    add("--edit", type=Path, metavar="RESULT", help="blend again from the recipe of a result")
+    add("--replace", action="append", default=[], metavar="N=FACE", help="with --edit: another face for source N")
+    add("--match", type=Path, metavar="TARGET", help="find the weights that come nearest to this face")
+    add("--heatmap", type=Path, metavar="PNG", help="draw the result, coloured by its seam residual")
+    add("--flatten", action="store_true", help="write a standalone file")
+    add("--json", action="store_true", help="print the report as JSON")
+    add_options(parser, BlendOptions, "options", sparse=True)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Open, blend, report."""
+    import facepipe
+    from facepipe.processors.blend import BlendSession
+
+    request = request_of(arguments)
+    warn(request.warnings)
+    faces = [facepipe.open(path) for path in request.sources]
+    if request.target is None:
+        _check(request.weights, faces)
+    target = None if request.target is None else facepipe.open(request.target)
+    session = BlendSession(faces, request.options)
+    found = None if target is None else _match(session, target, request)
+    report = _blend(session, request, request.weights if found is None else found.weights)
+    warn(report.warnings)
+    text = [as_text(request.out, report)]
+    result = {"path": str(request.out), **json.loads(report.to_json())}
+    result["warnings"] = [*request.warnings, *result["warnings"]]
+    if found is not None:
+        text.insert(0, match_text(found, report.sources))
+        result["match"] = json.loads(found.to_json())
+    if request.picture is not None:
+        text.append(str(request.picture))
+        result["picture"] = str(request.picture)
+    emit(result, "\n".join(text), as_json=arguments.json)
+    return 0
+
+
+def _check(weights: Weights, faces: list[Face]) -> None:
+    """What the blend checks too, before the work that comes first there."""
+    regions = sorted({name for mesh in faces[0].meshes for name in mesh.regions})
+    weights.shares(regions, len(faces))
+
+
+def _match(session: BlendSession, target: Face, request: Request) -> MatchReport:
+    from facepipe.processors.blend.match import match
+
+    found = match(session, target, request.weights.locked)
+    warn(found.warnings)
+    return found
+
+
+def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendReport:
+    """Blend, author, save; the picture is drawn before anything is saved."""
+    from facepipe.processors.blend import Blend
+    from facepipe.processors.blend.recipe import blend_recipe
+    from facepipe.render import save_png
+    from facepipe.stage import Face
+
+    recipe = blend_recipe(request.sources, request.out, weights, request.options)
+    blend = Blend(weights=weights, options=request.options)
+    base = session.faces[0]
+    with base.deriving(request.out, flatten=request.flatten) as face, progress("blend", len(session.sculpts)) as bar:
+        try:
+            report = blend(face, session, recipe=recipe, done=bar.update)
+        except FacepipeError as error:  # the layer being made has no file yet
+            raise error.under(request.out) if error.where.startswith("<") else error from None
+        image = None if request.picture is None else _draw(Face(face.stage, face.prim))
+    if image is not None and request.picture is not None:
+        save_png(image, request.picture)
+    return report
+
+
+def _draw(face: Face) -> Image:
+    from facepipe.render import HeatMap, PictureOptions, picture
+    from facepipe.tokens import SEAM_RESIDUAL
+
+    heatmap = HeatMap(values=face.primvar(SEAM_RESIDUAL), label="seam residual")
+    return picture(face.parts(), None, PictureOptions(heatmap=heatmap))

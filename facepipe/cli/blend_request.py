@@ -1,0 +1,170 @@
+"""What a `facepipe blend` line asks for: sources, weights, options, output, from flags, files and recipes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.parser import given_options, output_of, picture_of
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    from facepipe.processors.blend import BlendOptions, Weights
+    from facepipe.processors.blend.recipe import BlendRecipe
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A blend to make."""
+
+    sources: tuple[Path, ...]
+    weights: Weights
+    options: BlendOptions
+    out: Path
+    flatten: bool
+    target: Path | None  # find the weights that come nearest to it
+    picture: Path | None  # of the seam residual
+    warnings: tuple[str, ...] = ()
+
+
+def request_of(arguments: argparse.Namespace) -> Request:
+    """The request of parsed arguments; no face has been read.
+
+    :raises InputError: flags that don't go together, files that can't be read or written, weights of no meaning
+    """
+    from facepipe.options import check_ranges
+    from facepipe.processors.blend import BlendOptions
+    from facepipe.stage.files import check_suffix
+
+    _check_flags(arguments)
+    recipe = _recipe(arguments)
+    sources = recipe.sources if recipe else tuple(arguments.sources)
+    _check_sources(sources)
+    extra = [path for path in (arguments.weights, arguments.match) if path is not None]
+    out = _output(arguments, [*sources, *extra])
+    check_suffix(out)
+    inputs = [*sources, *extra, *([arguments.edit] if recipe else [])]
+    picture = None if arguments.heatmap is None else picture_of(arguments.heatmap, arguments, inputs, out)
+    options = replace(recipe.options if recipe else BlendOptions(), **given_options(arguments, BlendOptions))
+    check_ranges(options)
+    return Request(
+        sources=sources,
+        weights=_weights(arguments, recipe),
+        options=options,
+        out=out,
+        flatten=arguments.flatten or (recipe is not None and recipe.standalone),
+        target=arguments.match,
+        picture=picture,
+        warnings=recipe.warnings if recipe else (),
+    )
+
+
+def _check_flags(arguments: argparse.Namespace) -> None:
+    if arguments.edit is None and arguments.replace:
+        raise InputError("--replace", "given without --edit, expected both or neither")
+    if arguments.edit is None and not arguments.sources:
+        raise InputError("SOURCE", "none given, expected faces to blend (or --edit RESULT)")
+    if arguments.edit is not None and arguments.sources:
+        what = "given with --edit, expected the sources of its recipe (--replace N=FACE takes another)"
+        raise InputError(arguments.sources[0], what)
+    if arguments.match is not None:
+        for flag in ("edit", "weights", "set", "default", "gains", "unlock"):
+            if getattr(arguments, flag):
+                raise InputError(f"--{flag}", "given with --match, which finds the weights: expected only one of them")
+
+
+def _check_sources(sources: Sequence[Path]) -> None:
+    for number, path in enumerate(sources):
+        for other in sources[:number]:
+            if other == path or (other.exists() and path.exists() and other.samefile(path)):
+                raise InputError(path, "is a source twice, expected different faces")
+
+
+def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
+    edited: Path | None = arguments.edit
+    if edited is None or arguments.output is not None:
+        return output_of(arguments, [*inputs, *([edited] if edited else [])])
+    if not arguments.force:
+        raise InputError(edited, "would be written again, expected --force (or -o OUT)")
+    return output_of(argparse.Namespace(output=edited, force=True), inputs)
+
+
+def _recipe(arguments: argparse.Namespace) -> BlendRecipe | None:
+    from facepipe.processors.blend.recipe import read_blend_recipe
+
+    if arguments.edit is None:
+        return None
+    return read_blend_recipe(arguments.edit, dict(_replacement(word) for word in arguments.replace))
+
+
+def _replacement(word: str) -> tuple[int, Path]:
+    number, equals, path = word.partition("=")
+    if not (equals and path and number.isascii() and number.isdecimal() and len(number) < 7):
+        raise InputError(f"--replace {word}", "expected N=FACE, N the number of a source from 1")
+    return int(number), Path(path)
+
+
+def _weights(arguments: argparse.Namespace, recipe: BlendRecipe | None) -> Weights:
+    """The recipe's weights, over them those of the file, over them those of flags."""
+    from facepipe.processors.blend import Weights
+    from facepipe.processors.blend.weights_json import read_weights
+
+    weights = recipe.weights if recipe else Weights()
+    file = read_weights(arguments.weights) if arguments.weights else Weights()
+    for name in arguments.unlock:
+        if name not in weights.locked and name not in file.locked:
+            raise InputError(f"--unlock {name}", "is not locked")
+    flags = Weights(
+        regions=dict(_named(word) for word in arguments.set),
+        default=None if arguments.default is None else _numbers(arguments.default, f"--default {arguments.default}"),
+        gains=None if arguments.gains is None else _numbers(arguments.gains, f"--gains {arguments.gains}"),
+        locked=dict(_lock(word) for word in arguments.lock),
+    )
+    for name in flags.regions:
+        if name in flags.locked:
+            raise InputError(f"--set {name}", "is given with --lock, expected only one of them")
+    return _over(_over(weights, file, arguments.unlock), flags, arguments.unlock)
+
+
+def _over(weights: Weights, changes: Weights, unlocked: Sequence[str]) -> Weights:
+    """`weights` with those that `changes` has."""
+    locked = {name: number for name, number in weights.locked.items() if name not in unlocked}
+    for name in changes.regions:
+        if name in locked:
+            what = f"is locked to source {locked[name]}, expected no weights for it (or --unlock {name})"
+            raise InputError(f"weights -> {name}", what)
+    return replace(
+        weights,
+        regions={**weights.regions, **changes.regions},
+        default=weights.default if changes.default is None else changes.default,
+        gains=weights.gains if changes.gains is None else changes.gains,
+        locked={**locked, **changes.locked},
+    )
+
+
+def _named(word: str) -> tuple[str, tuple[float, ...]]:
+    name, equals, text = word.rpartition("=")
+    if not equals or not name:
+        raise InputError(f"--set {word}", "expected REGION=W,W,... with one number per source")
+    return name, _numbers(text, f"--set {word}")
+
+
+def _numbers(text: str, where: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(one) for one in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise InputError(where, "expected finite numbers with a comma between, one per source")
+    return values
+
+
+def _lock(word: str) -> tuple[str, int]:
+    name, equals, number = word.rpartition("=")
+    if not (equals and name and number.isascii() and number.isdecimal() and len(number) < 7):
+        raise InputError(f"--lock {word}", "expected REGION=N, N the number of a source from 1")
+    return name, int(number)

@@ -1,0 +1,127 @@
+"""The recipe of a blend: what it takes to blend again after a change."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from facepipe import __version__
+from facepipe.digests import digest
+from facepipe.errors import InputError, SchemaError
+from facepipe.options import from_json, to_json
+from facepipe.parts import Recipe
+from facepipe.processors.blend.options import BlendOptions
+from facepipe.processors.blend.weights import Weights
+from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
+from facepipe.stage.files import SUFFIXES, dependencies, relative_path
+from facepipe.stage.recipes import file_recipe
+
+VERB = "blend"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlendRecipe:
+    """A recipe read back: `Blend(weights=..., options=...)` on the opened `sources` makes the same face again."""
+
+    sources: tuple[Path, ...]  # absolute; files that are there
+    weights: Weights
+    options: BlendOptions
+    standalone: bool  # it was saved without reference to its base
+    warnings: tuple[str, ...] = ()  # sources that have changed since, one line each
+
+
+def blend_recipe(
+    paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str], weights: Weights, options: BlendOptions
+) -> Recipe:
+    """The recipe to author on a blend of the faces at `paths` that is saved as `out`.
+
+    Sources are written as seen from the folder of `out`; a digest covers every USD layer that its source stands on,
+    and no textures: they change no blend.
+
+    :raises InputError: a source can't be read
+    """
+    folder = Path(out).absolute().parent
+    return Recipe(
+        verb=VERB,
+        sources=tuple(relative_path(str(path), folder) for path in paths),
+        digests=tuple(source_digest(Path(path)) for path in paths),
+        options={"weights": weights_to_json(weights), "options": to_json(options)},
+        version=__version__,
+    )
+
+
+def read_blend_recipe(path: str | os.PathLike[str], replaced: Mapping[int, Path] | None = None) -> BlendRecipe:
+    """The recipe on the blended face of a USD file; its other layers may be lost.
+
+    :param replaced: number of a source, from 1 -> the file that takes its place
+    :raises InputError: no recipe of a blend, a source that is not where it was, or no such number in `replaced`
+    :raises SchemaError: a damaged recipe, or one of a newer facepipe
+    """
+    file, replaced = Path(path), replaced or {}
+    recipe, standalone = file_recipe(file)
+    if recipe is None:
+        raise InputError(file, "has no recipe, expected a face made by `facepipe blend`")
+    if recipe.verb != VERB:
+        raise InputError(file, f"has a recipe of '{recipe.verb[:40]}', expected a face made by `facepipe blend`")
+    where = f"{file} -> recipe"
+    _check_version(where, recipe.version)
+    weights, options = _settings(where, recipe.options)
+    sources = _sources(where, recipe, file.absolute().parent, replaced)
+    changed = [
+        f"{source.name} changed since {file.name} was made"
+        for number, (source, old) in enumerate(zip(sources, recipe.digests, strict=True), 1)
+        if number not in replaced and source_digest(source) != old
+    ]
+    return BlendRecipe(
+        sources=sources, weights=weights, options=options, standalone=standalone, warnings=tuple(changed)
+    )
+
+
+def source_digest(path: Path) -> str:
+    """The digest of a face and of every USD layer that it stands on.
+
+    :raises InputError: a file can't be read
+    """
+    layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
+    return digest({one.resolve() for one in layers})
+
+
+def _check_version(where: str, version: str) -> None:
+    own, found = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
+    if found is None or own is None:
+        raise SchemaError(where, f"version '{version[:40]}', expected one like {__version__}")
+    if tuple(map(int, found.groups())) > tuple(map(int, own.groups())):
+        raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
+
+
+def _settings(where: str, content: object) -> tuple[Weights, BlendOptions]:
+    if not isinstance(content, Mapping) or set(content) != {"weights", "options"}:
+        raise SchemaError(where, "options are damaged, expected an object of weights and options")
+    try:
+        weights = weights_from_json(content["weights"], f"{where} -> weights")
+        return weights, from_json(BlendOptions, content["options"], f"{where} -> options")
+    except InputError as error:
+        raise SchemaError(error.where, error.what) from None
+
+
+def _sources(where: str, recipe: Recipe, folder: Path, replaced: Mapping[int, Path]) -> tuple[Path, ...]:
+    count = len(recipe.sources)
+    if not count or len(recipe.digests) != count:
+        what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
+        raise SchemaError(where, what)
+    for number in replaced:
+        if not 1 <= number <= count:
+            raise InputError(f"--replace {number}", f"no such source, expected a number from 1 to {count}")
+    return tuple(
+        _found(f"{where} -> source {number}", replaced.get(number, folder / source))
+        for number, source in enumerate(recipe.sources, 1)
+    )
+
+
+def _found(where: str, path: Path) -> Path:
+    if not path.is_file():
+        raise InputError(where, f"{path}: no such file, expected it there (or --replace)")
+    return path.resolve()
