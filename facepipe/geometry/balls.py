@@ -25,54 +25,63 @@ class Ball:
 
     centre: FloatArray  # (3,)
     radius: float
-    rms: float  # of the distances of all points from the surface
+    rms: float  # weighted, of the distances of all points from the surface
 
 
-def fit_ball(points: FloatArray) -> Ball:
+def fit_ball(points: FloatArray, weights: FloatArray | None = None) -> Ball:
     """The ball whose surface is nearest to `points` (n, 3), n at least 4; points that bulge out of it count little.
 
-    An algebraic fit, made geometric by Gauss-Newton steps, with Tukey's weights against the median of the residuals:
-    as long as the bulge (a cornea) takes less than about a third of the points, the ball is that of the others.
+    An algebraic fit, made geometric by Gauss-Newton steps with Tukey's weights against the median of the residuals: as
+    long as the bulge (a cornea) has less than about a third of the weight, the ball is that of the others.
 
-    :raises FitError: fewer than 4 points, or points in one plane
+    :param weights: (n,), 0 or more, not all 0. `polygons.point_areas` keeps dense parts of a mesh, as eyeballs have at
+        the cornea, from counting for more than they are
+    :raises FitError: fewer than 4 points of weight, points in one plane, or weights that don't fit
     """
     points = np.asarray(points, np.float64)
-    if len(points) < 4:
-        raise FitError("ball", f"{len(points)} points, expected at least 4")
-    middle = points.mean(axis=0)
+    shares = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
+    if shares.shape != (len(points),) or not (np.isfinite(shares).all() and (shares >= 0).all()):
+        raise FitError("ball", f"expected {len(points)} weights of 0 or more")
+    points, shares = points[shares > 0], shares[shares > 0]
+    if len(points) < 4 or not np.isfinite(points).all():
+        raise FitError("ball", f"{len(points)} points, expected at least 4, all finite")
+    shares = shares / shares.sum()
+    middle = shares @ points
     local = points - middle
     spread = np.linalg.svd(local, compute_uv=False)
     if not spread[2] > _FLAT * spread[0]:
         raise FitError("ball", "all points lie in one plane, expected points around it")
-    centre, radius = _algebraic(local)
-    centre, radius = _geometric(local, centre, radius)
+    centre, radius = _geometric(local, shares, *_algebraic(local, shares))
     residuals = np.linalg.norm(local - centre, axis=1) - radius
-    return Ball(centre + middle, radius, float(np.sqrt((residuals**2).mean())))
+    return Ball(centre + middle, radius, float(np.sqrt(shares @ residuals**2)))
 
 
-def _algebraic(points: FloatArray) -> tuple[FloatArray, float]:
+def _algebraic(points: FloatArray, shares: FloatArray) -> tuple[FloatArray, float]:
     """Least squares of ``|p|^2 = 2 c.p + (r^2 - c.c)``."""
+    root = np.sqrt(shares)
     system = np.column_stack([2.0 * points, np.ones(len(points))])
-    found = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    found = np.linalg.lstsq(system * root[:, None], (points**2).sum(axis=1) * root, rcond=None)[0]
     centre = found[:3]
     return centre, float(np.sqrt(max(found[3] + centre @ centre, 0.0)))
 
 
-def _geometric(points: FloatArray, centre: FloatArray, radius: float) -> tuple[FloatArray, float]:
+def _geometric(points: FloatArray, shares: FloatArray, centre: FloatArray, radius: float) -> tuple[FloatArray, float]:
     for _ in range(_STEPS):
         offsets = points - centre
         distances = np.linalg.norm(offsets, axis=1)
         residuals = distances - radius
-        weights = _weights(residuals, radius)
+        root = np.sqrt(shares) * _trust(residuals, shares, radius)
         slopes = np.column_stack([-offsets / np.maximum(distances, radius * 1e-12)[:, None], -np.ones(len(points))])
-        step = np.linalg.lstsq(slopes * weights[:, None], -residuals * weights, rcond=None)[0]
+        step = np.linalg.lstsq(slopes * root[:, None], -residuals * root, rcond=None)[0]
         centre, radius = centre + step[:3], radius + float(step[3])
         if np.abs(step).max() <= _SETTLED * radius:
             break
     return centre, radius
 
 
-def _weights(residuals: FloatArray, radius: float) -> FloatArray:
-    """Square roots of Tukey's weights."""
-    reach = _OUTLIER * max(_NORMAL * float(np.median(np.abs(residuals))), _EXACT * radius)
+def _trust(residuals: FloatArray, shares: FloatArray, radius: float) -> FloatArray:
+    """Square roots of Tukey's weights: 1 on the ball, 0 far from it."""
+    order = np.argsort(np.abs(residuals), kind="stable")
+    middle = np.searchsorted(np.cumsum(shares[order]), 0.5 - 1e-12)
+    reach = _OUTLIER * max(_NORMAL * float(np.abs(residuals[order[middle]])), _EXACT * radius)
     return np.asarray(np.maximum(1.0 - (residuals / reach) ** 2, 0.0))

@@ -62,7 +62,7 @@ def closest_places(points: FloatArray, surface_points: FloatArray, triangles: In
         centres = corners.mean(axis=1)
         sizes = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
         for members in _by_size(sizes):
-            _search(found, points, corners, centres, float(sizes[members].max()), members)
+            _search(found, points, corners, centres[members], sizes[members], members)
     return found
 
 
@@ -74,12 +74,21 @@ def _by_size(sizes: FloatArray) -> list[IntArray]:
 
 
 def _search(
-    found: ClosestPlaces, points: FloatArray, corners: FloatArray, centres: FloatArray, size: float, members: IntArray
+    found: ClosestPlaces,
+    points: FloatArray,
+    corners: FloatArray,
+    centres: FloatArray,
+    sizes: FloatArray,
+    members: IntArray,
 ) -> None:
-    """Try the triangles `members`, more and more of them for the points where a nearer one may still come."""
+    """Try the triangles `members`, more and more of them for the points where a nearer one may still come.
+
+    :param centres: of the members' bounding spheres
+    :param sizes: their radii
+    """
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(centres[members])
+    tree, largest = cKDTree(centres), float(sizes.max())
     open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
     while len(open_points):
         reached = np.empty(len(open_points))
@@ -87,11 +96,11 @@ def _search(
             numbers = open_points[part]
             far, near = tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
             reached[part] = far[:, -1]
-            row, column = np.nonzero(far - size <= found.distances[numbers, None])
+            row, column = np.nonzero(far - sizes[near] <= found.distances[numbers, None])
             _improve(found, points, corners, numbers[row], members[near[row, column]])
         if count == len(members):
             return
-        open_points = open_points[reached - size <= found.distances[open_points]]
+        open_points = open_points[reached - largest <= found.distances[open_points]]
         tried, count = count, min(4 * count, len(members))
 
 

@@ -53,6 +53,13 @@ def point_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     return np.asarray(summed / length)
 
 
+def point_areas(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(n,) a third of the area of the triangles (t, 3) at each point."""
+    corners = np.asarray(points, dtype=np.float64)[triangles]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.asarray(np.bincount(triangles.ravel(), np.repeat(doubled / 6.0, 3), minlength=len(points)), np.float64)
+
+
 def edges(face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> tuple[IntArray, IntArray]:
     """Undirected edges (e, 2), lower point first, sorted, and the number of faces (e,) at each."""
     counts = np.asarray(face_vertex_counts, dtype=np.int64)
