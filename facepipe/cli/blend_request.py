@@ -124,9 +124,6 @@ def _weights(arguments: argparse.Namespace, recipe: BlendRecipe | None) -> Weigh
         gains=None if arguments.gains is None else _numbers(arguments.gains, f"--gains {arguments.gains}"),
         locked=dict(_lock(word) for word in arguments.lock),
     )
-    for name in flags.regions:
-        if name in flags.locked:
-            raise InputError(f"--set {name}", "is given with --lock, expected only one of them")
     return _over(_over(weights, file, arguments.unlock), flags, arguments.unlock)
 
 
