@@ -20,6 +20,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,9 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
     if request.target is None:
         _check(request.weights, faces)
     target = None if request.target is None else facepipe.open(request.target)
+    start = time.perf_counter()
     session = BlendSession(faces, request.options)
     found = None if target is None else _match(session, target, request)
     report = _blend(session, request, request.weights if found is None else found.weights)
+    report = replace(report, seconds=time.perf_counter() - start)  # with reading and factoring, which a session does
     warn(report.warnings)
     text = [as_text(request.out, report)]
     result = {"path": str(request.out), **json.loads(report.to_json())}

@@ -17,7 +17,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import add_options, options_from, output_of
+from facepipe.cli.parser import add_options, options_from, output_of, picture_of
 from facepipe.cli.show import emit, table, warn
 from facepipe.errors import FacepipeError, InputError
 
@@ -64,14 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _picture_path(arguments: argparse.Namespace, inputs: list[Path], out: Path | None = None) -> Path | None:
-    if arguments.picture is None:
-        return None
-    path = output_of(argparse.Namespace(output=arguments.picture, force=arguments.force), inputs)
-    if path.suffix.lower() != ".png":
-        raise InputError(path, f"suffix '{path.suffix}', expected .png")
-    if out is not None and path.absolute() == out.absolute():
-        raise InputError(path, "is the output too, expected another file")
-    return path
+    return None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
 
 
 def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> int:
