@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from facepipe.errors import FitError
 from facepipe.geometry.balls import Ball, fit_ball
+from facepipe.geometry.polygons import point_areas, point_triangles
 from facepipe.processors.blend.session import BlendSession, Solution
 
 FloatArray = npt.NDArray[np.floating]
@@ -36,15 +37,16 @@ def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidCont
         own = np.arange(*sources.mesh_offsets[number : number + 2])
         if "eye" not in mesh.name.lower() or not np.isin(own, session.kept.points).all():
             continue
-        balls = [_ball(points[own]) for points in (*sources.points, solution.neutral.points)]
+        triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+        balls = [_ball(points[own], triangles) for points in (*sources.points, solution.neutral.points)]
         if all(ball is not None for ball in balls):
             found[mesh.name] = _contact(session, solution, [ball for ball in balls if ball is not None], own)
     return found
 
 
-def _ball(points: FloatArray) -> Ball | None:
+def _ball(points: FloatArray, triangles: IntArray) -> Ball | None:
     try:
-        ball = fit_ball(points)
+        ball = fit_ball(points, point_areas(points, triangles))  # a cornea is modelled more densely
     except FitError:
         return None
     return ball if ball.rms <= _ROUND * ball.radius else None

@@ -19,8 +19,6 @@ from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
 
-PRIOR = 1e-9  # pull towards even weights, relative to the largest curvature: decides only what the target leaves open
-
 
 @dataclass(frozen=True, kw_only=True)
 class MatchReport(Report):
@@ -48,9 +46,7 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     basis = np.stack([edge_vectors(points, edges).ravel() for points in _responses(session)], axis=1)
     rows = len(net.regions) + 1
     locks = {net.regions.index(name): np.eye(count)[number - 1] for name, number in _checked(session, locked).items()}
-    fitted = fit_simplex(
-        basis.T @ basis, basis.T @ goal, rows, count, prior=np.full((rows, count), 1 / count), locked=locks, ridge=PRIOR
-    )
+    fitted = fit_simplex(basis.T @ basis, basis.T @ goal, rows, count, locked=locks)
     off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
     table = [tuple(map(float, row)) for row in fitted.weights]
     weights = Weights(
