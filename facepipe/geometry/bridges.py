@@ -17,6 +17,8 @@ IntArray = npt.NDArray[np.integer]
 
 JOINT_REACH = 1.5  # a joint's bridges go to the points up to this many times as far as the nearest one
 JOINT_BRIDGES = 256  # at most, the nearest ones
+TIES = 8  # points looked at for being equally near
+_EQUAL = 1e-9  # distances that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,13 @@ def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
     loose = np.flatnonzero(component != main)
     if not len(loose):
         return Bridges(loose, loose, np.zeros(0))
-    distance, nearest = cKDTree(points[inside]).query(points[loose])
+    distances, nearest = cKDTree(points[inside]).query(points[loose], k=np.arange(1, min(TIES, len(inside)) + 1))
+    distance = distances[:, 0]
+    # the first of those that are equally near, which rounding (other units, axes or places) would choose among
+    tied = distances <= distance[:, None] * (1.0 + _EQUAL)
+    leaders = np.where(tied, inside[nearest], len(points)).min(axis=1)
     reach = _medians(distance, component[loose])
-    return Bridges(loose, inside[nearest], 1.0 / (1.0 + (distance / reach) ** 2))
+    return Bridges(loose, leaders, 1.0 / (1.0 + (distance / reach) ** 2))
 
 
 def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
@@ -54,9 +60,9 @@ def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
         return Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     distances, nearest = cKDTree(points).query(joints, k=np.arange(1, count + 1))
     reach = JOINT_REACH * np.maximum(distances[:, :1], np.finfo(np.float64).tiny)
-    near = distances <= reach
+    near = distances <= reach * (1.0 + _EQUAL)
     followers = np.repeat(np.arange(len(joints)), near.sum(axis=1))
-    weights = 1.0 / (1.0 + (distances / reach) ** 2)
+    weights = 1.0 / (1.0 + np.divide(distances, reach, out=np.zeros_like(distances), where=near) ** 2)
     return Bridges(followers, nearest[near], weights[near])
 
 
