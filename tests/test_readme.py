@@ -19,12 +19,15 @@ SHARED = ROOT.parent / "shared"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def blocks(kind: str) -> list[str]:
-    return re.findall(rf"```{kind}\n(.*?)```", README, re.DOTALL)
+BLEND = (ROOT / "docs/blend.md").read_text(encoding="utf-8")
+
+
+def blocks(kind: str, text: str = README) -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)
 
 
 def test_the_tour_runs(tmp_path: Path) -> None:
-    """Every console line in order, then the Python block, in one folder with ../shared beside it."""
+    """Every console line in order, then the Python of README and docs/blend.md, in one folder beside ../shared."""
     folder = tmp_path / "project"
     folder.mkdir()
     lines = [line for block in blocks("console") for line in block.splitlines()]
@@ -34,15 +37,23 @@ def test_the_tour_runs(tmp_path: Path) -> None:
     else:
         lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    for line in [*lines, None]:
-        command = (
-            [sys.executable, "-c", blocks("python")[0]] if line is None else [shutil.which("sh") or "sh", "-c", line]
-        )
+    commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
+    commands += [[sys.executable, "-c", block] for block in (*blocks("python"), *blocks("python", BLEND))]
+    for command in commands:
         done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+        assert done.returncode == 0, f"{command[-1]}: {done.stdout}{done.stderr}"
         assert "Traceback" not in done.stderr
     made = {one.name for one in folder.iterdir()}
-    assert {"head.usda", "head.glb", "head.onnx", "points.npz", "smile.png", "head.landmarks.usda"} <= made
+    assert {
+        "head.usda",
+        "head.glb",
+        "head.onnx",
+        "points.npz",
+        "smile.png",
+        "head.landmarks.usda",
+        "child.glb",
+        "live.usda",
+    } <= made
 
 
 def test_the_demo_makes_everything(tmp_path: Path) -> None:
