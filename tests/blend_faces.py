@@ -20,6 +20,8 @@ from facepipe.sample import make
 from facepipe.stage import Face
 
 KINDS = ("sample", "ict", "makehuman")
+EYES = {"sample": ("EyeLeft", "EyeRight"), "ict": ("EyeballLeft", "EyeballRight"), "makehuman": ("EyeLeft", "EyeRight")}
+TEETH = {"sample": ("TeethUpper", "TeethLower"), "ict": ("Teeth",), "makehuman": ("TeethUpper", "TeethLower")}
 REGION_WEIGHTS = {  # first of two sources
     "features": {"eyes": 0.9, "eyebrows": 0.8, "nose": 0.2, "mouth": 0.1, "chin": 0.3},
     "one region": {"mouth": 1.0},

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blend_faces import (
+    EYES,
     REGION_WEIGHTS,
+    TEETH,
     by_region,
     changed,
     head,
@@ -34,8 +36,6 @@ from facepipe.processors.blend import BlendOptions, BlendSession, Weights
 from facepipe.stage import Face
 
 GLOBAL = ((0.3, 0.7), (1.0, 0.0), (0.25, 0.35, 0.4), (0.0, 0.5, 0.5))
-EYES = {"sample": ("EyeLeft", "EyeRight"), "ict": ("EyeballLeft", "EyeballRight"), "makehuman": ("EyeLeft", "EyeRight")}
-KEPT = {kind: (*eyes, *(("Teeth",) if kind == "ict" else ("TeethUpper", "TeethLower"))) for kind, eyes in EYES.items()}
 
 
 def neutral_session(kind: str, count: int = 2, options: BlendOptions | None = None) -> BlendSession:
@@ -169,7 +169,9 @@ def test_eyeballs_and_teeth_are_the_mean_shape_of_their_sources_moved_turned_and
     blend = session(kind, 2, "misaligned")
     neutral, kept = blend.neutral(by_region(name)), blend.kept
     meshes = mesh_points(blend)
-    np.testing.assert_array_equal(kept.points, np.sort(np.concatenate([meshes[name] for name in KEPT[kind]])))
+    np.testing.assert_array_equal(
+        kept.points, np.sort(np.concatenate([meshes[name] for name in (*EYES[kind], *TEETH[kind])]))
+    )
     for part in np.unique(kept.part):
         points = kept.points[kept.part == part]
         own = blend.sources.points[:, points]
