@@ -75,7 +75,7 @@ def _normalised(name: str, row: FloatArray) -> FloatArray:
 
 
 def _note(name: str, row: FloatArray) -> list[str]:
-    total = float(row.sum())
+    total = sum(row.tolist())  # infinite where huge weights overflow
     return [] if abs(total - 1.0) < 1e-6 else [f"weights of {name} sum to {total:g}, normalised to 1"]
 
 
