@@ -28,14 +28,11 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class _Block:
-    """One of the two solves: its points, and the rows (edges, then bridges) that end in them."""
+    """One of the two solves: its points, and what the edges and bridges that end in them give them."""
 
     points: IntArray  # (p,) into all points
-    edges: IntArray  # (q,) rows, into all edges
-    bridges: IntArray  # (b,) rows, into all bridges
-    gradient: Any  # (q + b, p) sparse: incidence of the block's own points
-    divergence: Any  # (p, q + b) sparse: its transpose times the weights
-    laplacian: Any  # (p, p) sparse
+    divergence: Any  # (p, e + b) sparse: transposed incidence times weights; columns: all edges, then all bridges
+    laplacian: Any  # (p, p) sparse: the divergence of the points' own differences
 
 
 class GradientSystem:
@@ -52,13 +49,13 @@ class GradientSystem:
         self, edges: IntArray, weights: FloatArray, main: Mask, bridges: Bridges, anchor: int, solver: Solver = "auto"
     ) -> None:
         self.edges, self.bridges, self.anchor, self.solver = edges, bridges, anchor, solver
-        rows = np.flatnonzero(main[edges[:, 0]])
-        self._main = _block(edges, weights, bridges, np.flatnonzero(main), rows, np.zeros(0, np.int64))
-        rest = np.flatnonzero(~main[edges[:, 0]])
-        self._loose = _block(edges, weights, bridges, np.flatnonzero(~main), rest, np.arange(len(bridges.followers)))
+        nothing = Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        self._main = _block(edges, weights, nothing, main)
+        self._loose = _block(edges, weights, bridges, ~main)
         self._anchor = int(np.searchsorted(self._main.points, anchor))
-        self._free = np.delete(np.arange(len(self._main.points)), self._anchor)
-        self._main_factor = factorise(self._main.laplacian[self._free][:, self._free], solver)
+        free = np.delete(np.arange(len(self._main.points)), self._anchor)
+        self._to_anchor = self._main.laplacian[free][:, [self._anchor]].tocsr()
+        self._main_factor = factorise(self._main.laplacian[free][:, free], solver)
         self._loose_factor = factorise(self._loose.laplacian, solver)
 
     def solve(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, anchored: FloatArray) -> FloatArray:
@@ -67,20 +64,12 @@ class GradientSystem:
         Bridge vectors go from the leader to the follower.
         """
         points = np.empty((len(self._main.points) + len(self._loose.points), edge_vectors.shape[1]))
-        right = self._main.divergence @ edge_vectors[self._main.edges]
-        right -= self._main.laplacian[:, [self._anchor]] @ anchored[None]
-        own = np.empty((len(right), right.shape[1]))
-        own[self._free] = self._main_factor.solve(right[self._free])
-        own[self._anchor] = anchored
-        points[self._main.points] = own
-        points[self._loose.points] = self._loose_factor.solve(
-            self._loose_right(edge_vectors, bridge_vectors, points[self.bridges.leaders])
-        )
+        right = np.delete(self._main.divergence @ edge_vectors, self._anchor, axis=0)
+        solved = self._main_factor.solve(right - self._to_anchor @ anchored[None])
+        points[self._main.points] = np.insert(solved, self._anchor, anchored, axis=0)
+        vectors = np.concatenate([edge_vectors, bridge_vectors + points[self.bridges.leaders]])
+        points[self._loose.points] = self._loose_factor.solve(self._loose.divergence @ vectors)
         return points
-
-    def _loose_right(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, leaders: FloatArray) -> FloatArray:
-        vectors = np.concatenate([edge_vectors[self._loose.edges], bridge_vectors + leaders])
-        return np.asarray(self._loose.divergence @ vectors)
 
     def moving(self, moving: Mask) -> MovingSystem:
         """The bi-Laplacian of the same edges where only the points of `moving` (n,) may differ from 0."""
@@ -91,12 +80,14 @@ class MovingSystem:
     """Offsets from edge vectors of offsets: least squares over ``|L u - M^T W d|`` with u = 0 at static points."""
 
     def __init__(self, system: GradientSystem, moving: Mask) -> None:
-        self._system = system
-        self._main = _Held(system._main, moving, system.solver, given=system._anchor)
-        self._loose = _Held(system._loose, moving, system.solver)
+        self._anchor, edge_count = system._anchor, len(system.edges)
+        self._main = _Held(system._main, moving, edge_count, system.solver, given=self._anchor)
+        self._loose = _Held(system._loose, moving, edge_count, system.solver)
         self.edges = np.concatenate([self._main.edges, self._loose.edges])
         self.bridges = self._loose.bridges
         self.points = np.concatenate([self._main.points, self._loose.points])
+        self._main_count = len(system._main.points)
+        self._leaders = np.searchsorted(system._main.points, system.bridges.leaders[self.bridges])
 
     def solve(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, anchored: FloatArray) -> FloatArray:
         """(p, c) offsets of `points`.
@@ -105,33 +96,31 @@ class MovingSystem:
         :param bridge_vectors: (b, c) those of `bridges`, leader to follower; all others are 0
         :param anchored: (c,) offset of the anchor, 0 where it is static
         """
-        count, leaders = len(self._main.edges), self._system.bridges.leaders[self.bridges]
+        count = len(self._main.edges)
         main = self._main.solve(edge_vectors[:count], anchored)
-        moved = np.zeros((len(self._system._main.points), edge_vectors.shape[1]))
+        moved = np.zeros((self._main_count, edge_vectors.shape[1]))
         moved[self._main.columns] = main
-        moved[self._system._anchor] = anchored
-        places = np.searchsorted(self._system._main.points, leaders)
-        loose = self._loose.solve(np.concatenate([edge_vectors[count:], bridge_vectors + moved[places]]))
+        moved[self._anchor] = anchored
+        loose = self._loose.solve(np.concatenate([edge_vectors[count:], bridge_vectors + moved[self._leaders]]))
         return np.concatenate([main, loose])
 
 
 class _Held:
     """One block of a moving system."""
 
-    def __init__(self, block: _Block, moving: Mask, solver: Solver, given: int | None = None) -> None:
+    def __init__(self, block: _Block, moving: Mask, edge_count: int, solver: Solver, given: int | None = None) -> None:
         free = moving[block.points].copy()
         if given is not None:
             free[given] = False
         self.columns = np.flatnonzero(free)
         self.points = block.points[self.columns]
-        squeezed = block.laplacian[:, self.columns].tocsc()
-        rows = np.unique(squeezed.indices)  # equations that the moving points have a part in
-        self._squeezed = squeezed[rows].T.tocsr()
-        touched = np.unique(block.divergence[rows].indices)
-        own = touched[touched < len(block.edges)]
-        self.edges = block.edges[own]
-        self.bridges = block.bridges[touched[touched >= len(block.edges)] - len(block.edges)]
-        self._divergence = block.divergence[rows][:, touched].tocsr()
+        own = block.laplacian[self.columns]  # symmetric: rows are columns
+        rows = _used(own)  # equations that the moving points have a part in
+        self._squeezed = own[:, rows].tocsr()
+        divergence = block.divergence[rows]
+        touched = _used(divergence)
+        self.edges, self.bridges = touched[touched < edge_count], touched[touched >= edge_count] - edge_count
+        self._divergence = divergence[:, touched].tocsr()
         self._given = None if given is None else block.laplacian[rows][:, [given]].tocsr()
         self._factor: Factor = factorise(self._squeezed @ self._squeezed.T, solver)
 
@@ -142,17 +131,28 @@ class _Held:
         return self._factor.solve(self._squeezed @ right)
 
 
-def _block(
-    edges: IntArray, weights: FloatArray, bridges: Bridges, points: IntArray, rows: IntArray, bridge_rows: IntArray
-) -> _Block:
-    """The block of `points`; at bridges only the follower is a column, the leader is given."""
+def _used(matrix: Any) -> IntArray:
+    """The columns of a compressed-row matrix that have entries, ascending."""
+    used = np.zeros(matrix.shape[1], dtype=bool)
+    used[matrix.indices] = True
+    return np.flatnonzero(used)
+
+
+def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: Mask) -> _Block:
+    """The block of the points `inside`; bridges end in their followers alone, leaders are given."""
     from scipy.sparse import csr_array, vstack
 
+    points, rows, count = np.flatnonzero(inside), np.flatnonzero(inside[edges[:, 0]]), len(bridges.followers)
     own = incidence(np.searchsorted(points, edges[rows]), len(points))
-    count = len(bridge_rows)
-    columns = np.searchsorted(points, bridges.followers[bridge_rows])
-    ends = csr_array((np.ones(count), (np.arange(count), columns)), shape=(count, len(points)))
+    followers = np.searchsorted(points, bridges.followers)
+    ends = csr_array((np.ones(count), (np.arange(count), followers)), shape=(count, len(points)))
     gradient = vstack([own, ends]).tocsr()
-    row_weights = np.concatenate([weights[rows], bridges.weights[bridge_rows]])
+    row_weights = np.concatenate([weights[rows], bridges.weights])
     divergence = gradient.T.multiply(row_weights[None]).tocsr()
-    return _Block(points, rows, bridge_rows, gradient, divergence, (divergence @ gradient).tocsr())
+    columns = np.concatenate([rows, len(edges) + np.arange(count)])
+    everywhere = (divergence.data, columns[divergence.indices], divergence.indptr)
+    return _Block(
+        points=points,
+        divergence=csr_array(everywhere, shape=(len(points), len(edges) + count)),
+        laplacian=(divergence @ gradient).tocsr(),
+    )

@@ -31,10 +31,7 @@ def mean_of_ends(shares: FloatArray, first: IntArray, second: IntArray) -> Float
 
 def mix(shares: FloatArray, values: FloatArray) -> FloatArray:
     """(r, c) sums of (K, r, c) values under (r, K) shares."""
-    total = shares[:, :1] * values[0]
-    for k in range(1, len(values)):
-        total += shares[:, k : k + 1] * values[k]
-    return np.asarray(total)
+    return np.asarray(np.einsum("rk,krc->rc", shares, values))
 
 
 def sums(group: IntArray, values: FloatArray, count: int) -> FloatArray:

@@ -71,6 +71,7 @@ class BlendSession:
         self.edge_vectors = edge_vectors(self.sources.points, net.edges)
         followers, leaders = net.bridges.followers, net.bridges.leaders
         self.bridge_vectors = self.sources.points[:, followers] - self.sources.points[:, leaders]
+        self._edge_masks = mean_of_ends(net.masks.T, net.edges[:, 0], net.edges[:, 1])  # (e, regions + 1)
         self._expressions: dict[int, Expression] = {}
 
     def neutral(self, weights: Weights) -> Neutral:
@@ -81,7 +82,7 @@ class BlendSession:
         net = self.network
         table, notes = weights.shares(net.regions, len(self.sources.points))
         shares = net.point_shares(table)
-        along_edges = mean_of_ends(shares, net.edges[:, 0], net.edges[:, 1])
+        along_edges = self._edge_masks @ table
         along_bridges = mean_of_ends(shares, net.bridges.followers, net.bridges.leaders)
         wanted = mix(along_edges, self.edge_vectors)
         bridged = mix(along_bridges, self.bridge_vectors)
