@@ -249,6 +249,12 @@ def test_a_mesh_without_border_needs_an_anchor() -> None:
             BlendSession(faces(cube, wide), BlendOptions(anchor=text))
 
 
+def test_an_anchor_lies_on_the_face_and_not_on_a_loose_part() -> None:
+    """All else would follow the loose part."""
+    with pytest.raises(InputError, match="loose part"):
+        BlendSession(faces(tiny_face(0), tiny_face(1)), BlendOptions(anchor="Teeth:4"))
+
+
 def test_edges_without_length_and_points_without_faces_stay_in_place() -> None:
     """Two points fall together in one source, two in both; one point belongs to no face."""
 

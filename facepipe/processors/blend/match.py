@@ -46,6 +46,9 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     basis = np.stack([edge_vectors(points, edges).ravel() for points in _responses(session)], axis=1)
     rows = len(net.regions) + 1
     locks = {net.regions.index(name): np.eye(count)[number - 1] for name, number in _checked(session, locked).items()}
+    # shares sum to 1 in each region: only what differs from its mean counts, and rounding is relative to that
+    means = np.repeat(basis.reshape(len(basis), rows, count).mean(axis=2), count, axis=1)
+    basis, goal = basis - means, goal - means.sum(axis=1) / count
     fitted = fit_simplex(basis.T @ basis, basis.T @ goal, rows, count, locked=locks)
     off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
     table = [tuple(map(float, row)) for row in fitted.weights]

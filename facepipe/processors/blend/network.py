@@ -48,12 +48,12 @@ def network(sources: Sources, edge_weights: EdgeWeights, smoothing_mm: float, an
 
     :param smoothing_mm: width of the harmonic transition between regions; 0 keeps the masks as they are
     :param anchor: point held in place, counted over all meshes; None: the base's authored one, or one of its border
-    :raises InputError: no such point, or no anchor and no open border to take one from
+    :raises InputError: no such point, one of a loose part, or no anchor and no open border to take one from
     """
     mean = sources.points.mean(axis=0)
     mesh_edges, triangles = _topology(sources)
     component = components(len(mean), mesh_edges)
-    held = _anchor(sources, anchor)
+    held = _anchor(sources, anchor, component)
     main = component == component[held]
     bridges = part_bridges(mean, component, int(component[held]))
     names, masks = _masks(sources.base, bridges)
@@ -107,24 +107,37 @@ def _topology(sources: Sources) -> tuple[IntArray, IntArray]:
     return found[found[:, 0] != found[:, 1]], np.concatenate(corners)
 
 
-def _anchor(sources: Sources, given: int | None) -> int:
-    count = sources.points.shape[1]
-    if given is not None:
-        if not 0 <= given < count:
-            raise InputError("anchor", f"point {given}, expected 0 to {count - 1}")
-        return given
-    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
+def _anchor(sources: Sources, given: int | None, component: IntArray) -> int:
+    """The point that is held: all that is joined to it is the main component, which loose parts follow."""
+    own, count = _own_anchor(sources), sources.points.shape[1]
+    if given is None:
+        if own is not None:
+            return own
+        where = f"{sources.names[0]} -> {sources.base.meshes[_largest(sources.base)].name}"
+        raise InputError(where, "no anchor and no open border to take one from, expected an anchor point (--anchor)")
+    if not 0 <= given < count:
+        raise InputError("anchor", f"point {given}, expected 0 to {count - 1}")
+    if own is not None and component[given] != component[own]:
+        raise InputError("anchor", f"point {given} lies on a loose part, expected one joined to the face's own, {own}")
+    return given
+
+
+def _own_anchor(sources: Sources) -> int | None:
+    """The base's authored anchor, or one of the border of its largest mesh."""
+    starts = sources.mesh_offsets[:-1]
+    for mesh, start in zip(sources.base.meshes, starts, strict=True):
         if mesh.anchor is not None:
             return int(start + mesh.anchor)
-    largest = int(np.argmax([len(mesh.points) for mesh in sources.base.meshes]))
-    mesh, start = sources.base.meshes[largest], int(sources.mesh_offsets[largest])
+    largest = _largest(sources.base)
+    mesh, start = sources.base.meshes[largest], int(starts[largest])
     own = sources.points[0, start : start + len(mesh.points)]
     upright = own if sources.base.up_axis == "Y" else own[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     place = back_of_border(upright, mesh.face_vertex_counts, mesh.face_vertex_indices)
-    if place is None:
-        where = f"{sources.names[0]} -> {mesh.name}"
-        raise InputError(where, "no anchor and no open border to take one from, expected an anchor point (--anchor)")
-    return start + place
+    return None if place is None else start + place
+
+
+def _largest(base: FaceParts) -> int:
+    return int(np.argmax([len(mesh.points) for mesh in base.meshes]))
 
 
 def _masks(base: FaceParts, bridges: Bridges) -> tuple[tuple[str, ...], FloatArray]:
