@@ -7,6 +7,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import InputError
+
 FloatArray = npt.NDArray[np.floating]
 
 Solver = Literal["auto", "cholespy", "splu"]
@@ -25,7 +27,7 @@ def factorise(matrix: Any, solver: Solver = "auto") -> Factor:
 
     :param solver: ``auto`` takes CHOLMOD through cholespy where it is installed, otherwise scipy's SuperLU with a
         symmetric minimum degree ordering (its default ordering fills in far more)
-    :raises ImportError: cholespy asked for and not installed
+    :raises InputError: cholespy asked for and not installed
     :raises RuntimeError, ValueError: the matrix is not positive definite
     """
     compressed = matrix.tocsc()
@@ -37,7 +39,7 @@ def factorise(matrix: Any, solver: Solver = "auto") -> Factor:
             return _Cholmod(compressed)
         except ImportError:
             if solver == "cholespy":
-                raise
+                raise InputError("option solver", "cholespy is not installed, expected auto or splu") from None
     return _SuperLu(compressed)
 
 

@@ -15,25 +15,31 @@ IntArray = npt.NDArray[np.integer]
 _DEGENERATE = 1e-6  # a sum of unit vectors shorter than this has no direction
 
 
-def blend_normals(normals: Sequence[FloatArray | None], weights: FloatArray) -> FloatArray | None:
-    """(m, 3) unit normals: weighted means of unit normals, normalised; None where no source has normals.
+def blend_normals(
+    normals: Sequence[FloatArray | None], surfaces: FloatArray, surface: FloatArray, weights: FloatArray
+) -> FloatArray | None:
+    """(m, 3) unit normals of a blended surface; None where no source has normals.
 
-    Sources without normals leave their share to the others. Where the mean has no direction, the normal is that of
-    the source with the largest share, the first of these.
+    The surface's own normals, plus the weighted mean of what each source's authored normals add to those of its own
+    surface: normals that follow the surface go on to do so, and what was put in by hand stays. A source without normals
+    adds nothing.
 
-    :param normals: (m, 3) of every source, or None; any length
+    :param normals: (m, 3) of every source, any length, or None
+    :param surfaces: (K, m, 3) unit normals of the sources' surfaces at the same rows
+    :param surface: (m, 3) unit normals of the blended surface
     :param weights: (m, K) shares of every row
     """
-    given = [k for k, one in enumerate(normals) if one is not None]
-    if not given:
+    if all(one is None for one in normals):
         return None
-    units = np.stack([_unit(np.asarray(normals[k], dtype=np.float64)) for k in given])
-    shares = np.asarray(weights, dtype=np.float64)[:, given]
-    shares = np.where(shares.sum(axis=1, keepdims=True) > 0, shares, 1.0)  # all of it with sources that have none
-    mean = np.einsum("mk,kmc->mc", shares, units)
-    flat = np.linalg.norm(mean, axis=1) <= _DEGENERATE * shares.sum(axis=1)
-    mean[flat] = units[np.argmax(shares, axis=1), np.arange(len(shares))][flat]
-    return _unit(mean)
+    blended = np.array(surface, dtype=np.float64)
+    for k, one in enumerate(normals):
+        if one is not None:
+            own = np.asarray(one, dtype=np.float64)
+            authored = np.linalg.norm(own, axis=1) > 0
+            blended += np.where(authored, weights[:, k], 0.0)[:, None] * (_unit(own) - surfaces[k])
+    flat = np.linalg.norm(blended, axis=1) <= _DEGENERATE
+    blended[flat] = surface[flat]
+    return _unit(blended)
 
 
 def normal_offsets(

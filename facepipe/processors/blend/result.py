@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider
 from facepipe.processors.blend.animations import rebase_animations
+from facepipe.processors.blend.mixing import sums
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.session import BlendSession, Solution
 from facepipe.processors.blend.skeletons import blend_skeletons
-from facepipe.processors.blend.skins import blend_skins, joint_map
+from facepipe.processors.blend.skins import blend_skins
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
 
@@ -47,11 +48,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
 
 
 def _skin(sources: Sources, shares: FloatArray, number: int) -> Skin | None:
-    base = sources.base.skeleton.joints
-    maps = [
-        joint_map(parts.skeleton.joints, base, name) for name, parts in zip(sources.names, sources.parts, strict=True)
-    ]
-    return blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, maps)
+    return blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, sources.joint_maps)
 
 
 def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
@@ -63,27 +60,37 @@ def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
     return replace(
         base,
         points=points,
-        normals=_normals(sources, shares, number),
+        normals=_normals(sources, shares, number, points),
         skin=_skin(sources, shares, number),
         blendshapes=_blendshapes(meshes, points, solution, own, back[:3, :3]),
     )
 
 
-def _normals(sources: Sources, shares: FloatArray, number: int) -> FloatArray | None:
-    base = sources.base.meshes[number]
+def _normals(sources: Sources, shares: FloatArray, number: int, points: FloatArray) -> FloatArray | None:
+    """The normals of one mesh, per point or corner as the base has them; `points` (n, 3) are the blended ones."""
+    base, own = sources.base.meshes[number], slice(*sources.mesh_offsets[number : number + 2])
     if base.normals is None:
         return None
+    triangles = point_triangles(base.face_vertex_counts, base.face_vertex_indices)
+    back = np.linalg.inv(mesh_spaces(sources.base)[number])
+    surfaces = [point_normals(one[own] @ back[:3, :3].T + back[:3, 3], triangles) for one in sources.points]
     corners = base.face_vertex_indices
-    found: list[FloatArray | None] = []
-    back = np.linalg.inv(mesh_spaces(sources.base)[number])[:3, :3]
+    rows = np.arange(len(points)) if len(base.normals) == len(points) else corners
+    authored: list[FloatArray | None] = []
     for parts, to_base in zip(sources.parts, sources.to_base, strict=True):
-        own = parts.meshes[number].normals
-        if own is not None and len(own) != len(base.normals):  # per point where the base has them per corner
-            own = own[corners] if len(base.normals) == len(corners) else None
-        turn = back @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
-        found.append(None if own is None else own @ np.linalg.inv(turn))  # rows: the inverse transpose
-    rows = shares if len(base.normals) == len(shares) else shares[corners]
-    return blend_normals(found, rows)
+        found = _in_rows(parts.meshes[number].normals, corners, len(points), per_point=len(rows) == len(points))
+        turn = back[:3, :3] @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
+        side = np.sign(np.linalg.det(turn))
+        authored.append(None if found is None else side * (found @ np.linalg.inv(turn)))  # the inverse transpose
+    surface = point_normals(points, triangles)
+    return blend_normals(authored, np.stack(surfaces)[:, rows], surface[rows], shares[rows])
+
+
+def _in_rows(normals: FloatArray | None, corners: IntArray, count: int, *, per_point: bool) -> FloatArray | None:
+    """Normals per point or corner, whichever way they are given."""
+    if normals is None or (len(normals) == count) == per_point:
+        return normals
+    return sums(corners, normals, count) if per_point else normals[corners]
 
 
 def _blendshapes(
@@ -92,6 +99,7 @@ def _blendshapes(
     """The shapes of one mesh, in the order of the base."""
     triangles = point_triangles(meshes[0].face_vertex_counts, meshes[0].face_vertex_indices)
     with_normals = {shape.name for mesh in meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
+    still = _still(solution) & {shape.name for mesh in meshes for shape in mesh.blendshapes}
     collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
         inside = slice(*np.searchsorted(sculpt.points, [own.start, own.stop]))
@@ -99,11 +107,27 @@ def _blendshapes(
         collected.setdefault(sculpt.shape, {})[sculpt.weight, sculpt.inbetween] = local
     shapes = []
     for name, sculpts in collected.items():
-        indices = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
+        indices: IntArray = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
+        if name in with_normals:
+            indices = _with_neighbours(indices, triangles)
+        elif not len(indices) and name in still:
+            indices = np.zeros(1, dtype=np.int32)  # USD reads a shape without indices as one over all points
         if len(indices):
             spread = {key: _spread(indices, *sculpt) for key, sculpt in sculpts.items()}
             shapes.append(_shape(name, indices, spread, (points, triangles) if name in with_normals else None))
     return tuple(shapes)
+
+
+def _still(solution: Solution) -> set[str]:
+    """Shapes that move no point anywhere: they stay on the face, so that what drives them finds them."""
+    moving = {sculpt.shape for sculpt in solution.sculpts if len(sculpt.points)}
+    return {sculpt.shape for sculpt in solution.sculpts} - moving
+
+
+def _with_neighbours(indices: IntArray, triangles: IntArray) -> IntArray:
+    """`indices` and the points of all triangles at them: their normals turn, though they don't move."""
+    touched = np.isin(triangles, indices).any(axis=1)
+    return np.unique(np.concatenate([indices, triangles[touched].ravel()])).astype(np.int32)
 
 
 def _spread(indices: IntArray, places: IntArray, offsets: FloatArray) -> FloatArray:

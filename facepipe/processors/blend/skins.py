@@ -8,23 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
 from facepipe.parts import Skin
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-
-def joint_map(joints: Sequence[str], base: Sequence[str], where: object) -> IntArray:
-    """(j,) number of each of a source's joints in the base.
-
-    :raises TopologyError: the first joint that the base lacks
-    """
-    place = {joint: i for i, joint in enumerate(base)}
-    missing = next((joint for joint in joints if joint not in place), None)
-    if missing is not None:
-        raise TopologyError(where, f"joint '{missing}', which the first source lacks, expected its joints")
-    return np.array([place[joint] for joint in joints], dtype=np.int32)
 
 
 def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: Sequence[IntArray]) -> Skin | None:
@@ -36,7 +23,7 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
 
     :param skins: of K sources, the base first; None where the base has none
     :param weights: (n, K) shares, each row summing to 1
-    :param joint_maps: of every source, (j,) numbers of its joints in the base (`joint_map`)
+    :param joint_maps: of every source, (j,) numbers of its joints in the base
     """
     base = skins[0]
     if base is None:

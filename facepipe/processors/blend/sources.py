@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
-from facepipe.rig import Rig, build
+from facepipe.rig import Rig, build, mesh_spaces
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_SINGULAR = 1e-12  # of the product of the column lengths
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
@@ -31,7 +32,8 @@ class Sources:
     rigs: tuple[Rig, ...]
     to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units and up axis
     points: FloatArray  # (K, n, 3) neutral points in bind space
-    mm_per_unit: float  # of the base
+    mm_per_unit: float  # millimetres in a unit of bind space
+    joint_maps: tuple[IntArray, ...]  # of every source, number in the base of each of its joints
     warnings: tuple[str, ...] = ()
 
     @property
@@ -61,11 +63,15 @@ def stack(faces: Sequence[Face]) -> Sources:
     for name, face in zip(names[1:], faces[1:], strict=True):
         other = face.parts()
         parts.append(_in_order(base, names[0], other, name))
+        _check_joints(f"{name} -> {other.skeleton.name}", other.skeleton.joints, base.skeleton.joints, names[0])
         extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
         if extra:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
+    for name, one in zip(names, parts, strict=True):
+        _check_spaces(name, one)
     rigs = tuple(build(one) for one in parts)
     to_base = np.array([_to_base(one, base) for one in parts])
+    base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     moved = [rig.points @ matrix[:3, :3].T + matrix[:3, 3] for rig, matrix in zip(rigs, to_base, strict=True)]
     return Sources(
         names=names,
@@ -73,17 +79,46 @@ def stack(faces: Sequence[Face]) -> Sources:
         rigs=rigs,
         to_base=to_base,
         points=np.stack(moved),
-        mm_per_unit=base.meters_per_unit * 1000.0,
+        mm_per_unit=base.meters_per_unit * 1000.0 * _unit(base.skeleton.transform),
+        joint_maps=tuple(
+            np.array([base_joints[joint] for joint in one.skeleton.joints], dtype=np.int32) for one in parts
+        ),
         warnings=tuple(warnings),
     )
 
 
 def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
+    """(4, 4) from bind space to the base's, over the world of both stages."""
     turn = np.eye(4)
     if parts.up_axis != base.up_axis:
         turn = _Z_TO_Y if parts.up_axis == "Z" else _Z_TO_Y.T
     scale = parts.meters_per_unit / base.meters_per_unit
-    return np.asarray(np.diag([scale, scale, scale, 1.0]) @ turn)
+    world = np.diag([scale, scale, scale, 1.0]) @ turn @ parts.skeleton.transform
+    return np.asarray(np.linalg.inv(base.skeleton.transform) @ world)
+
+
+def _unit(matrix: FloatArray) -> float:
+    """How much longer a matrix makes lengths, on average."""
+    return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
+
+
+def _check_spaces(name: str, parts: FaceParts) -> None:
+    """:raises TopologyError: a mesh or skeleton space that is flat, from which there is no way back"""
+    spaces = zip([mesh.name for mesh in parts.meshes], mesh_spaces(parts), strict=True)
+    for what, space in [(parts.skeleton.name, parts.skeleton.transform), *spaces]:
+        linear = np.asarray(space, dtype=np.float64)[:3, :3]
+        if not abs(np.linalg.det(linear)) > _SINGULAR * np.linalg.norm(linear, axis=0).prod():
+            raise TopologyError(f"{name} -> {what}", "singular transform, expected an invertible one")
+
+
+def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_name: str) -> None:
+    """:raises TopologyError: the first joint that only one of the two has"""
+    for joint in base:
+        if joint not in joints:
+            raise TopologyError(where, f"no joint '{joint}', expected the {len(base)} joints of {base_name}")
+    for joint in joints:
+        if joint not in base:
+            raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
 
 
 def _in_order(base: FaceParts, base_name: str, other: FaceParts, name: str) -> FaceParts:
