@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
+
+from tables import aligned, mib, ms, times
 
 Json = dict[str, Any]
 Row = tuple[str, str, str, str, str]
@@ -36,7 +37,7 @@ def table(result: Json) -> str:
     rows: list[Row] = [("face", "figure", "facepipe", f"Blender {theirs}".strip(), "ratio")]
     for face in result["faces"]:
         rows += _rows(face)
-    lines = _aligned(rows) if result["faces"] else []
+    lines = aligned(rows) if result["faces"] else []
     lines += [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
     aim = result["aim"]["export_speedup"]
     runs = result["runs"]
@@ -51,19 +52,19 @@ def _rows(face: Json) -> list[Row]:
     ours, theirs = median["facepipe"], median.get("blender", {})
     matched = ratios.get("blender", {})
     rows = [
-        (name, "import: source to arrays", _ms(median["import"]["read_s"]), "", ""),
-        (name, "import: arrays to a saved stage", _ms(median["import"]["save_s"]), "", ""),
-        (name, "peak memory of the import", _mib(median["import"]["peak_bytes"]), "", ""),
+        (name, "import: source to arrays", ms(median["import"]["read_s"]), "", ""),
+        (name, "import: arrays to a saved stage", ms(median["import"]["save_s"]), "", ""),
+        (name, "peak memory of the import", mib(median["import"]["peak_bytes"]), "", ""),
     ]
-    rows += [(name, text, _ms(ours[key]), _ms(theirs.get(key)), _times(matched.get(key))) for key, text in _TIMES]
+    rows += [(name, text, ms(ours[key]), ms(theirs.get(key)), times(matched.get(key))) for key, text in _TIMES]
     for own, side, settings in _SETTINGS:
         other, ratio = median.get(side, {}), ratios.get(side, {})
         if other or side != "blender_defaults":
             rows += [
-                (name, f"{settings}: {text}", _ms(median[own][key]), _ms(other.get(key)), _times(ratio.get(key)))
+                (name, f"{settings}: {text}", ms(median[own][key]), ms(other.get(key)), times(ratio.get(key)))
                 for key, text in _EXPORT
             ]
-    rows += [(name, text, _mib(ours[key]), _mib(theirs.get(key)), _times(matched.get(key))) for key, text in _MEMORY]
+    rows += [(name, text, mib(ours[key]), mib(theirs.get(key)), times(matched.get(key))) for key, text in _MEMORY]
     return rows + _sizes(face) + _evidence(face)
 
 
@@ -93,36 +94,9 @@ def _evidence(face: Json) -> list[Row]:
     return rows
 
 
-def _aligned(rows: Sequence[Row]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines: list[str] = []
-    shown = ""
-    for row in rows:
-        first = row[0] if row[0] != shown else ""
-        shown = row[0]
-        cells = [first.ljust(widths[0]), row[1].ljust(widths[1])]
-        cells += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
-        if first and lines:
-            lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
-        lines.append("  ".join(cells).rstrip())
-    return lines
-
-
-def _ms(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds * 1000:,.1f} ms"
-
-
-def _mib(count: float | None) -> str:
-    return "" if count is None else f"{count / 2**20:,.1f} MiB"
-
-
 def _bytes(count: int | None) -> str:
     return "" if count is None else f"{count:,} B"
 
 
-def _times(ratio: float | None) -> str:
-    return "" if ratio is None else f"{ratio:.2f}x"
-
-
 def _over(theirs: float | None, ours: float) -> str:
-    return _times(None if theirs is None else theirs / ours)
+    return times(None if theirs is None else theirs / ours)

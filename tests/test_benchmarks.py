@@ -14,9 +14,9 @@ from import_data import shared
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
-def run(*words: str | Path) -> str:
-    """What export_gltf.py prints."""
-    command = [sys.executable, str(BENCHMARKS / "export_gltf.py"), *map(str, words)]
+def run(*words: str | Path, benchmark: str = "export_gltf.py") -> str:
+    """What a benchmark prints."""
+    command = [sys.executable, str(BENCHMARKS / benchmark), *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -54,3 +54,24 @@ def test_export_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:
     assert set(result["skipped"]) == {"ICT-FaceKit", "MakeHuman", "Blender"}
     assert str(tmp_path / "python") in result["skipped"]["Blender"]
     assert printed.count("skipped: ") == 3
+
+
+def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    printed = run("--runs", "1", "--json", out, "--data", tmp_path, benchmark="blend.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    (face,) = result["faces"]
+
+    assert set(result["skipped"]) == {"ICT-FaceKit"}
+    assert printed.count("skipped: ") == 1
+    assert face["difference_mm"]["points"] < 1e-6
+    assert face["difference_mm"]["offsets"] < 1e-6
+    for side in ("cholespy", "splu", "splu-default"):
+        (sample,) = face["samples"][side]
+        assert sample["shapes"] == 7
+        assert sample["session_s"] + sample["first_s"] == pytest.approx(sample["cold_s"])
+        assert sample["factor_s"] < sample["cold_s"]
+        assert sample["baseline_bytes"] <= sample["peak_bytes"]
+    (whole,) = face["samples"]["whole"]
+    assert sum(whole[step] for step in ("open_s", "solve_s", "author_s", "save_s")) == pytest.approx(whole["whole_s"])
+    assert 0 < whole["border_step_mm"] < 1
