@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
+from facepipe.geometry.grouping import group_sums
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -131,13 +132,12 @@ class Transfer:
     def _divergence(self, gradients: FloatArray) -> FloatArray:
         """(n, 3) right-hand side of the normal equations."""
         flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
-        corners, count = self._triangles.ravel(), len(self._points)
-        return np.stack([np.bincount(corners, flux[..., axis].ravel(), minlength=count) for axis in range(3)], axis=1)
+        return group_sums(self._triangles.ravel(), flux.reshape(-1, 3), len(self._points))
 
     def _piece_means(self, values: FloatArray) -> FloatArray:
         """(n, 3) the mean of `values` over each point's piece."""
         counts = np.bincount(self._pieces)
-        sums = np.stack([np.bincount(self._pieces, column) for column in values.T], axis=1)
+        sums = group_sums(self._pieces, values, len(counts))
         return np.asarray((sums / counts[:, None])[self._pieces])
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places
+from facepipe.geometry.grouping import group_sums
+from facepipe.geometry.vectors import unit_vectors
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -41,22 +43,12 @@ def _pseudonormals(points: FloatArray, triangles: IntArray) -> tuple[FloatArray,
     """Unit normals (t, 3) of the triangles, and pseudonormals of their edges (t, 3, 3) and of points (n, 3)."""
     corners = points[triangles]
     sides = corners[:, [1, 2, 0]] - corners
-    normals = _unit(np.cross(sides[:, 0], sides[:, 1]))
+    normals = unit_vectors(np.cross(sides[:, 0], sides[:, 1]))
     pairs = np.sort(np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2).reshape(-1, 2), axis=1)
     _, number = np.unique(pairs, axis=0, return_inverse=True)
     number = number.reshape(-1)  # numpy 2.0 gives it the shape of the pairs
-    at_edges = _sums(np.repeat(normals, 3, axis=0), number, int(number.max()) + 1)[number].reshape(-1, 3, 3)
-    directions = _unit(sides.reshape(-1, 3)).reshape(-1, 3, 3)
+    at_edges = group_sums(number, np.repeat(normals, 3, axis=0), int(number.max()) + 1)[number].reshape(-1, 3, 3)
+    directions = unit_vectors(sides.reshape(-1, 3)).reshape(-1, 3, 3)
     cosines = -np.einsum("tei,tei->te", directions, directions[:, [2, 0, 1]])
     weighted = (np.arccos(np.clip(cosines, -1.0, 1.0))[..., None] * normals[:, None]).reshape(-1, 3)
-    return normals, at_edges, _sums(weighted, triangles.ravel(), len(points))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    """(v, 3) of length 1; those of length 0 stay."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
-
-
-def _sums(values: FloatArray, number: IntArray, count: int) -> FloatArray:
-    return np.stack([np.bincount(number, column, minlength=count) for column in values.T], axis=1)
+    return normals, at_edges, group_sums(triangles.ravel(), weighted, len(points))

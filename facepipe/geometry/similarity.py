@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.geometry.grouping import group_sums
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -99,13 +100,13 @@ def fit_similarities(
     """
     source, target, groups, share = _checked(source, target, groups, weights)
     count = int(groups.max()) + 1
-    from_centre, to_centre = _group_sums(source * share, groups, count), _group_sums(target * share, groups, count)
+    from_centre, to_centre = group_sums(groups, source * share, count), group_sums(groups, target * share, count)
     # in units of the largest coordinate, so that no square overflows
     from_unit, to_unit = _unit(source), _unit(target)
     a, b = (source - from_centre[groups]) / from_unit, (target - to_centre[groups]) / to_unit
-    covariance = np.stack([_group_sums(b * share * a[:, axis, None], groups, count) for axis in range(3)], axis=2)
-    from_variance = _group_sums(a * a * share, groups, count).sum(axis=1)
-    to_variance = _group_sums(b * b * share, groups, count).sum(axis=1)
+    covariance = np.stack([group_sums(groups, b * share * a[:, axis, None], count) for axis in range(3)], axis=2)
+    from_variance = group_sums(groups, a * a * share, count).sum(axis=1)
+    to_variance = group_sums(groups, b * b * share, count).sum(axis=1)
     rotation, strength = _rotations(covariance, (from_variance > _POINT**2) & (to_variance > _POINT**2))
     factor = np.ones(count)
     if scale:
@@ -170,11 +171,6 @@ def _checked(
     if (total[groups] <= 0).any():
         raise InputError("weights", "all are 0, expected one above 0 in every group")
     return source, target, groups, (weights / weights.max() / total[groups])[:, None]
-
-
-def _group_sums(values: FloatArray, groups: IntArray, count: int) -> FloatArray:
-    """(count, c) sums of the rows of `values` (n, c) that each group has."""
-    return np.stack([np.bincount(groups, column, minlength=count) for column in values.T], axis=1)
 
 
 def _unit(points: FloatArray) -> float:

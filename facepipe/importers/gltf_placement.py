@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.parts import Blendshape, FloatArray, Inbetween, Mesh, identity
 
 
@@ -23,7 +24,7 @@ def placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     return replace(
         mesh,
         points=(np.asarray(mesh.points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32),
-        normals=None if mesh.normals is None else _unit(move.normal(mesh.normals)),
+        normals=None if mesh.normals is None else unit_vectors(move.normal(mesh.normals)),
         blendshapes=tuple(_shape(shape, move) for shape in mesh.blendshapes),
     )
 
@@ -58,8 +59,3 @@ def _inbetween(inbetween: Inbetween, move: _Move) -> Inbetween:
     return replace(
         inbetween, offsets=move.offset(inbetween.offsets), normal_offsets=move.optional(inbetween.normal_offsets)
     )
-
-
-def _unit(normals: FloatArray) -> FloatArray:
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(length > 0.0, length, 1.0))

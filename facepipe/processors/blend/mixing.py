@@ -32,8 +32,3 @@ def mean_of_ends(shares: FloatArray, first: IntArray, second: IntArray) -> Float
 def mix(shares: FloatArray, values: FloatArray) -> FloatArray:
     """(r, c) sums of (K, r, c) values under (r, K) shares."""
     return np.asarray(np.einsum("rk,krc->rc", shares, values))
-
-
-def sums(group: IntArray, values: FloatArray, count: int) -> FloatArray:
-    """(count, c) sums of the rows of `values` (n, c) by their group (n,)."""
-    return np.stack([np.bincount(group, column, minlength=count) for column in values.T], axis=1)

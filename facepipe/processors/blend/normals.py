@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.vectors import unit_vectors
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -36,10 +37,10 @@ def blend_normals(
         if one is not None:
             own = np.asarray(one, dtype=np.float64)
             authored = np.linalg.norm(own, axis=1) > 0
-            blended += np.where(authored, weights[:, k], 0.0)[:, None] * (_unit(own) - surfaces[k])
+            blended += np.where(authored, weights[:, k], 0.0)[:, None] * (unit_vectors(own) - surfaces[k])
     flat = np.linalg.norm(blended, axis=1) <= _DEGENERATE
     blended[flat] = surface[flat]
-    return _unit(blended)
+    return unit_vectors(blended)
 
 
 def normal_offsets(
@@ -55,8 +56,3 @@ def normal_offsets(
     near = triangles[touched[triangles].any(axis=1)]  # all that the normals asked for depend on
     difference = point_normals(deformed, near)[point_indices] - point_normals(points, near)[point_indices]
     return np.asarray(difference)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1.0))

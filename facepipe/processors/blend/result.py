@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider
 from facepipe.processors.blend.animations import rebase_animations
-from facepipe.processors.blend.mixing import sums
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.session import BlendSession, Solution
 from facepipe.processors.blend.skeletons import blend_skeletons
@@ -90,7 +90,7 @@ def _in_rows(normals: FloatArray | None, corners: IntArray, count: int, *, per_p
     """Normals per point or corner, whichever way they are given."""
     if normals is None or (len(normals) == count) == per_point:
         return normals
-    return sums(corners, normals, count) if per_point else normals[corners]
+    return group_sums(corners, normals, count) if per_point else normals[corners]
 
 
 def _blendshapes(

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from facepipe.errors import InputError
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem
+from facepipe.geometry.grouping import group_sums
 from facepipe.processors.blend.expressions import Expression
 from facepipe.processors.blend.kept_parts import kept_parts
-from facepipe.processors.blend.mixing import Shared, mean_of_ends, mix, sums
+from facepipe.processors.blend.mixing import Shared, mean_of_ends, mix
 from facepipe.processors.blend.network import joint_worlds, network
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.sculpts import Sculpt, pair_sculpts
@@ -125,9 +126,9 @@ class BlendSession:
         bridges, places = self.network.joint_bridges, self.joint_worlds[:, :, :3, 3]
         joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
         total = np.bincount(joint, bridges.weights, minlength=count)[:, None]
-        own = sums(joint, shares[point] * bridges.weights[:, None], count) / total
+        own = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
         vectors = mix(0.5 * (own[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
-        return own, sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
+        return own, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
 
 
 def _anchor(sources: Sources, text: str | None) -> int | None:
