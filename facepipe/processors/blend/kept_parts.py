@@ -41,35 +41,20 @@ class KeptParts:
         shape = mix(own[self.part], self.shapes)
         return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
 
-    def rigid_in(self, sculpt: Sculpt, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """(p,) points of the parts that `sculpt` moves as wholes, in every source by a similarity."""
-        chosen = _whole(self.part, moving[self.points])
-        if not chosen.any():
-            return chosen
-        at, number = np.searchsorted(sculpt.points, self.points[chosen]), self.part[chosen]
-        for start, offsets in zip(self.neutrals[:, chosen], sculpt.offsets[:, at], strict=True):
-            off = fit_similarities(start, start + offsets, number).apply(start, number) - start - offsets
-            squares = [np.bincount(number, (one**2).sum(axis=1)) for one in (off, offsets)]
-            chosen[chosen] = (squares[0] <= _RIGID**2 * squares[1])[number]
-            if not chosen.any():
-                break
-            at, number = np.searchsorted(sculpt.points, self.points[chosen]), self.part[chosen]
-        return chosen
+    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, moving: npt.NDArray[np.bool_]) -> None:
+        """Replace, in `offsets` (n, 3), those of every part that moves as a whole by the nearest similarity's.
 
-    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, rigid: npt.NDArray[np.bool_]) -> None:
-        """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's."""
-        if not rigid.any():
+        A part with static points stays as solved: they must not move.
+        """
+        if not len(self.points):
             return
-        points, number = self.points[rigid], np.unique(self.part[rigid], return_inverse=True)[1].ravel()
-        start = neutral[points]
-        offsets[points] = fit_similarities(start, start + offsets[points], number).apply(start, number) - start
-
-
-def _whole(part: IntArray, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """(p,) points of the parts of which all points move: those of others must not, so these stay as solved."""
-    if not len(part):
-        return np.zeros(0, dtype=bool)
-    return np.asarray((np.bincount(part, ~moving) == 0)[part])
+        still = np.bincount(self.part, ~moving[self.points], minlength=int(self.part.max()) + 1) > 0
+        chosen = ~still[self.part]
+        points, numbers = self.points[chosen], np.unique(self.part[chosen], return_inverse=True)[1].ravel()
+        if len(points):
+            start = neutral[points]
+            fitted = fit_similarities(start, start + offsets[points], numbers).apply(start, numbers)
+            offsets[points] = fitted - start
 
 
 def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
