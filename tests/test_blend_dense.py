@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from blend_faces import misaligned, same
 from faces import replace_mesh, tiny_face
+from solvers import SOLVERS
 
 from facepipe.parts import FaceParts, Inbetween, Mesh
 from facepipe.processors.blend import BlendOptions, BlendSession, Weights
@@ -116,7 +117,7 @@ class Dense:
         return found
 
 
-@pytest.mark.parametrize("solver", ["cholespy", "splu"])
+@SOLVERS
 @pytest.mark.parametrize("expressions", ["static", "document"])
 def test_the_whole_blend_agrees_with_a_dense_reference(solver: str, expressions: str) -> None:
     blend, solution = solve(solver, expressions)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from faces import grid_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from solvers import SOLVERS
 
+from facepipe.errors import InputError
 from facepipe.geometry.bridges import Bridges, joint_bridges, part_bridges
 from facepipe.geometry.differences import cotangent_weights, edge_vectors, incidence
-from facepipe.geometry.factor import factorise
+from facepipe.geometry.factor import Solver, factorise
 from facepipe.geometry.gradient_system import GradientSystem
 from facepipe.geometry.polygons import components, edges, point_triangles
 
@@ -19,10 +23,10 @@ HEAD = SIZE * SIZE
 EDGES = edges(grid_mesh(size=SIZE).face_vertex_counts, grid_mesh(size=SIZE).face_vertex_indices)[0]
 
 
-def grid(solver: str = "auto", weights: np.ndarray | None = None) -> GradientSystem:
+def grid(solver: Solver = "auto", weights: np.ndarray | None = None) -> GradientSystem:
     nothing = Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     own = np.ones(len(EDGES)) if weights is None else weights
-    return GradientSystem(EDGES, own, np.ones(HEAD, dtype=bool), nothing, 3, solver)  # type: ignore[arg-type]
+    return GradientSystem(EDGES, own, np.ones(HEAD, dtype=bool), nothing, 3, solver)
 
 
 def two_parts() -> tuple[np.ndarray, GradientSystem]:
@@ -36,8 +40,8 @@ def two_parts() -> tuple[np.ndarray, GradientSystem]:
     return points, GradientSystem(pairs, np.ones(len(pairs)), component == component[0], bridges, 3)
 
 
-@pytest.mark.parametrize("solver", ["cholespy", "splu"])
-def test_neutral_agrees_with_the_dense_pseudo_inverse(solver: str) -> None:
+@SOLVERS
+def test_neutral_agrees_with_the_dense_pseudo_inverse(solver: Solver) -> None:
     rng = np.random.default_rng(1)
     wanted, weights = rng.normal(size=(len(EDGES), 3)), rng.uniform(0.1, 3, len(EDGES))
     M = incidence(EDGES, HEAD).toarray()
@@ -48,8 +52,8 @@ def test_neutral_agrees_with_the_dense_pseudo_inverse(solver: str) -> None:
     np.testing.assert_array_equal(solved[3], anchor)
 
 
-@pytest.mark.parametrize("solver", ["cholespy", "splu"])
-def test_moving_agrees_with_dense_least_squares(solver: str) -> None:
+@SOLVERS
+def test_moving_agrees_with_dense_least_squares(solver: Solver) -> None:
     rng = np.random.default_rng(2)
     wanted = rng.normal(size=(len(EDGES), 3))
     moving = rng.random(HEAD) < 0.5
@@ -149,7 +153,8 @@ def test_cotangent_weights_stay_positive_and_finite_on_flat_triangles() -> None:
     assert (weights > 0).all()
 
 
-def test_the_fallback_agrees_with_cholespy() -> None:
+@SOLVERS
+def test_every_solver_agrees_with_a_dense_one(solver: Solver) -> None:
     from scipy.sparse import csr_array, eye_array
 
     rng = np.random.default_rng(6)
@@ -157,15 +162,25 @@ def test_the_fallback_agrees_with_cholespy() -> None:
     matrix = root @ root.T + eye_array(60)
     right = rng.normal(size=(60, 4))
     expected = np.linalg.solve(matrix.toarray(), right)
-    for solver in ("cholespy", "splu", "auto"):
-        np.testing.assert_allclose(factorise(matrix, solver).solve(right), expected, atol=1e-10)  # type: ignore[arg-type]
-        np.testing.assert_allclose(factorise(matrix, solver).solve(right[:, 0]), expected[:, 0], atol=1e-10)  # type: ignore[arg-type]
-    assert factorise(csr_array((0, 0))).solve(np.zeros((0, 3))).shape == (0, 3)
+    factor = factorise(matrix, solver)
+    np.testing.assert_allclose(factor.solve(right), expected, atol=1e-10)
+    np.testing.assert_allclose(factor.solve(right[:, 0]), expected[:, 0], atol=1e-10)
+    assert factorise(csr_array((0, 0)), solver).solve(np.zeros((0, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize("solver", ["cholespy", "splu"])
-def test_a_singular_matrix_is_an_error(solver: str) -> None:
+@SOLVERS
+def test_a_singular_matrix_is_an_error(solver: Solver) -> None:
     from scipy.sparse import csr_array
 
     with pytest.raises((RuntimeError, ValueError)):
-        factorise(csr_array(np.array([[1.0, -1.0], [-1.0, 1.0]])), solver)  # type: ignore[arg-type]
+        factorise(csr_array(np.array([[1.0, -1.0], [-1.0, 1.0]])), solver)
+
+
+def test_without_cholespy_scipy_solves_unless_cholespy_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    from scipy.sparse import csr_array
+
+    monkeypatch.setitem(sys.modules, "cholespy", None)
+    matrix = csr_array(np.diag([2.0, 4.0]))
+    np.testing.assert_allclose(factorise(matrix).solve(np.ones(2)), [0.5, 0.25])
+    with pytest.raises(InputError, match="cholespy is not installed"):
+        factorise(matrix, "cholespy")

@@ -1,4 +1,4 @@
-"""Shares of sources by least squares: optimal, exact, and at the prior where the problem leaves them open."""
+"""Shares of sources by least squares: optimal, exact, and equal where the problem leaves them open."""
 
 from __future__ import annotations
 
@@ -107,34 +107,18 @@ def test_locked_groups_stay_to_the_bit_and_the_others_make_the_best_of_it() -> N
     np.testing.assert_array_equal(whole.weights, np.eye(3)[[0, 1, 2, 0]])
 
 
-def test_what_the_problem_leaves_open_stays_at_the_prior() -> None:
+def test_what_the_problem_leaves_open_is_shared_equally() -> None:
     rng = np.random.default_rng(6)
     basis = rng.normal(size=(50, 3, 4))
     basis[:, 1] = 0.0  # a region without edges
     basis[:, 2, 3] = basis[:, 2, 0]  # two sources that are the same there
-    prior = rng.dirichlet(np.ones(4), 3)
     weights = np.array([[0.5, 0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.4, 0.1, 0.3, 0.2]])
     flat = basis.reshape(50, 12)
-    fit = fit_simplex(flat.T @ flat, flat.T @ (flat @ weights.ravel()), 3, 4, prior=prior)
+    fit = fit_simplex(flat.T @ flat, flat.T @ (flat @ weights.ravel()), 3, 4)
     np.testing.assert_allclose(fit.weights[0], weights[0], atol=1e-9)
-    np.testing.assert_allclose(fit.weights[1], prior[1], atol=1e-12)
+    np.testing.assert_allclose(fit.weights[1], 0.25, atol=1e-12)
     np.testing.assert_allclose(fit.weights[2, 1:3], weights[2, 1:3], atol=1e-9)
-    split = fit.weights[2, [0, 3]]
-    assert split.sum() == pytest.approx(0.6, abs=1e-9)
-    assert split[0] - split[1] == pytest.approx(np.clip(prior[2, 0] - prior[2, 3], -0.6, 0.6), abs=1e-6)
-
-
-def test_a_ridge_pulls_to_the_prior() -> None:
-    rng = np.random.default_rng(7)
-    basis = rng.normal(size=(50, 6))
-    gram, linear = basis.T @ basis, basis.T @ rng.normal(size=50)
-    prior = np.array([[0.2, 0.8], [0.5, 0.5], [1.0, 0.0]])
-    distance = [
-        np.linalg.norm(fit_simplex(gram, linear, 3, 2, prior=prior, ridge=ridge).weights - prior)
-        for ridge in (0.0, 0.1, 1.0, 1e3)
-    ]
-    assert sorted(distance, reverse=True) == distance
-    assert distance[-1] < 1e-3 < distance[0]
+    np.testing.assert_allclose(fit.weights[2, [0, 3]], 0.3, atol=1e-6)
 
 
 def test_the_order_of_groups_and_sources_changes_nothing() -> None:
@@ -169,10 +153,8 @@ def test_a_problem_that_is_not_convex_is_refused() -> None:
         {"gram": np.eye(5)},
         {"linear": np.zeros(3)},
         {"linear": np.array([0, 0, np.nan, 0])},
-        {"prior": np.zeros((3, 2))},
         {"locked": {2: np.array([1.0, 0.0])}},
         {"locked": {0: np.array([1.0])}},
-        {"ridge": -1.0},
     ],
 )
 def test_bad_input_is_told(changes: dict[str, object]) -> None:

@@ -31,11 +31,6 @@ class Similarity:
         """(..., 3) points moved."""
         return np.asarray(self.scale * (np.asarray(points, dtype=np.float64) @ self.rotation.T) + self.translation)
 
-    @property
-    def matrix(self) -> FloatArray:
-        """(4, 4), for column vectors."""
-        return _matrices(self.rotation, self.translation, np.float64(self.scale))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Similarities:
@@ -55,11 +50,6 @@ class Similarities:
         """(n, 3) points moved, each by the similarity of its group (n,)."""
         turned = np.einsum("nij,nj->ni", self.rotation[groups], np.asarray(points, dtype=np.float64))
         return np.asarray(self.scale[groups, None] * turned + self.translation[groups])
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(g, 4, 4), for column vectors."""
-        return _matrices(self.rotation, self.translation, self.scale)
 
 
 def fit_similarity(
@@ -102,7 +92,7 @@ def fit_similarities(
     count = int(groups.max()) + 1
     from_centre, to_centre = group_sums(groups, source * share, count), group_sums(groups, target * share, count)
     # in units of the largest coordinate, so that no square overflows
-    from_unit, to_unit = _unit(source), _unit(target)
+    from_unit, to_unit = _largest(source), _largest(target)
     a, b = (source - from_centre[groups]) / from_unit, (target - to_centre[groups]) / to_unit
     covariance = np.stack([group_sums(groups, b * share * a[:, axis, None], count) for axis in range(3)], axis=2)
     from_variance = group_sums(groups, a * a * share, count).sum(axis=1)
@@ -173,13 +163,5 @@ def _checked(
     return source, target, groups, (weights / weights.max() / total[groups])[:, None]
 
 
-def _unit(points: FloatArray) -> float:
+def _largest(points: FloatArray) -> float:
     return max(float(np.abs(points).max()), np.finfo(np.float64).tiny)
-
-
-def _matrices(rotation: FloatArray, translation: FloatArray, scale: FloatArray | np.float64) -> FloatArray:
-    matrices = np.zeros((*rotation.shape[:-2], 4, 4))
-    matrices[..., :3, :3] = np.asarray(scale)[..., None, None] * rotation
-    matrices[..., :3, 3] = translation
-    matrices[..., 3, 3] = 1.0
-    return matrices

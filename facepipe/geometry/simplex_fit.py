@@ -3,9 +3,9 @@
     minimise 1/2 a.G a - g.a   over R groups of K shares, each share 0 or more and each group summing to 1
 
 G may have any rank. The problem is solved as a short run of strictly convex ones, each with a faint pull towards the
-solution of the one before, the first towards the prior (Rockafellar, "Monotone operators and the proximal point
-algorithm", SIAM J. Control Optim. 1976): they end at a minimum of the given problem, and what it leaves open stays at
-the prior. Accelerated projected gradients find most of the shares that are 0; from there on the primal active-set
+solution of the one before, the first towards equal shares (Rockafellar, "Monotone operators and the proximal point
+algorithm", SIAM J. Control Optim. 1976): they end at a minimum of the given problem, and what it leaves open stays
+equal. Accelerated projected gradients find most of the shares that are 0; from there on the primal active-set
 method is exact (Nocedal and Wright, "Numerical Optimization", algorithm 16.3).
 """
 
@@ -70,34 +70,30 @@ def fit_simplex(
     groups: int,
     sources: int,
     *,
-    prior: FloatArray | None = None,
     locked: Mapping[int, FloatArray] | None = None,
-    ridge: float = 0.0,
 ) -> SimplexFit:
     """The shares (R, K) that minimise ``1/2 a.G a - g.a``, every share 0 or more, every group summing to 1.
+
+    Shares that the problem leaves open are equal.
 
     :param gram: G (R K, R K), symmetric positive semidefinite, group after group
     :param linear: g (R K,)
     :param groups: R
     :param sources: K, at least 1
-    :param prior: (R, K) shares that groups take as far as the problem leaves them open; default all the same
     :param locked: group -> its shares (K,), kept as given
-    :param ridge: pull towards the prior, relative to the largest diagonal element of G; 0 or more. None is needed for
-        problems without a unique solution
-    :raises InputError: shapes that don't fit, NaN or infinity, an unknown group, a negative ridge, or G of the free
-        groups not positive semidefinite
+    :raises InputError: shapes that don't fit, NaN or infinity, an unknown group, or G of the free groups not positive
+        semidefinite
     :raises FitError: rounding left no usable result
     """
-    gram, linear, shares = _checked(gram, linear, groups, sources, prior, ridge)
+    gram, linear = _checked(gram, linear, groups, sources)
+    shares = np.full((groups, sources), 1.0 / sources)
     free = _lock(shares, locked or {})
     if not free.any():
         return SimplexFit(shares, 0, 0.0)
     problem = _without(gram, linear, np.repeat(free, sources), shares)
     curvature = float(np.abs(np.diag(problem.gram)).max()) or 1.0
-    found = shares[free].ravel()
-    problem = problem.pulled(found, ridge * curvature)
-    found = _descend(problem.pulled(found, _PULL * curvature), found)
     centre, iterations = shares[free].ravel(), 0
+    found = _descend(problem.pulled(centre, _PULL * curvature), centre)
     for _ in range(_STEPS):
         found, solved = _solve(problem.pulled(centre, _PULL * curvature), found)
         centre, iterations = found, iterations + solved
@@ -110,22 +106,16 @@ def fit_simplex(
     return SimplexFit(shares, iterations, residual)
 
 
-def _checked(
-    gram: FloatArray, linear: FloatArray, groups: int, sources: int, prior: FloatArray | None, ridge: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """G, g and the prior (R, K) as float64."""
+def _checked(gram: FloatArray, linear: FloatArray, groups: int, sources: int) -> tuple[FloatArray, FloatArray]:
+    """G and g as float64."""
     size = groups * sources
     if groups < 0 or sources < 1:
         raise InputError("shares", f"{groups} groups of {sources} sources, expected at least one source")
-    even = np.full((groups, sources), 1.0 / sources)
-    given = {"gram": (gram, (size, size)), "linear": (linear, (size,)), "prior": (prior, (groups, sources))}
+    given = {"gram": (gram, (size, size)), "linear": (linear, (size,))}
     for name, (values, shape) in given.items():
-        if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
+        if np.shape(values) != shape or not np.isfinite(values).all():
             raise InputError(name, f"shape {np.shape(values)}, expected {shape}, all finite")
-    if not (np.isfinite(ridge) and ridge >= 0):
-        raise InputError("ridge", f"{ridge:g}, expected a finite number of 0 or more")
-    shares = even if prior is None else _projected(np.asarray(prior, np.float64))
-    return np.asarray(gram, np.float64), np.asarray(linear, np.float64), shares
+    return np.asarray(gram, np.float64), np.asarray(linear, np.float64)
 
 
 def _lock(shares: FloatArray, locked: Mapping[int, FloatArray]) -> BoolArray:
