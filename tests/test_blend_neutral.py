@@ -90,10 +90,10 @@ def translation(vector: tuple[float, float, float]) -> np.ndarray:
 
 @kinds()
 def test_another_anchor_translates_the_whole_result(kind: str) -> None:
-    first = session(kind, 2, "misaligned")
+    first = session(kind, 2, "misaligned neutral")
     count = len(first.sources.base.meshes[0].points)
     for point in (0, count // 2, count - 1):
-        other = session(kind, 2, "misaligned", BlendOptions(anchor=f"Head:{point}"))
+        other = session(kind, 2, "misaligned neutral", BlendOptions(anchor=f"Head:{point}"))
         for name in REGION_WEIGHTS:
             one, two = (blend.neutral(by_region(name)) for blend in (first, other))
             steady(np.concatenate([two.points - one.points, two.joints - one.joints]), 1e-9 * head_height(first))
@@ -108,7 +108,7 @@ def test_regions_of_misaligned_sources_keep_their_edges(kind: str, name: str) ->
     Where one region alone differs, its border takes so few edges that the percentile of all says nothing of it; there
     it is that of the edges whose weights vary.
     """
-    blend = session(kind, 2, "misaligned")
+    blend = session(kind, 2, "misaligned neutral")
     neutral, edges = blend.neutral(by_region(name)), blend.network.edges
     averaged = weighted(neutral.shares, blend.sources.points)
     own, other = (
@@ -166,7 +166,7 @@ def test_units_and_up_axis_of_sources_make_no_difference(kind: str) -> None:
 @kinds()
 @pytest.mark.parametrize("name", REGION_WEIGHTS)
 def test_eyeballs_and_teeth_are_the_mean_shape_of_their_sources_moved_turned_and_scaled(kind: str, name: str) -> None:
-    blend = session(kind, 2, "misaligned")
+    blend = session(kind, 2, "misaligned neutral")
     neutral, kept = blend.neutral(by_region(name)), blend.kept
     meshes = mesh_points(blend)
     np.testing.assert_array_equal(
@@ -184,7 +184,7 @@ def test_eyeballs_and_teeth_are_the_mean_shape_of_their_sources_moved_turned_and
 @kinds()
 @pytest.mark.parametrize("name", REGION_WEIGHTS)
 def test_eyeballs_stay_as_round_as_those_of_their_sources(kind: str, name: str) -> None:
-    blend = session(kind, 2, "misaligned")
+    blend = session(kind, 2, "misaligned neutral")
     found = blend.neutral(by_region(name)).points
     for eye in EYES[kind]:
         balls = [fit_ball(points[mesh_points(blend)[eye]]) for points in (found, *blend.sources.points)]
