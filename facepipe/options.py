@@ -19,12 +19,15 @@ Options = TypeVar("Options", bound="DataclassInstance")
 
 
 def check_ranges(options: DataclassInstance) -> None:
-    """Check every number in `options` against its field's ``metadata["range"]``, a pair (lowest, highest).
+    """Check `options` against their fields' ``metadata``: "range", a pair (lowest, highest), and "choices".
 
-    :raises InputError: an option is out of range or not finite
+    :raises InputError: an option is out of range, not finite or none of its choices
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
+        if "choices" in field.metadata and value not in field.metadata["choices"]:
+            expected = ", ".join(map(str, field.metadata["choices"]))
+            raise InputError(f"option {field.name}", f"is {value!r}, expected one of {expected}")
         if "range" not in field.metadata or value is None:
             continue
         low, high = field.metadata["range"]

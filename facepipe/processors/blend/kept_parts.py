@@ -12,21 +12,24 @@ from facepipe.geometry.similarity import fit_similarities
 from facepipe.names import select
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.network import Network
+from facepipe.processors.blend.sculpts import Sculpt
 from facepipe.processors.blend.sources import Sources
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_RIGID = 0.02  # of a part's motion: what a similarity may leave of it; of real jaws on scaled teeth it leaves 0.005
 CONCENTRIC = 0.25  # components whose centres lie this close, in radii of the larger, are one part: iris, lens and ball
 
 
 @dataclass(frozen=True)
 class KeptParts:
-    """Loose parts and their shapes in the sources, each moved onto the base's by a similarity."""
+    """Loose parts in the sources, and their shapes: each moved onto the base's by a similarity."""
 
     points: IntArray  # (p,) into all points
     part: IntArray  # (p,) number of the part, from 0
-    shapes: FloatArray  # (K, p, 3)
+    neutrals: FloatArray  # (K, p, 3) as the sources have them
+    shapes: FloatArray  # (K, p, 3) moved onto the base's
 
     def fit(self, solved: FloatArray, shares: FloatArray) -> FloatArray:
         """(p, 3) the parts' mean shape under their shares, moved by similarities nearest to the solved points.
@@ -41,20 +44,34 @@ class KeptParts:
         shape = mix(own[self.part], self.shapes)
         return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
 
-    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, moving: npt.NDArray[np.bool_]) -> None:
-        """Replace, in `offsets` (n, 3), those of every part that moves as a whole by the nearest similarity's.
+    def rigid_in(self, sculpt: Sculpt, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """(p,) points of the parts that `sculpt` moves as wholes, in every source by a similarity."""
+        chosen = _whole(self.part, moving[self.points])
+        if not chosen.any():
+            return chosen
+        at, number = np.searchsorted(sculpt.points, self.points[chosen]), self.part[chosen]
+        rigid = np.ones(int(number.max()) + 1, dtype=bool)
+        for start, offsets in zip(self.neutrals[:, chosen], sculpt.offsets[:, at], strict=True):
+            off = fit_similarities(start, start + offsets, number).apply(start, number) - start - offsets
+            left, whole = (np.bincount(number, (one**2).sum(axis=1)) for one in (off, offsets))
+            rigid &= left <= _RIGID**2 * whole
+        chosen[chosen] = rigid[number]
+        return chosen
 
-        A part with static points stays as solved: they must not move.
-        """
-        if not len(self.points):
+    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, rigid: npt.NDArray[np.bool_]) -> None:
+        """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's."""
+        if not rigid.any():
             return
-        still = np.bincount(self.part, ~moving[self.points], minlength=int(self.part.max()) + 1) > 0
-        chosen = ~still[self.part]
-        points, numbers = self.points[chosen], np.unique(self.part[chosen], return_inverse=True)[1].ravel()
-        if len(points):
-            start = neutral[points]
-            fitted = fit_similarities(start, start + offsets[points], numbers).apply(start, numbers)
-            offsets[points] = fitted - start
+        points, number = self.points[rigid], np.unique(self.part[rigid], return_inverse=True)[1].ravel()
+        start = neutral[points]
+        offsets[points] = fit_similarities(start, start + offsets[points], number).apply(start, number) - start
+
+
+def _whole(part: IntArray, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """(p,) points of the parts of which all points move: those of others must not, so these stay as solved."""
+    if not len(part):
+        return np.zeros(0, dtype=bool)
+    return np.asarray((np.bincount(part, ~moving) == 0)[part])
 
 
 def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
@@ -70,10 +87,11 @@ def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
     mesh = np.searchsorted(sources.mesh_offsets, points, side="right")
     part = _merge_concentric(sources.points[0, points], network.component[points], mesh)
     if not len(points):
-        return KeptParts(points, part, np.zeros((len(sources.points), 0, 3)))
+        nothing = np.zeros((len(sources.points), 0, 3))
+        return KeptParts(points, part, nothing, nothing)
     base = sources.points[0, points]
     aligned = [fit_similarities(own[points], base, part).apply(own[points], part) for own in sources.points]
-    return KeptParts(points, part, np.stack(aligned))
+    return KeptParts(points, part, sources.points[:, points], np.stack(aligned))
 
 
 def _default(names: tuple[str, ...]) -> tuple[str, ...]:

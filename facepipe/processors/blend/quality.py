@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.differences import edge_vectors
-from facepipe.geometry.flips import flipped_triangles
+from facepipe.geometry.flips import triangle_normals, turned_triangles
 from facepipe.processors.blend.lids import LidContact, lid_contacts
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.session import BlendSession, Solution
@@ -39,7 +39,7 @@ class ShapeQuality:
     static: int  # points that are the blended neutral's to the bit
     deviation: Deviation  # over the edges at moving points
     border_step_mm: float  # the largest deviation over edges between static and moving points
-    flipped_triangles: int  # at weight 1, against the same mix of the sources' expressions
+    flipped_triangles: int  # at weight 1, against the same mix of the sources' normals
     largest_offset_mm: float
 
 
@@ -56,7 +56,7 @@ class BlendReport(Report):
     regions: Mapping[str, Deviation] = field(default_factory=dict)  # edges by the region that most of them is in
     shapes: Mapping[str, ShapeQuality] = field(default_factory=dict)
     lids: Mapping[str, LidContact] = field(default_factory=dict)  # by eyeball mesh
-    flipped_triangles: int = 0  # of the neutral, against the mean of the sources
+    flipped_triangles: int = 0  # of the neutral, against the same mix of the sources' normals
     skipped: tuple[str, ...] = ()  # shapes that some source lacks
     transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
     authored: tuple[str, ...] = ()
@@ -69,46 +69,63 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
     lengths = _lengths(edge_vectors(neutral.points, net.edges) - neutral.wanted, sources.mm_per_unit)
     region = np.argmax(net.masks[:, net.edges[:, 0]] + net.masks[:, net.edges[:, 1]], axis=0)
     names = (*net.regions, "default")
-    mean = mix(neutral.shares, sources.points)
+    normals = _triangle_mix(neutral.shares, sources.points, net.triangles)
+    count = len(neutral.points)
     report = BlendReport(
         sources=sources.names,
-        points=len(mean),
+        points=count,
         loose_parts=len(np.unique(net.component)) - 1,
         kept_parts=len(np.unique(session.kept.part)),
         weights={name: tuple(map(float, row)) for name, row in zip(names, neutral.table, strict=True)},
         deviation=_deviation(lengths),
         regions={name: _deviation(lengths[region == i]) for i, name in enumerate(names) if (region == i).any()},
-        shapes={sculpt.name: _shape(session, solution, number, mean) for number, sculpt in enumerate(solution.sculpts)},
+        shapes={sculpt.name: _shape(session, solution, number) for number, sculpt in enumerate(solution.sculpts)},
         lids=lid_contacts(session, solution),
-        flipped_triangles=int(flipped_triangles(mean, neutral.points, net.triangles).sum()),
+        flipped_triangles=int(turned_triangles(normals, neutral.points, net.triangles).sum()),
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
-        warnings=(*sources.warnings, *neutral.notes, *_warnings(session)),
+        warnings=(*sources.warnings, *net.notes, *neutral.notes, *_warnings(session)),
     )
-    return report, _at_points(lengths, net.edges, len(mean))
+    return report, _at_points(lengths, net.edges, count)
 
 
-def _shape(session: BlendSession, solution: Solution, number: int, mean: FloatArray) -> ShapeQuality:
+def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuality:
     net, sculpt, mm = session.network, solution.sculpts[number], session.sources.mm_per_unit
-    expression, neutral = session.expression(number), solution.neutral
-    moving = np.zeros(len(mean), dtype=bool)
+    neutral = solution.neutral
+    edges, wanted = session.expression(number).asked(neutral)
+    moving = np.zeros(len(neutral.points), dtype=bool)
     moving[sculpt.points] = True
-    offsets = np.zeros(mean.shape)
+    offsets = np.zeros(neutral.points.shape)
     offsets[sculpt.points] = solution.offsets[number]
-    ends = net.edges[expression.edges]
-    lengths = _lengths(edge_vectors(offsets, ends) - expression.wanted(neutral), mm)
+    ends = net.edges[edges]
+    lengths = _lengths(edge_vectors(offsets, ends) - wanted, mm)
     border = moving[ends[:, 0]] != moving[ends[:, 1]]
-    touched = net.triangles[moving[net.triangles].any(axis=1)]
-    expected = mean.copy()
-    expected[sculpt.points] += mix(neutral.shares[sculpt.points], sculpt.offsets)
     return ShapeQuality(
         moving=len(sculpt.points),
-        static=len(mean) - len(sculpt.points),
+        static=len(offsets) - len(sculpt.points),
         deviation=_deviation(lengths[moving[ends].any(axis=1)]),
         border_step_mm=float(lengths[border].max(initial=0.0)),
-        flipped_triangles=int(flipped_triangles(expected, neutral.points + offsets, touched).sum()),
+        flipped_triangles=_flipped(session, solution, number, moving, offsets),
         largest_offset_mm=float(_lengths(solution.offsets[number], mm).max(initial=0.0)),
     )
+
+
+def _flipped(
+    session: BlendSession, solution: Solution, number: int, moving: npt.NDArray[np.bool_], offsets: FloatArray
+) -> int:
+    """Triangles that the shape turns over, beyond what it does in the sources."""
+    triangles = session.network.triangles
+    touched = triangles[moving[triangles].any(axis=1)]
+    sculpt = solution.sculpts[number]
+    sculpted = session.sources.points.copy()
+    sculpted[:, sculpt.points] += sculpt.offsets
+    expected = _triangle_mix(solution.neutral.shares, sculpted, touched)
+    return int(turned_triangles(expected, solution.neutral.points + offsets, touched).sum())
+
+
+def _triangle_mix(shares: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(t, 3) mean normals of the triangles over the sources' points (K, n, 3): wherever these lie, and however far."""
+    return mix(shares[triangles].mean(axis=1), np.stack([triangle_normals(one, triangles) for one in points]))
 
 
 def _warnings(session: BlendSession) -> list[str]:

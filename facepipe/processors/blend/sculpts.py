@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.names import unique_identifiers
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
@@ -34,8 +35,8 @@ class Sculpt:
 
     @property
     def name(self) -> str:
-        """The shape's name, or ``<shape>_<inbetween>``."""
-        return self.shape if self.inbetween is None else f"{self.shape}_{self.inbetween}"
+        """The shape's name, for an inbetween with its weight: ``jawOpen@0.5``."""
+        return self.shape if self.inbetween is None else f"{self.shape}@{self.weight:g}"
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,14 @@ def _require(sources: Sources, lacking: dict[str, list[int]], missing: Missing) 
 
 
 def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | None]]:
-    """Every weight that some source has a sculpt at, with its name in the first that has it."""
-    found: dict[float, str | None] = {1.0: None}
+    """Every weight that some source has a sculpt at, with its name in the first that has it; names are unique."""
+    found: dict[float, str] = {}
     for one in _shapes(parts, shape):
         for inbetween in one.inbetweens:
             found.setdefault(float(inbetween.weight), inbetween.name)
-    return sorted(found.items(), key=lambda item: (item[1] is not None, item[0]))
+    ordered = sorted(found.items())
+    names = unique_identifiers(name for _, name in ordered)
+    return [(1.0, None), *((weight, name) for (weight, _), name in zip(ordered, names, strict=True))]
 
 
 def _shapes(parts: Sequence[FaceParts], shape: str) -> list[Blendshape]:

@@ -8,17 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem
 from facepipe.geometry.grouping import group_sums
+from facepipe.options import check_ranges
+from facepipe.processors.blend.anchors import anchor_named
 from facepipe.processors.blend.expressions import Expression
 from facepipe.processors.blend.kept_parts import kept_parts
 from facepipe.processors.blend.mixing import Shared, mean_of_ends, mix
 from facepipe.processors.blend.network import joint_worlds, network
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.sculpts import Sculpt, pair_sculpts
-from facepipe.processors.blend.sources import Sources, stack
+from facepipe.processors.blend.sources import stack
 from facepipe.processors.blend.weights import Weights
 from facepipe.stage import Face
 
@@ -52,14 +53,17 @@ class BlendSession:
     with other weights costs back-substitution only.
 
     :param faces: the sources; the first is the base
+    :param live: keep every shape's factor for the next solve; otherwise memory stays that of one
     :raises InputError, TopologyError: sources or options that can't be blended
     """
 
-    def __init__(self, faces: Sequence[Face], options: BlendOptions | None = None) -> None:
+    def __init__(self, faces: Sequence[Face], options: BlendOptions | None = None, *, live: bool = True) -> None:
+        self.live = live
         self.options = options or BlendOptions()
+        check_ranges(self.options)
         self.faces = tuple(faces)
         self.sources = stack(faces)
-        anchor = _anchor(self.sources, self.options.anchor)
+        anchor = anchor_named(self.sources, self.options.anchor)
         self.network = network(self.sources, self.options.edges, self.options.region_width_mm, anchor)
         net = self.network
         self.kept = kept_parts(self.sources, net, self.options.keep_shape)
@@ -73,7 +77,8 @@ class BlendSession:
         followers, leaders = net.bridges.followers, net.bridges.leaders
         self.bridge_vectors = self.sources.points[:, followers] - self.sources.points[:, leaders]
         self._edge_masks = mean_of_ends(net.masks.T, net.edges[:, 0], net.edges[:, 1])  # (e, regions + 1)
-        self._expressions: dict[int, Expression] = {}
+        held = self.options.expressions == "static"
+        self._expressions = [Expression(one, net, self.system, self.kept, hold_static=held) for one in self.sculpts]
 
     def neutral(self, weights: Weights) -> Neutral:
         """The blended neutral: ``M^T W M x = M^T W D`` (the document's S605), then the parts that keep their shape.
@@ -107,18 +112,15 @@ class BlendSession:
         :param done: called after every sculpt
         """
         neutral, offsets = self.neutral(weights), []
-        for number in range(len(self.sculpts)):
-            offsets.append(self.expression(number).solve(neutral))
+        for expression in self._expressions:
+            offsets.append(expression.solve(neutral))
+            if not self.live:
+                expression.release()
             done()
         return Solution(neutral=neutral, offsets=tuple(offsets), sculpts=self.sculpts)
 
     def expression(self, number: int) -> Expression:
-        """The prepared solve of one sculpt."""
-        if number not in self._expressions:
-            held = self.options.expressions == "static"
-            self._expressions[number] = Expression(
-                self.sculpts[number], self.network, self.system, self.kept, hold_static=held
-            )
+        """The solve of one sculpt."""
         return self._expressions[number]
 
     def _joints(self, points: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -129,14 +131,3 @@ class BlendSession:
         own = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
         vectors = mix(0.5 * (own[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
         return own, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
-
-
-def _anchor(sources: Sources, text: str | None) -> int | None:
-    if text is None:
-        return None
-    name, _, point = text.rpartition(":")
-    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
-        if mesh.name == name and point.isascii() and point.isdecimal() and int(point) < len(mesh.points):
-            return int(start) + int(point)
-    names = ", ".join(f"{mesh.name}:0..{len(mesh.points) - 1}" for mesh in sources.base.meshes[:3])
-    raise InputError(f"option anchor -> {text}", f"no such point, expected MESH:POINT like {names}")

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import Rig, build, mesh_spaces
 from facepipe.stage import Face
@@ -16,6 +17,9 @@ from facepipe.stage import Face
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_TURNED = 15.0  # degrees, beyond what faces of one pose differ by
+_SCALED = 1.5
+_SIZES = 1e4
 _SINGULAR = 1e-12  # of the product of the column lengths
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
@@ -55,6 +59,9 @@ def stack(faces: Sequence[Face]) -> Sources:
     """
     if not faces:
         raise InputError("sources", "none given, expected at least one face")
+    for face in faces:
+        if not isinstance(face, Face):
+            raise InputError("sources", f"{face!r:.60} given, expected a Face as facepipe.open gives it")
     names = tuple(face.where.partition(" -> ")[0] for face in faces)
     base = faces[0].parts()
     if not any(len(mesh.points) for mesh in base.meshes):
@@ -72,7 +79,9 @@ def stack(faces: Sequence[Face]) -> Sources:
     rigs = tuple(build(one) for one in parts)
     to_base = np.array([_to_base(one, base) for one in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
+    warnings += _losses(names, parts)
     moved = [rig.points @ matrix[:3, :3].T + matrix[:3, 3] for rig, matrix in zip(rigs, to_base, strict=True)]
+    warnings += _placements(names, moved)
     return Sources(
         names=names,
         parts=tuple(parts),
@@ -85,6 +94,49 @@ def stack(faces: Sequence[Face]) -> Sources:
         ),
         warnings=tuple(warnings),
     )
+
+
+def _placements(names: Sequence[str], points: Sequence[FloatArray]) -> list[str]:
+    """Warnings of sources that are turned or scaled against the first: a blend takes edges as they are.
+
+    :raises InputError: a source without size, or of another size altogether
+    """
+    lines = []
+    sizes = [float(np.sqrt(((one - one.mean(axis=0)) ** 2).sum(axis=1).mean())) for one in points]
+    for name, own, size in zip(names, points, sizes, strict=True):
+        if not 0 < size < np.inf or not 1 / _SIZES < size / sizes[0] < _SIZES:
+            raise InputError(name, f"{size:g} units across, expected a face of the size of {names[0]} ({sizes[0]:g})")
+        fitted = fit_similarity(points[0], own)
+        angle = np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1)))
+        if angle > _TURNED:
+            lines.append(f"{name}: turned by {angle:.0f} degrees against {names[0]}; its edges are taken as they are")
+        if not 1 / _SCALED < fitted.scale < _SCALED:
+            lines.append(f"{name}: {fitted.scale:.2f} times as large as {names[0]}; its edges are taken as they are")
+    return lines
+
+
+def _losses(names: Sequence[str], parts: Sequence[FaceParts]) -> list[str]:
+    """What later sources have and the first lacks: it is not on the result."""
+    base, lines = parts[0], []
+    regions = {region for mesh in base.meshes for region in mesh.regions}
+    sliders, clips = {one.name for one in base.sliders}, {one.name for one in base.animations}
+    for name, other in zip(names[1:], parts[1:], strict=True):
+        own = [
+            *(f"region {one}" for one in sorted({one for mesh in other.meshes for one in mesh.regions} - regions)),
+            *(f"slider {one.name}" for one in other.sliders if one.name not in sliders),
+            *(f"clip {one.name}" for one in other.animations if one.name not in clips),
+            *(f"skin of {a.name}" for a, b in zip(other.meshes, base.meshes, strict=True) if a.skin and not b.skin),
+            *(
+                f"landmarks {scheme}"
+                for a, b in zip(other.meshes, base.meshes, strict=True)
+                for scheme in a.landmarks
+                if scheme not in b.landmarks
+            ),
+        ]
+        if own:
+            more = f" and {len(own) - 4} more" if len(own) > 4 else ""
+            lines.append(f"{name}: {', '.join(own[:4])}{more}: {names[0]} lacks them, and so does the result")
+    return lines
 
 
 def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:

@@ -46,32 +46,35 @@ class Weights:
             if name not in regions:
                 expected = ", ".join(regions) or "none: the first source has no regions"
                 raise InputError(f"weights -> {name}", f"no such region, expected one of {expected}")
-        gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)
-        default = np.ones(sources) if self.default is None else _checked("default", self.default, sources)
         given = {name: _checked(name, row, sources) for name, row in self.regions.items()}
+        default = np.ones(sources) if self.default is None else _checked("default", self.default, sources)
+        gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)
         notes = [note for name, row in given.items() for note in _note(name, row)]
         notes += _note("default", default) if self.default is not None else []
-        rows = [_normalised(name, given.get(name, default) * gains) for name in (*regions, "default")]
+        rows = [_normalised(name, given.get(name, default), gains) for name in (*regions, "default")]
         for name, number in self.locked.items():
             rows[list(regions).index(name)] = _one_hot(name, number, sources)
         return Shares(np.array(rows), tuple(notes))
 
 
 def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> FloatArray:
-    if len(values) != sources:
-        raise InputError(f"weights -> {name}", f"{len(values)} weights, expected {sources}, one per source")
+    where = f"weights -> {name}"
+    if not isinstance(values, list | tuple | np.ndarray) or len(values) != sources:
+        found = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
+        raise InputError(where, f"{found}, expected {sources}, one per source")
     for number, value in enumerate(values, 1):
-        if not math.isfinite(value) or value < 0:
-            raise InputError(f"weights -> {name} -> source {number}", f"weight {value}, expected a number of 0 or more")
+        if not (isinstance(value, int | float | np.number) and math.isfinite(value) and value >= 0):
+            raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected a number of 0 or more")
+    if not any(value > 0 for value in values):
+        raise InputError(where, "all weights are 0, expected one above 0")
     return np.array(values, dtype=np.float64)
 
 
-def _normalised(name: str, row: FloatArray) -> FloatArray:
-    largest = row.max()
-    if not largest > 0:
-        raise InputError(f"weights -> {name}", "all weights are 0, expected one above 0")
-    row = row / largest  # sums of huge weights would overflow
-    return np.asarray(row / row.sum())
+def _normalised(name: str, row: FloatArray, gains: FloatArray) -> FloatArray:
+    together = (row / row.max()) * (gains / gains.max())  # products and sums of huge weights would overflow
+    if not together.max() > 0:
+        raise InputError(f"weights -> {name}", "the gains leave all weights at 0, expected one above 0")
+    return np.asarray(together / together.sum())
 
 
 def _note(name: str, row: FloatArray) -> list[str]:
