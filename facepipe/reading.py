@@ -1,7 +1,8 @@
-"""Bytes of files, up to a size that a reader can want."""
+"""Bytes and JSON of files, up to a size that a reader can want."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from facepipe.errors import InputError
@@ -20,3 +21,32 @@ def read_bytes(path: Path, most: int) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
+
+
+def read_json_object(path: Path, most: int) -> dict[str, object]:
+    """The JSON object in a file of at most `most` bytes, as people write them: a key twice is a mistake.
+
+    :raises InputError: not readable, not JSON, another value than an object, or a key twice
+    """
+    try:
+        content = json.loads(read_bytes(path, most).decode("utf-8-sig"), object_pairs_hook=_object)
+    except (ValueError, RecursionError) as error:  # bad UTF-8 too
+        raise InputError(path, f"is not JSON ({error})") from None
+    except _TwiceError as error:
+        raise InputError(path, f"'{error}' twice, expected each key once") from None
+    if not isinstance(content, dict):
+        raise InputError(path, f"{str(content)[:40]}, expected a JSON object")
+    return content
+
+
+class _TwiceError(Exception):
+    """A key that an object has twice."""
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _TwiceError(key[:60])
+        found[key] = value
+    return found

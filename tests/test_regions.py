@@ -397,6 +397,10 @@ def test_loose_meshes_that_keep_regions_of_another_set_are_named(sample: Path, t
     report, face = derived(sample, tmp_path / "a.usdc", SetRegions(image=LEFT_RIGHT, legend=legend))
     (warning,) = report.warnings
     assert warning.startswith("EyeLeft, EyeRight, TeethUpper")
+    assert "keep regions that the legend lacks (eyes, mouth" in warning
+    assert warning.endswith('"meshes" in the legend gives them one, like {"EyeLeft": "left"}')
+    hint = json.loads(warning.rpartition(" like ")[2])
+    assert hint == {"EyeLeft": "left"}
     assert set(face.meshes[0].point_subsets) == {"left", "right"}  # those of the old regions went with them
     kept = set().union(*(mesh.regions for mesh in face.meshes[1:]))
     assert kept == {"eyes", "mouth", "eyebrows", "forehead"}  # those where no point is left are gone from all
@@ -430,7 +434,9 @@ def test_points_that_the_map_does_not_cover(tmp_path: Path) -> None:
         assert np.allclose(head.regions[name], np.where(inside, 0, old.regions[name]), atol=1e-6)
     assert report.meshes[0].covered == inside.sum()
     assert report.meshes[0].kept == (~inside).sum()
-    assert any("keep their regions" in one for one in report.warnings)
+    (warning,) = report.warnings
+    assert "keep their regions" in warning
+    assert '"outside"' in warning
     outside = SetRegions(image=LEFT_RIGHT, legend=halves("left", "right", outside="skull"))
     report, face = derived(tmp_path / "tiny.usda", tmp_path / "b.usda", outside)
     assert set(face.meshes[0].regions) == {"left", "right", "skull"}
@@ -507,6 +513,8 @@ BAD_LEGENDS = {
     "unknown mesh": json.dumps({**GOOD, "meshes": {"Hair": "left"}}),
     "mesh with map": json.dumps({**GOOD, "meshes": {"Head": "left"}}),
     "meshes as list": json.dumps({**GOOD, "meshes": ["Teeth"]}),
+    "a region called default": json.dumps({**GOOD, "#ff0000": "default"}),
+    "outside called default": json.dumps({**GOOD, "outside": "default"}),
     "colour missing": json.dumps({"#ff0000": "left", "#0000ff": "right"}),
     "binary": "\x00\xff",
 }

@@ -47,9 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except (OSError, MemoryError, UnicodeError, RecursionError) as error:
         # what the machine or the terminal refuses is no fault of the code: one line, as for bad input
-        reason = ascii(str(error) or "no memory left")[1:-1]
-        print(f"facepipe: {type(error).__name__}: {reason}", file=sys.stderr)
+        print(f"facepipe: {_refusal(error)}", file=sys.stderr)
         return 2
+
+
+def _refusal(error: Exception) -> str:
+    """One line of ASCII: the terminal may hold no other."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        name = str(error.filename)
+        return ascii(f"{name if len(name) < 200 else f'{name[:80]}...'}: {error.strerror.lower()}")[1:-1]
+    return f"{type(error).__name__}: {ascii(str(error) or 'no memory left')[1:-1]}"
 
 
 def _run(words: list[str]) -> int:

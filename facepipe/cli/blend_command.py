@@ -1,13 +1,15 @@
 """Blend faces of one topology: the eyes of one, the mouth of another, with all shapes and the rig.
 
-OUT is an override layer over the first SOURCE. Weights are given per region, one per SOURCE, and normalised to sum 1;
-regions without weights take --default, or all sources alike. A file of weights holds what the flags say, which win:
-{"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"mouth": 2}}, or flat
-{"eyes": [0.8, 0.2], "default": [0.5, 0.5]}.
+OUT is an override layer over the first SOURCE and needs that file; hand on what --flatten writes.
 
-The recipe stays on the result. --edit blends again from it, with what else the line says changed; without -o in place
-(with --force), so that anything else authored in that file is lost. --match finds the weights whose blend comes nearest
-to a target sculpt of the same topology.
+Weights are given per region, one per SOURCE, and normalised to sum 1. Regions are those of the first SOURCE (`facepipe
+regions` lists them); regions without weights take --default, or all sources alike. A file of weights holds what the
+flags say, which win: {"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"mouth": 2}},
+or flat {"eyes": [0.8, 0.2], "default": [0.5, 0.5]}.
+
+The recipe stays on the result. --edit blends again from it with what the line changes: weights, locks, sources, and the
+options below. Without -o that is in place (with --force), and anything else authored in that file is lost. --match
+finds the weights whose blend comes nearest to a target sculpt of the same topology.
 
 examples:
   facepipe blend a.usda b.usda -o c.usda --set eyes=0.8,0.2 --set mouth=0.3,0.7 --default 0.5,0.5
@@ -34,8 +36,7 @@ from facepipe.errors import FacepipeError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from facepipe.processors.blend import BlendReport, BlendSession, Weights
-    from facepipe.processors.blend.match import MatchReport
+    from facepipe.processors.blend import BlendReport, BlendSession, MatchReport, Weights
     from facepipe.stage import Face
 
 
@@ -44,22 +45,28 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     from facepipe.processors.blend import BlendOptions
 
     add = parser.add_argument
-    add("sources", nargs="*", type=Path, metavar="SOURCE", help="face stages of one topology; the first is the base")
+    text = "face stages of one topology; the first gives regions, sliders, UVs, materials"
+    add("sources", nargs="*", type=Path, metavar="SOURCE", help=text)
     add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
     add("--force", action="store_true", help="overwrite OUT, with --edit the result, and the picture")
-    add("--weights", type=Path, metavar="JSON", help="weights of a file")
-    add("--set", action="append", default=[], metavar="REGION=W,W,...", help="weights of a region; may be given again")
-    add("--default", metavar="W,W,...", help="weights of the regions without, and of points in none")
-    add("--gains", metavar="G,G,...", help="factors on the weights of each source, everywhere")
+    add("--weights", type=Path, metavar="JSON", help="weights from a file")
+    add("--set", action="append", default=[], metavar="REGION=W,W,...", help="weights of a region; a flag for each")
+    add("--default", metavar="W,W,...", help="weights of all other regions, and of points in none")
+    add("--gains", metavar="G,G,...", help="factors on each source's weights, everywhere")
     add("--lock", action="append", default=[], metavar="REGION=N", help="take a region whole from source N, from 1")
     add("--unlock", action="append", default=[], metavar="REGION", help="weights of the region count again")
-    add("--edit", type=Path, metavar="RESULT", help="blend again from the recipe of a result")
+    add(
+        "--edit",
+        type=Path,
+        metavar="RESULT",
+        help="blend again from the recipe of a result, with what else is given changed",
+    )
     add("--replace", action="append", default=[], metavar="N=FACE", help="with --edit: another face for source N")
     add("--match", type=Path, metavar="TARGET", help="find the weights that come nearest to this face")
     add("--heatmap", type=Path, metavar="PNG", help="draw the result, coloured by its seam residual")
     add("--flatten", action="store_true", help="write a standalone file")
     add("--json", action="store_true", help="print the report as JSON")
-    add_options(parser, BlendOptions, "options", sparse=True)
+    add_options(parser, BlendOptions, "how to blend (kept in the recipe; with --edit they change it)", sparse=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -74,14 +81,15 @@ def run(arguments: argparse.Namespace) -> int:
         _check(request.weights, faces)
     target = None if request.target is None else facepipe.open(request.target)
     start = time.perf_counter()
-    session = BlendSession(faces, request.options)
+    session = BlendSession(faces, request.options, live=False)
     found = None if target is None else _match(session, target, request)
     report = _blend(session, request, request.weights if found is None else found.weights)
     report = replace(report, seconds=time.perf_counter() - start)  # with reading and factoring, which a session does
-    warn(report.warnings)
+    warnings = tuple(dict.fromkeys((*request.warnings, *(found.warnings if found else ()), *report.warnings)))
+    warn(line for line in warnings if line not in request.warnings)
     text = [as_text(request.out, report)]
     result = {"path": str(request.out), **json.loads(report.to_json())}
-    result["warnings"] = [*request.warnings, *result["warnings"]]
+    result["warnings"] = list(warnings)
     if found is not None:
         text.insert(0, match_text(found, report.sources))
         result["match"] = json.loads(found.to_json())
@@ -94,22 +102,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(weights: Weights, faces: list[Face]) -> None:
     """What the blend checks too, before the work that comes first there."""
-    regions = sorted({name for mesh in faces[0].meshes for name in mesh.regions})
-    weights.shares(regions, len(faces))
+    from facepipe.parts import all_regions
+
+    weights.shares(list(all_regions(faces[0].meshes)), len(faces))
 
 
 def _match(session: BlendSession, target: Face, request: Request) -> MatchReport:
-    from facepipe.processors.blend.match import match
+    from facepipe.processors.blend import match
 
-    found = match(session, target, request.weights.locked)
-    warn(found.warnings)
-    return found
+    return match(session, target, request.weights.locked)
 
 
 def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendReport:
     """Blend, author, save; the picture is drawn before anything is saved."""
-    from facepipe.processors.blend import Blend
-    from facepipe.processors.blend.recipe import blend_recipe
+    from facepipe.processors.blend import Blend, blend_recipe
     from facepipe.render import save_png
     from facepipe.stage import Face
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from facepipe.cli.parser import given_options, output_of, picture_of
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
-    from facepipe.processors.blend import BlendOptions, Weights
-    from facepipe.processors.blend.recipe import BlendRecipe
+    from facepipe.processors.blend import BlendOptions, BlendRecipe, Weights
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,11 +96,11 @@ def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
 
 
 def _recipe(arguments: argparse.Namespace) -> BlendRecipe | None:
-    from facepipe.processors.blend.recipe import read_blend_recipe
+    from facepipe.processors.blend import read_blend_recipe
 
     if arguments.edit is None:
         return None
-    return read_blend_recipe(arguments.edit, dict(_replacement(word) for word in arguments.replace))
+    return read_blend_recipe(arguments.edit, _once("--replace", map(_replacement, arguments.replace)))
 
 
 def _replacement(word: str) -> tuple[int, Path]:
@@ -119,10 +121,10 @@ def _weights(arguments: argparse.Namespace, recipe: BlendRecipe | None) -> Weigh
         if name not in weights.locked and name not in file.locked:
             raise InputError(f"--unlock {name}", "is not locked")
     flags = Weights(
-        regions=dict(_named(word) for word in arguments.set),
+        regions=_once("--set", map(_named, arguments.set)),
         default=None if arguments.default is None else _numbers(arguments.default, f"--default {arguments.default}"),
         gains=None if arguments.gains is None else _numbers(arguments.gains, f"--gains {arguments.gains}"),
-        locked=dict(_lock(word) for word in arguments.lock),
+        locked=_once("--lock", map(_lock, arguments.lock)),
     )
     return _over(_over(weights, file, arguments.unlock), flags, arguments.unlock)
 
@@ -141,6 +143,15 @@ def _over(weights: Weights, changes: Weights, unlocked: Sequence[str]) -> Weight
         gains=weights.gains if changes.gains is None else changes.gains,
         locked={**locked, **changes.locked},
     )
+
+
+def _once(flag: str, pairs: Iterable[tuple[Key, Value]]) -> dict[Key, Value]:
+    found: dict[Key, Value] = {}
+    for key, value in pairs:
+        if key in found:
+            raise InputError(f"{flag} {key}=...", "given twice, expected it once")
+        found[key] = value
+    return found
 
 
 def _named(word: str) -> tuple[str, tuple[float, ...]]:

@@ -10,7 +10,6 @@ regions, ``{"regions": {"eyes": "#ff0000", "mouth": [0, 255, 0]}}``. Beside them
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,20 +19,21 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.reading import read_bytes
+from facepipe.reading import read_json_object
 
 RGB = tuple[int, int, int]
 
 MOST_COLORS = 512
 _MOST_BYTES = 1 << 20
 _KEYS = ("regions", "outside", "meshes", "background")
+_TAKEN = "default"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegionLegend:
     """What the colours of a map mean.
 
-    :raises InputError: no colours, too many, one twice, or the background among them
+    :raises InputError: no colours, too many, one twice, the background among them, or a region called ``default``
     """
 
     colors: tuple[tuple[RGB, str], ...]  # (colour 0..255, region), each colour once
@@ -51,6 +51,10 @@ class RegionLegend:
                 both = f"{_hex(color)} for {seen[color]} and {name}"
                 raise InputError(self.where, f"{both}, expected each colour once")
             seen[color] = name
+        if _TAKEN in self.regions:
+            raise InputError(
+                self.where, f"a region '{_TAKEN}', which means all other regions to a blend, expected another name"
+            )
 
     @property
     def regions(self) -> tuple[str, ...]:
@@ -69,28 +73,7 @@ def read_legend(path: Path) -> RegionLegend:
 
     :raises InputError: not such JSON
     """
-    try:
-        content = json.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"), object_pairs_hook=_object)
-    except (ValueError, RecursionError) as error:  # bad UTF-8 too
-        raise InputError(path, f"is not JSON ({error})") from None
-    except _TwiceError as error:
-        raise InputError(path, f"'{error}' twice, expected each key once") from None
-    if not isinstance(content, dict):
-        raise InputError(path, "expected a JSON object of colours and region names")
-    return _legend(str(path), content)
-
-
-class _TwiceError(Exception):
-    """A key that an object has twice."""
-
-
-def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found: dict[str, object] = {}
-    for key, value in pairs:
-        if key in found:
-            raise _TwiceError(key[:60])
-        found[key] = value
-    return found
+    return _legend(str(path), read_json_object(path, _MOST_BYTES))
 
 
 def _legend(where: str, content: dict[str, object]) -> RegionLegend:

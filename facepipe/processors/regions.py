@@ -159,14 +159,16 @@ class SetRegions:
         warnings = [f"no point in {_some(empty)} of the legend"] if empty else []
         for one in reports:
             if one.kept:
-                warnings.append(f"{one.mesh}: the map does not cover {one.kept} points, which keep their regions")
+                what = 'which keep their regions; "outside" in the legend would give them another'
+                warnings.append(f"{one.mesh}: the map does not cover {one.kept} points, {what}")
         whole = mesh_of(face, None).name in {one.mesh for one in reports if one.covered}  # not one more loose part
+        done = {one.mesh for one in reports} if whole else set(used)
         foreign = {mesh: [name for name in names if name not in self.legend.regions] for mesh, names in used.items()}
-        meshes = [mesh for mesh, names in foreign.items() if names and whole]
+        meshes = [mesh for mesh, names in foreign.items() if names and mesh not in done]
         if meshes:
-            names = list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh]))
-            what = "have regions that the legend lacks; its `meshes` and `outside` can name others"
-            warnings.append(f"{_some(meshes)} {what}: {_some(names)}")
+            names = _some(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])))
+            what = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{self.legend.regions[0]}"}}'
+            warnings.append(f"{_some(meshes)} keep regions that the legend lacks ({names}); {what}")
         return tuple(warnings)
 
 

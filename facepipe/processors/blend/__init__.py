@@ -1,9 +1,22 @@
 """Blend: faces of one topology mixed in the gradient domain, with regions, expressions and rig."""
 
 from facepipe.processors.blend.blend import Blend
+from facepipe.processors.blend.match import MatchReport, match
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.quality import BlendReport
+from facepipe.processors.blend.recipe import BlendRecipe, blend_recipe, read_blend_recipe
 from facepipe.processors.blend.session import BlendSession
 from facepipe.processors.blend.weights import Weights
 
-__all__ = ["Blend", "BlendOptions", "BlendReport", "BlendSession", "Weights"]
+__all__ = [
+    "Blend",
+    "BlendOptions",
+    "BlendRecipe",
+    "BlendReport",
+    "BlendSession",
+    "MatchReport",
+    "Weights",
+    "blend_recipe",
+    "match",
+    "read_blend_recipe",
+]

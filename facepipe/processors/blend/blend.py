@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from facepipe.errors import InputError
 from facepipe.parts import Recipe
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.quality import BlendReport, measure
@@ -24,12 +25,21 @@ class Blend:
     Source: the gradient-domain face blending document, claims 1-10, S601-S606'. Its incidence matrix holds 1 at both
     ends of an edge, which can't satisfy ``M x = D``; here rows hold -1 and +1.
 
+    >>> weights = Weights(regions={"eyes": (0.8, 0.2)})
+    >>> recipe = blend_recipe(["a.usda", "b.usda"], "blended.usda", weights)
     >>> with sources[0].deriving("blended.usda") as face:
-    ...     report = Blend(weights=Weights(regions={"eyes": (0.8, 0.2)}))(face, sources)
+    ...     report = Blend(weights=weights)(face, sources, recipe=recipe)
+
+    :raises InputError: weights or options of another type
     """
 
     weights: Weights = field(default_factory=Weights)
     options: BlendOptions = field(default_factory=BlendOptions)
+
+    def __post_init__(self) -> None:
+        for name, value, kind in (("weights", self.weights, Weights), ("options", self.options, BlendOptions)):
+            if not isinstance(value, kind):
+                raise InputError(f"Blend -> {name}", f"{type(value).__name__}, expected {kind.__name__}(...)")
 
     def __call__(
         self,
@@ -42,16 +52,15 @@ class Blend:
         """Blend and author the result on `face`, which stands over the first source.
 
         :param sources: the faces, or a session over them, whose options win
-        :param recipe: authored with the result
+        :param recipe: authored with the result (`blend_recipe` makes it); without, the result has none, whatever the
+            first source has
         :param done: called after every sculpt
         :raises InputError, TopologyError: sources, weights or options that can't be blended; nothing is authored then
         """
         start = time.perf_counter()
-        session = sources if isinstance(sources, BlendSession) else BlendSession(sources, self.options)
+        session = sources if isinstance(sources, BlendSession) else BlendSession(sources, self.options, live=False)
         solution = session.solve(self.weights, done)
         report, residual = measure(session, solution)
-        parts = result_parts(session, solution)
-        if recipe is not None:
-            parts = replace(parts, recipe=recipe)
+        parts = replace(result_parts(session, solution), recipe=recipe)
         authored = author_changes(face, parts, primvars={SEAM_RESIDUAL: residual})
         return replace(report, authored=authored, seconds=time.perf_counter() - start)

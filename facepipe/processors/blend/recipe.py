@@ -34,13 +34,19 @@ class BlendRecipe:
 
 
 def blend_recipe(
-    paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str], weights: Weights, options: BlendOptions
+    paths: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    weights: Weights,
+    options: BlendOptions | None = None,
 ) -> Recipe:
     """The recipe to author on a blend of the faces at `paths` that is saved as `out`.
 
     Sources are written as seen from the folder of `out`; a digest covers every USD layer that its source stands on,
     and no textures: they change no blend.
 
+    :param paths: the sources' files, in their order
+    :param weights: those of the blend
+    :param options: those of the blend or its session; default as there
     :raises InputError: a source can't be read
     """
     folder = Path(out).absolute().parent
@@ -48,7 +54,7 @@ def blend_recipe(
         verb=VERB,
         sources=tuple(relative_path(str(path), folder) for path in paths),
         digests=tuple(source_digest(Path(path)) for path in paths),
-        options={"weights": weights_to_json(weights), "options": to_json(options)},
+        options={"weights": weights_to_json(weights), "options": to_json(options or BlendOptions())},
         version=__version__,
     )
 
@@ -122,6 +128,10 @@ def _sources(where: str, recipe: Recipe, folder: Path, replaced: Mapping[int, Pa
 
 
 def _found(where: str, path: Path) -> Path:
-    if not path.is_file():
+    try:
+        found = path.is_file()
+    except OSError:  # a name that no file can have
+        found = False
+    if not found:
         raise InputError(where, f"{path}: no such file, expected it there (or --replace)")
     return path.resolve()

@@ -6,21 +6,16 @@ optional; or flat, the regions beside the other keys: ``{"eyes": [0.8, 0.2], "de
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from facepipe.errors import InputError
 from facepipe.processors.blend.weights import Weights
-from facepipe.reading import read_bytes
+from facepipe.reading import read_json_object
 
 _MOST_BYTES = 1 << 20
 _KEYS = ("regions", "default", "gains", "locked")
-
-
-class _TwiceError(Exception):
-    """A key that an object has twice."""
 
 
 def read_weights(path: Path) -> Weights:
@@ -28,13 +23,7 @@ def read_weights(path: Path) -> Weights:
 
     :raises InputError: not such JSON
     """
-    try:
-        content = json.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"), object_pairs_hook=_object)
-    except (ValueError, RecursionError) as error:  # bad UTF-8 too
-        raise InputError(path, f"is not JSON ({error})") from None
-    except _TwiceError as error:
-        raise InputError(path, f"'{error}' twice, expected each key once") from None
-    return weights_from_json(content, str(path))
+    return weights_from_json(read_json_object(path, _MOST_BYTES), str(path))
 
 
 def weights_to_json(weights: Weights) -> dict[str, Any]:
@@ -65,15 +54,6 @@ def weights_from_json(content: object, where: str) -> Weights:
         gains=_optional(content.get("gains"), f"{where} -> gains"),
         locked={name: _source(number, f"{where} -> locked -> {name[:60]}") for name, number in locked.items()},
     )
-
-
-def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found: dict[str, object] = {}
-    for key, value in pairs:
-        if key in found:
-            raise _TwiceError(key[:60])
-        found[key] = value
-    return found
 
 
 def _mapping(value: object, where: str) -> Mapping[str, object]:
