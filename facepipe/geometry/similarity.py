@@ -31,6 +31,10 @@ class Similarity:
         """(..., 3) points moved."""
         return np.asarray(self.scale * (np.asarray(points, dtype=np.float64) @ self.rotation.T) + self.translation)
 
+    def undo(self, points: FloatArray) -> FloatArray:
+        """(..., 3) points moved back; the scale must not be 0."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.translation) @ self.rotation / self.scale)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Similarities:

@@ -1,86 +1,163 @@
-"""How deep lids cut into eyeballs, in a blend and in its sources."""
+"""How deep the skin around the eyes cuts into the eyeballs, in a blend and in its sources."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import FitError
-from facepipe.geometry.balls import Ball, fit_ball
-from facepipe.geometry.polygons import point_areas, point_triangles
+from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.polygons import point_areas
+from facepipe.geometry.radial import RadialSurface
+from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.blend.session import BlendSession, Solution
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 _ROUND = 0.1  # RMS distance from a ball, in radii, up to which a part counts as an eyeball
+_LARGE = 0.5  # area of a component, relative to the largest of its part, from which on it may be the outer shell
+_AROUND = 2.0  # radii from an eyeball's centre within which the face is looked at
 
 
 @dataclass(frozen=True, kw_only=True)
 class LidContact:
-    """Points of the face inside one eyeball, a ball fitted to it, by the depth of the deepest."""
+    """Depths of points of the face in one eyeball (0 outside), each beside that of the same point in every source.
 
-    depth_mm: float
-    sources_mm: tuple[float, ...]  # the same in every source
-    worst_shape: str | None = None  # at weight 1, the one that goes deepest beyond what it does in the sources
+    Sockets reach into the eyeballs of many faces as they come: what tells is the point that goes furthest beyond the
+    deepest that it does in a source. Where none goes beyond, it is the deepest.
+    """
+
+    depth_mm: float  # at rest
+    sources_mm: tuple[float, ...]
+    worst_shape: str | None = (
+        None  # at weight 1, the one that goes furthest beyond, where one goes further than at rest
+    )
     worst_depth_mm: float = 0.0
     worst_sources_mm: tuple[float, ...] = ()
 
 
 def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidContact]:
-    """The contact at every kept mesh that is round and named like an eye."""
-    sources = session.sources
+    """The contact at every kept part that is round and belongs to a mesh named like an eye."""
     found = {}
-    for number, mesh in enumerate(sources.base.meshes):
-        own = np.arange(*sources.mesh_offsets[number : number + 2])
-        if "eye" not in mesh.name.lower() or not np.isin(own, session.kept.points).all():
-            continue
-        triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
-        balls = [_ball(points[own], triangles) for points in (*sources.points, solution.neutral.points)]
-        if all(ball is not None for ball in balls):
-            found[mesh.name] = _contact(session, solution, [ball for ball in balls if ball is not None], own)
+    for name, part in _eye_parts(session):
+        shell = _outer_shell(session, part)
+        stands = [_surface(points, shell) for points in (*session.sources.points, solution.neutral.points)]
+        surfaces = [surface for surface in stands if surface is not None]
+        if len(surfaces) == len(stands):
+            found[name] = _Eye(session, solution, part, surfaces).contact()
     return found
 
 
-def _ball(points: FloatArray, triangles: IntArray) -> Ball | None:
+def _eye_parts(session: BlendSession) -> Iterator[tuple[str, IntArray]]:
+    """Name and points of the kept parts of meshes named like an eye, numbered where a mesh has several."""
+    kept, offsets = session.kept, session.sources.mesh_offsets
+    for number, mesh in enumerate(session.sources.base.meshes):
+        inside = (kept.points >= offsets[number]) & (kept.points < offsets[number + 1])
+        if "eye" not in mesh.name.lower():
+            continue
+        parts = np.unique(kept.part[inside])
+        for count, part in enumerate(parts, 1):
+            yield mesh.name if len(parts) == 1 else f"{mesh.name} {count}", kept.points[kept.part == part]
+
+
+def _outer_shell(session: BlendSession, part: IntArray) -> tuple[IntArray, IntArray]:
+    """Points (s,) and triangles (t, 3), into them, of the outermost of a part's large components.
+
+    Eyeballs are modelled as one shell around another; small components are irises, lenses and caps.
+    """
+    net, points = session.network, session.sources.points[0]
+    triangles = net.triangles[_places(part, len(points))[net.triangles[:, 0]] >= 0]
+    component = net.component[part]
+    areas = np.bincount(component, point_areas(points, triangles)[part])
+    reach = np.zeros(len(areas))
+    np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
+    shell = part[component == np.where(areas >= _LARGE * areas.max(), reach, 0.0).argmax()]
+    local = _places(shell, len(points))[triangles]
+    return shell, local[local[:, 0] >= 0]
+
+
+def _surface(points: FloatArray, shell: tuple[IntArray, IntArray]) -> RadialSurface | None:
+    own = points[shell[0]]
     try:
-        ball = fit_ball(points, point_areas(points, triangles))  # a cornea is modelled more densely
+        ball = fit_ball(own, point_areas(own, shell[1]))  # a cornea is modelled more densely
     except FitError:
         return None
-    return ball if ball.rms <= _ROUND * ball.radius else None
+    return RadialSurface(own, ball.centre) if ball.rms <= _ROUND * ball.radius else None
 
 
-def _contact(session: BlendSession, solution: Solution, balls: list[Ball], own: IntArray) -> LidContact:
-    sources, neutral, mm = session.sources, solution.neutral, session.sources.mm_per_unit
-    face = np.flatnonzero(session.network.main)
-    stands = [*sources.points, neutral.points]
-    still = [_depths(points[face], ball) * mm for points, ball in zip(stands, balls, strict=True)]
-    worst: tuple[float, str | None, list[float]] = (-np.inf, None, [0.0] * len(balls))
-    for number, sculpt in enumerate(solution.sculpts):
-        if np.isin(sculpt.points, own).any():  # a moving eyeball takes its ball along
-            continue
-        place = np.searchsorted(face, sculpt.points)
-        inside = np.isin(sculpt.points, face)
-        depths = []
-        for k, (points, ball) in enumerate(zip(stands, balls, strict=True)):
-            offsets = sculpt.offsets[k] if k < len(sources.points) else solution.offsets[number]
-            moved = still[k].copy()
-            moved[place[inside]] = _depths((points[sculpt.points] + offsets)[inside], ball) * mm
-            depths.append(float(moved.max(initial=0.0)))
-        beyond = depths[-1] - max(depths[:-1])
-        if beyond > worst[0]:
-            worst = (beyond, sculpt.name, depths)
-    rest = [float(max(depths.max(initial=0.0), 0.0)) for depths in still]
-    return LidContact(
-        depth_mm=rest[-1],
-        sources_mm=tuple(rest[:-1]),
-        worst_shape=worst[1],
-        worst_depth_mm=worst[2][-1],
-        worst_sources_mm=tuple(worst[2][:-1]),
-    )
+class _Eye:
+    """One eyeball and the face around it, in the sources and, last, in the blend."""
+
+    def __init__(
+        self, session: BlendSession, solution: Solution, part: IntArray, surfaces: list[RadialSurface]
+    ) -> None:
+        self._solution, self._surfaces, self._mm = solution, surfaces, session.sources.mm_per_unit
+        stands = (*session.sources.points, solution.neutral.points)
+        face = np.flatnonzero(session.network.main)
+        around = [
+            ((points[face] - surface.centre) ** 2).sum(axis=1) < (_AROUND * surface.largest) ** 2
+            for points, surface in zip(stands, surfaces, strict=True)
+        ]
+        face = face[np.any(around, axis=0)]
+        self._face = [points[face] for points in stands]
+        self._part = [points[part] for points in stands]
+        self._on_face, self._on_part = (_places(own, len(stands[0])) for own in (face, part))
+
+    def contact(self) -> LidContact:
+        """The depths at rest and in the worst shape."""
+        if not len(self._face[0]):
+            return LidContact(depth_mm=0.0, sources_mm=(0.0,) * (len(self._face) - 1))
+        rest = [surface.depths(points) for surface, points in zip(self._surfaces, self._face, strict=True)]
+        beyond, (*sources, depth) = self._furthest(rest)
+        shape, worst = None, [0.0] * len(rest)
+        for number, sculpt in enumerate(self._solution.sculpts):
+            further, depths = self._furthest(self._posed(number, rest))
+            if further > max(beyond, 0.0):
+                beyond, shape, worst = further, sculpt.name, depths
+        return LidContact(
+            depth_mm=depth,
+            sources_mm=tuple(sources),
+            worst_shape=shape,
+            worst_depth_mm=worst[-1],
+            worst_sources_mm=() if shape is None else tuple(worst[:-1]),
+        )
+
+    def _furthest(self, depths: list[FloatArray]) -> tuple[float, list[float]]:
+        """How far beyond the sources a point goes at most, and its depths in all, mm."""
+        beyond = depths[-1] - np.max(depths[:-1], axis=0)
+        point = beyond.argmax() if beyond.max() > 0 else depths[-1].argmax()
+        return float(beyond[point]) * self._mm, [float(one[point]) * self._mm for one in depths]
+
+    def _posed(self, number: int, rest: list[FloatArray]) -> list[FloatArray]:
+        """Depths of the face around the eye under one sculpt, in every source and in the blend."""
+        sculpt = self._solution.sculpts[number]
+        on_face, on_part = self._on_face[sculpt.points], self._on_part[sculpt.points]
+        skin, eye = on_face >= 0, on_part >= 0
+        posed = list(rest)
+        for k, offsets in enumerate((*sculpt.offsets, self._solution.offsets[number])):
+            if eye.any():
+                posed[k] = self._turned(k, (on_face[skin], offsets[skin]), (on_part[eye], offsets[eye]))
+            elif skin.any():
+                posed[k] = rest[k].copy()
+                moved = self._face[k][on_face[skin]] + offsets[skin]
+                posed[k][on_face[skin]] = self._surfaces[k].depths(moved)
+        return posed
+
+    def _turned(self, k: int, skin: tuple[IntArray, FloatArray], eye: tuple[IntArray, FloatArray]) -> FloatArray:
+        """Depths where the eyeball moves too: the face is seen from the eyeball."""
+        face, part = self._face[k].copy(), self._part[k].copy()
+        face[skin[0]] += skin[1]
+        part[eye[0]] += eye[1]
+        motion = fit_similarity(self._part[k], part)
+        return motion.scale * self._surfaces[k].depths(motion.undo(face))
 
 
-def _depths(points: FloatArray, ball: Ball) -> FloatArray:
-    return np.asarray(ball.radius - np.linalg.norm(points - ball.centre, axis=1))
+def _places(points: IntArray, count: int) -> IntArray:
+    """(count,) place of every point in `points`; -1 where it is not there."""
+    places = np.full(count, -1)
+    places[points] = np.arange(len(points))
+    return places
