@@ -99,10 +99,11 @@ class Dense:
             x = np.linalg.pinv(M.T @ M) @ M.T @ D
             found[:36] = x - x[anchor] + anchored
         else:
-            free = moving[:36] & (np.arange(36) != anchor)
-            right = M.T @ D - np.outer((M.T @ M)[:, anchor], anchored)
+            pinned = moving[:36].all()  # nothing else holds the head
+            free = moving[:36] & ~(pinned & (np.arange(36) == anchor))
+            right = M.T @ D - pinned * np.outer((M.T @ M)[:, anchor], anchored)
             found[:36][free] = np.linalg.lstsq((M.T @ M)[:, free], right, rcond=None)[0]
-            found[anchor] = anchored
+            found[anchor] = anchored if pinned else found[anchor]
         pairs = np.concatenate([self.edges[self.edges[:, 0] >= 36], self.bridges])
         weights = np.concatenate([np.ones(len(pairs) - len(self.bridges)), self.bridge_weights])
         M, D = self.rows(pairs), self.wanted(values, pairs)

@@ -120,6 +120,16 @@ def test_only_what_moves_rigidly_in_the_sources_is_made_rigid(squash: float, kep
     np.testing.assert_allclose(solved.solve(Weights()).offsets[number], eye(squash).blendshapes[0].offsets, atol=1e-6)
 
 
+def test_an_anchor_that_moves_in_a_shape_changes_nothing_in_it() -> None:
+    """The moving part hangs at its static points, not at the anchor."""
+    parts = [tiny_face(0), tiny_face(1)]
+    moving = int(parts[0].meshes[0].blendshapes[0].point_indices[1])
+    weights = Weights(regions={"mouth": (0.9, 0.1)}, default=(0.2, 0.8))
+    still, moved = (session(*parts, anchor=f"Head:{point}") for point in (30, moving))
+    number = [one.name for one in still.sculpts].index("jawOpen")
+    np.testing.assert_allclose(still.solve(weights).offsets[number], moved.solve(weights).offsets[number], atol=1e-9)
+
+
 def test_the_anchor_is_guessed_on_the_mesh_with_landmarks_and_said() -> None:
     base = tiny_face(0)
     hair = replace_mesh(grid_mesh("Hair", 12, 2.0))

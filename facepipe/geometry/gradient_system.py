@@ -77,11 +77,16 @@ class GradientSystem:
 
 
 class MovingSystem:
-    """Offsets from edge vectors of offsets: least squares over ``|L u - M^T W d|`` with u = 0 at static points."""
+    """Offsets from edge vectors of offsets: least squares over ``|L u - M^T W d|`` with u = 0 at static points.
+
+    Where all of the main component moves, only the anchor holds it: it is `pinned`, and its offset must be given.
+    """
 
     def __init__(self, system: GradientSystem, moving: Mask) -> None:
         self._anchor, edge_count = system._anchor, len(system.edges)
-        self._main = _Held(system._main, moving, edge_count, system.solver, given=self._anchor)
+        self.pinned = bool(moving[system._main.points].all())
+        given = self._anchor if self.pinned else None
+        self._main = _Held(system._main, moving, edge_count, system.solver, given=given)
         self._loose = _Held(system._loose, moving, edge_count, system.solver)
         self.edges = np.concatenate([self._main.edges, self._loose.edges])
         self.bridges = self._loose.bridges
@@ -94,13 +99,14 @@ class MovingSystem:
 
         :param edge_vectors: (q, c) those of `edges`; all others are 0
         :param bridge_vectors: (b, c) those of `bridges`, leader to follower; all others are 0
-        :param anchored: (c,) offset of the anchor, 0 where it is static
+        :param anchored: (c,) offset of the anchor, of no matter where it is not pinned
         """
         count = len(self._main.edges)
         main = self._main.solve(edge_vectors[:count], anchored)
         moved = np.zeros((self._main_count, edge_vectors.shape[1]))
         moved[self._main.columns] = main
-        moved[self._anchor] = anchored
+        if self.pinned:
+            moved[self._anchor] = anchored
         loose = self._loose.solve(np.concatenate([edge_vectors[count:], bridge_vectors + moved[self._leaders]]))
         return np.concatenate([main, loose])
 

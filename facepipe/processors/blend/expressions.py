@@ -49,12 +49,13 @@ class Expression:
         offsets = np.zeros((len(self._moving), 3))
         if prepared.held:
             offsets[prepared.held.points] = prepared.held.solve(wanted, bridged, anchored)
-            offsets[network.anchor] = anchored
+            if prepared.held.pinned:
+                offsets[network.anchor] = anchored
         else:
             everywhere = np.zeros((len(network.edges), 3))
             everywhere[prepared.edges] = wanted
             offsets[points] = self._system.solve(everywhere, bridged, anchored)[points]
-        self._kept.fit_moved(shared.points, offsets, self._rigid)
+        self._kept.fit_moved(shared.points, offsets, self._rigid, self._moving)
         return offsets[points]
 
     def release(self) -> None:

@@ -19,6 +19,7 @@ FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 _RIGID = 0.02  # of a part's motion: what a similarity may leave of it; of real jaws on scaled teeth it leaves 0.005
+_AXIS = 0.02  # of a part's points: as many may lie still, on the axis that it turns about
 CONCENTRIC = 0.25  # components whose centres lie this close, in radii of the larger, are one part: iris, lens and ball
 
 
@@ -45,33 +46,41 @@ class KeptParts:
         return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
 
     def rigid_in(self, sculpt: Sculpt, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """(p,) points of the parts that `sculpt` moves as wholes, in every source by a similarity."""
-        chosen = _whole(self.part, moving[self.points])
-        if not chosen.any():
+        """(p,) points of the parts that move by similarities in all sources, all but a few points on an axis."""
+        if not len(self.points):
+            return np.zeros(0, dtype=bool)
+        still = np.bincount(self.part, ~moving[self.points])
+        chosen = np.asarray((still <= _AXIS * np.bincount(self.part))[self.part])
+        own, number = self.points[chosen], self.part[chosen]
+        if not len(own):
             return chosen
-        at, number = np.searchsorted(sculpt.points, self.points[chosen]), self.part[chosen]
         rigid = np.ones(int(number.max()) + 1, dtype=bool)
-        for start, offsets in zip(self.neutrals[:, chosen], sculpt.offsets[:, at], strict=True):
-            off = fit_similarities(start, start + offsets, number).apply(start, number) - start - offsets
-            left, whole = (np.bincount(number, (one**2).sum(axis=1)) for one in (off, offsets))
+        for start, sculpted in zip(self.neutrals[:, chosen], sculpt.offsets, strict=True):
+            offsets = np.zeros((len(moving), 3))
+            offsets[sculpt.points] = sculpted
+            off = fit_similarities(start, start + offsets[own], number).apply(start, number) - start - offsets[own]
+            left, whole = (np.bincount(number, (one**2).sum(axis=1)) for one in (off, offsets[own]))
             rigid &= left <= _RIGID**2 * whole
         chosen[chosen] = rigid[number]
         return chosen
 
-    def fit_moved(self, neutral: FloatArray, offsets: FloatArray, rigid: npt.NDArray[np.bool_]) -> None:
-        """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's."""
+    def fit_moved(
+        self,
+        neutral: FloatArray,
+        offsets: FloatArray,
+        rigid: npt.NDArray[np.bool_],
+        moving: npt.NDArray[np.bool_],
+    ) -> None:
+        """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's.
+
+        Static points stay so.
+        """
         if not rigid.any():
             return
         points, number = self.points[rigid], np.unique(self.part[rigid], return_inverse=True)[1].ravel()
         start = neutral[points]
-        offsets[points] = fit_similarities(start, start + offsets[points], number).apply(start, number) - start
-
-
-def _whole(part: IntArray, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """(p,) points of the parts of which all points move: those of others must not, so these stay as solved."""
-    if not len(part):
-        return np.zeros(0, dtype=bool)
-    return np.asarray((np.bincount(part, ~moving) == 0)[part])
+        fitted = fit_similarities(start, start + offsets[points], number).apply(start, number) - start
+        offsets[points] = np.where(moving[points][:, None], fitted, 0.0)
 
 
 def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
