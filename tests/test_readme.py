@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from facepipe.cli import COMMANDS
+from facepipe.processors.blend import read_blend_recipe
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
@@ -54,6 +55,8 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         "child.glb",
         "live.usda",
     } <= made
+    recipe = read_blend_recipe(folder / "live.usda")  # made in Python as the page says, it can be edited
+    assert [source.name for source in recipe.sources] == ["head.usda", "other.usda"]
 
 
 def test_the_demo_makes_everything(tmp_path: Path) -> None:
