@@ -40,7 +40,7 @@ def _assert_shares(fit: SimplexFit) -> None:
     np.testing.assert_allclose(fit.weights.sum(axis=1), 1.0, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=75)
 @given(problems())
 def test_the_optimality_conditions_hold(problem: ProblemArrays) -> None:
     gram, linear, groups, sources = problem
