@@ -27,6 +27,7 @@ COMMANDS = {
     "landmarks": "author named landmarks",
     "regions": "list regions, or author them from a painted map",
     "blend": "mix faces of one topology by region, with shapes and rig",
+    "skin": "give a face a skeleton and skin weights",
     "schema-path": "print the folder of the USD schemas",
 }
 

@@ -66,6 +66,26 @@ def closest_places(points: FloatArray, surface_points: FloatArray, triangles: In
     return found
 
 
+def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1."""
+    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[found.triangles]]
+    opposite = corners[:, [1, 2, 0]] - found.places[:, None], corners[:, [2, 0, 1]] - found.places[:, None]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.maximum(np.einsum("mci,mi->mc", np.cross(*opposite), normal), 0.0)
+    edge = (found.features >= EDGE) & (found.features < INSIDE)
+    rows = np.flatnonzero(edge)
+    first = found.features[rows] - EDGE
+    starts, ends = corners[rows, first], corners[rows, (first + 1) % 3]
+    sides = ends - starts
+    along = ((found.places[rows] - starts) * sides).sum(axis=1) / np.maximum((sides * sides).sum(axis=1), 1e-300)
+    areas[rows] = 0.0
+    areas[rows, first], areas[rows, (first + 1) % 3] = 1.0 - np.clip(along, 0.0, 1.0), np.clip(along, 0.0, 1.0)
+    corner = np.flatnonzero(found.features < EDGE)
+    areas[corner] = np.eye(3)[found.features[corner] - CORNER]
+    total = areas.sum(axis=1, keepdims=True)
+    return np.where(total > 0, areas / np.where(total > 0, total, 1.0), 1.0 / 3.0)
+
+
 def _by_size(sizes: FloatArray) -> list[IntArray]:
     """Triangles in groups of like size, the most numerous first: one large one widens the search for no others."""
     steps = np.floor(np.log(np.maximum(sizes, sizes.max() * 1e-6 + 1e-300)) / np.log(_SIZE_STEP))

@@ -19,6 +19,7 @@ from facepipe.stage.author_rig_changes import (
     author_skeleton_changes,
     author_slider_changes,
     author_text_changes,
+    check_skeleton_change,
 )
 from facepipe.stage.differences import same
 from facepipe.stage.face import Face
@@ -33,7 +34,8 @@ _FIXED = ("name", "meters_per_unit", "up_axis", "materials")
 def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:
     """Author on a face what differs between it and `parts`, compared in float32; one line per thing authored.
 
-    `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. What weaker layers have
+    `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. A face without joints can
+    get some, one with joints keeps them. What weaker layers have
     and `parts` lacks is hidden: values are blocked, prims deactivated. Time samples of what changes no longer count.
     Instances that hold changed prims are instanced no more.
 
@@ -71,8 +73,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
         raise TopologyError(face.where, f"meshes {', '.join(names[1])}, expected {', '.join(names[0])}")
     for before, after in zip(old.meshes, new.meshes, strict=True):
         check_mesh_change(f"{face.where} -> {before.name}", before, after)
-    if old.skeleton.joints != new.skeleton.joints:
-        raise TopologyError(f"{face.where} -> {old.skeleton.name}", "other joints, expected those of the face")
+    check_skeleton_change(face.where, old.skeleton, new.skeleton)
     for field in ("name", "transform"):
         if not same(getattr(old.skeleton, field), getattr(new.skeleton, field)):
             raise InputError(f"{face.where} -> {old.skeleton.name} -> {field}", "differs, expected as on the face")

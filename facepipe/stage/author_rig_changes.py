@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from pxr import Usd
+import numpy as np
+from pxr import Sdf, Usd, UsdSkel
 
 from facepipe import tokens
+from facepipe.errors import InputError, TopologyError
 from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider
 from facepipe.stage.differences import same
@@ -15,8 +17,38 @@ from facepipe.stage.opinions import editable, put
 from facepipe.stage.values import to_matrices
 
 
+def check_skeleton_change(where: str, old: Skeleton, new: Skeleton) -> None:
+    """Check that what differs can be authored over a skeleton: joints for one without, with their transforms.
+
+    :raises TopologyError: other joints than it has, or not one bind and rest transform each
+    :raises InputError: joint paths that are not parent first, or another name or place of the skeleton
+    """
+    where = f"{where} -> {old.name}"
+    if old.joints and old.joints != new.joints:
+        raise TopologyError(where, "other joints, expected those of the face")
+    for name, transforms in (("bind", new.bind_transforms), ("rest", new.rest_transforms)):
+        if np.shape(transforms) != (len(new.joints), 4, 4):
+            raise TopologyError(where, f"{name} transforms {np.shape(transforms)}, expected one (4, 4) per joint")
+    if not old.joints and new.joints:
+        _check_joints(where, new.joints)
+    for field in ("name", "transform"):
+        if not same(getattr(old, field), getattr(new, field)):
+            raise InputError(f"{where} -> {field}", "differs, expected as on the face")
+
+
+def _check_joints(where: str, joints: Sequence[str]) -> None:
+    topology = UsdSkel.Topology(list(joints))
+    valid, reason = topology.Validate()
+    if not valid or len(set(joints)) != len(joints) or not all(map(Sdf.Path.IsValidPathString, joints)):
+        raise InputError(where, f"joints that no skeleton can have, expected different paths, parents first {reason}")
+
+
 def author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tuple[str, ...]:
-    """Author on a Skeleton prim the bind and rest transforms that differ; the names of these."""
+    """Author on a Skeleton prim the joints, bind and rest transforms that differ; the names of these."""
+    added: tuple[str, ...] = ()
+    if old.joints != new.joints:
+        put(UsdSkel.Skeleton(editable(prim)).CreateJointsAttr(), list(new.joints))
+        added = (f"{new.name}: {len(new.joints)} joints",)
     pairs = {
         "bindTransforms": (old.bind_transforms, new.bind_transforms),
         "restTransforms": (old.rest_transforms, new.rest_transforms),
@@ -24,7 +56,7 @@ def author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tup
     changed = {name: there for name, (before, there) in pairs.items() if not same(before, there)}
     for name, transforms in changed.items():
         put(editable(prim).GetAttribute(name), to_matrices(transforms))
-    return tuple(f"{new.name}: {name}" for name in changed)
+    return (*added, *(f"{new.name}: {name}" for name in changed))
 
 
 def author_limit_changes(prim: Usd.Prim, old: BoneLimits | None, new: BoneLimits | None) -> tuple[str, ...]:

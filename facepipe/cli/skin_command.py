@@ -1,0 +1,113 @@
+"""Give a face a skeleton and skin weights: from joint positions, or from another face's skeleton.
+
+--joints holds where joints are, in the world: {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw":
+{"position": [0, 20, 15], "regions": ["mouth_lower"]}}, "parts": {"Teeth*": {"upper": "head", "lower": "head/jaw"}}}.
+A joint may have "rotation" (quaternion x y z w relative to its parent's axes), "radius" (no weight beyond, along the
+surface), "regions" (of the face, or mouth_upper, mouth_lower, eye_left_upper ...) and "surface" (false: it moves loose
+parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the surface and
+never cross from lip to lip or lid to lid.
+
+OUT is an override layer over FACE.
+
+examples:
+  facepipe skin head.usdc --joints joints.json -o skinned.usdc --picture weights.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
+from facepipe.cli.show import emit, warn
+from facepipe.errors import FacepipeError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from facepipe.parts import Recipe
+    from facepipe.processors.skin import SkinReport
+    from facepipe.stage import Face
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.processors.skin import SkinOptions
+
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage without joints, or with the same ones")
+    parser.add_argument("--joints", type=Path, metavar="JSON", required=True, help="where joints are")
+    add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the weights on the face, a colour a joint")
+    parser.add_argument("--flatten", action="store_true", help="write a standalone file")
+    parser.add_argument("--json", action="store_true", help="print what was authored as JSON")
+    add_options(parser, SkinOptions, "weights")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, skin, author the layer."""
+    import facepipe
+    from facepipe.processors.skin import SkinFace, SkinOptions, read_joints
+    from facepipe.stage import Face
+    from facepipe.stage.author_skeleton import author_recipe
+
+    inputs = [arguments.face, arguments.joints]
+    out = output_of(arguments, inputs)
+    picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
+    options: SkinOptions = options_from(arguments, SkinOptions)
+    skin = SkinFace(joints=read_joints(arguments.joints), options=options)
+    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
+        try:
+            report = skin(face)
+        except FacepipeError as error:  # the layer being made has no file yet: name its source
+            raise error.under(arguments.face) if error.where.startswith("<") else error from None
+        author_recipe(face.prim, _recipe(inputs, options, out))
+        image = _draw(Face(face.stage, face.prim)) if picture else None
+    if image is not None and picture is not None:
+        from facepipe.render import save_png
+
+        save_png(image, picture)
+    warn(report.warnings)
+    result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
+    emit(result, _text(out, picture, report), as_json=arguments.json)
+    return 0
+
+
+def _draw(face: Face) -> Image:
+    from facepipe.render import PictureOptions, RegionColors, picture
+
+    weights = face.rig().influences.toarray()
+    names = [joint.rpartition("/")[2] for joint in face.skeleton.joints]
+    masks = {
+        name if names.count(name) == 1 else path: column
+        for name, path, column in zip(names, face.skeleton.joints, weights.T, strict=False)
+        if column.any()
+    }
+    return picture(face.parts(), face.evaluate(), PictureOptions(regions=RegionColors(masks=masks)))
+
+
+def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
+    lines = [f"{out}: {report.joints} joints, at most {report.influences} a point"]
+    lines += [f"weights change by {report.largest_step_per_mm:.3f} a mm at most"]
+    lines += [f"{mesh}: held by {joint}" for mesh, joint in report.rigid.items()]
+    if report.weightless:
+        some = ", ".join(joint.rpartition("/")[2] for joint in report.weightless[:8])
+        lines.append(f"{len(report.weightless)} joints move no point: {some}{' ...' * (len(report.weightless) > 8)}")
+    return "\n".join([*lines, *([str(picture)] if picture else [])])
+
+
+def _recipe(sources: list[Path], options: object, out: Path) -> Recipe:
+    from facepipe import __version__
+    from facepipe.digests import digest
+    from facepipe.options import to_json
+    from facepipe.parts import Recipe
+    from facepipe.stage.files import relative_path
+
+    return Recipe(
+        verb="skin",
+        sources=tuple(relative_path(str(source), out.parent) for source in sources),
+        digests=tuple(digest([source]) for source in sources),
+        options=to_json(options),  # type: ignore[arg-type]
+        version=__version__,
+    )

@@ -1,0 +1,8 @@
+"""Skin: a skeleton and smooth weights for a face that has none, from joint positions or from another face."""
+
+from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
+from facepipe.processors.skin.options import SkinOptions
+from facepipe.processors.skin.report import SkinReport
+from facepipe.processors.skin.skin_face import SkinFace
+
+__all__ = ["JointSet", "JointSpec", "SkinFace", "SkinOptions", "SkinReport", "read_joints"]

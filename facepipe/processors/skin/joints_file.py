@@ -1,0 +1,185 @@
+"""Joints to skin a face with, from a JSON file.
+
+    {
+      "unit": "mm",
+      "joints": {
+        "head": {"position": [0, 60, 20]},
+        "head/jaw": {"position": [0, 20, 15], "regions": ["mouth_lower"]},
+        "head/jaw/lip": {"position": [0, -32, 98], "radius": 30},
+        "head/eyeLeft": {"position": [32, 30, 65], "rotation": [0, 0, 0, 1]}
+      },
+      "parts": {"EyeLeft": "head/eyeLeft", "Teeth*": {"upper": "head", "lower": "head/jaw"}}
+    }
+
+Names are paths, parents anywhere in the file. A joint has, beside its position in the world:
+
+- ``rotation``: quaternion x y z w relative to its parent's axes; without it the axes are the parent's.
+- ``radius``: no weight further from it, along the surface.
+- ``regions``: weight in these only: regions of the face, or a side of its mouth or eyes (``mouth_upper``,
+  ``mouth_lower``, ``eye_left_upper``, ``eye_left_lower``, ``eye_right_upper``, ``eye_right_lower``).
+- ``surface``: whether it moves the face itself. Without it: yes, unless it is in an eyeball, which it turns.
+
+``parts`` gives loose parts whole to a joint, by mesh names or globs; ``upper`` and ``lower`` part them by the mouth.
+``unit`` of positions and radii is ``stage`` (the face's own), ``mm``, ``cm`` or ``m``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from facepipe.errors import InputError
+from facepipe.names import identifier
+from facepipe.reading import read_bytes
+
+MOST_JOINTS = 4096
+_MOST_BYTES = 1 << 24
+_UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
+_FIELDS = ("position", "rotation", "radius", "regions", "surface")
+_LARGEST = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSpec:
+    """One joint to be made; what its fields mean is above."""
+
+    path: str
+    position: tuple[float, float, float]
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    radius: float | None = None
+    regions: tuple[str, ...] = ()
+    surface: bool | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSet:
+    """The joints of a face, parents first.
+
+    :raises InputError: no joints, one twice or without its parent, or parts given to a joint that is not there
+    """
+
+    joints: tuple[JointSpec, ...]
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # mesh glob -> joint above and below the mouth
+    unit: str = "stage"
+    where: str = "joints"  # for messages
+
+    def __post_init__(self) -> None:
+        paths = [joint.path for joint in self.joints]
+        if not 1 <= len(paths) <= MOST_JOINTS:
+            raise InputError(self.where, f"{len(paths)} joints, expected 1 to {MOST_JOINTS}")
+        if self.unit not in _UNITS:
+            raise InputError(f"{self.where} -> unit", f"'{self.unit}', expected one of {', '.join(_UNITS)}")
+        for path in paths:
+            self._check_path(path, paths)
+        for glob, names in self.parts.items():
+            for name in names:
+                if name not in paths:
+                    raise InputError(f"{self.where} -> parts -> {glob}", f"no joint '{name}', expected one of the file")
+        order = sorted(self.joints, key=lambda joint: joint.path.count("/"))
+        object.__setattr__(self, "joints", tuple(order))
+
+    def _check_path(self, path: str, paths: list[str]) -> None:
+        where = f"{self.where} -> {ascii(path)[1:-1][:80]}"
+        if paths.count(path) > 1:
+            raise InputError(where, "twice, expected each joint once")
+        if any(identifier(part) != part for part in path.split("/")):
+            raise InputError(where, "expected names of ASCII letters, digits and underscores, joined by /")
+        parent = path.rpartition("/")[0]
+        if parent and parent not in paths:
+            raise InputError(where, f"no parent '{parent}', expected it among the joints")
+
+    def scale(self, meters_per_unit: float) -> float:
+        """Stage units in one unit of the file."""
+        meters = _UNITS[self.unit]
+        return 1.0 if meters is None else meters / meters_per_unit
+
+
+def read_joints(path: Path) -> JointSet:
+    """The joints of a JSON file.
+
+    :raises InputError: not such JSON
+    """
+    try:
+        content = json.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"), object_pairs_hook=_object)
+    except _TwiceError as error:
+        raise InputError(path, f"'{ascii(str(error))[1:-1]}' twice, expected each name once") from None
+    except (ValueError, RecursionError) as error:  # bad UTF-8 too
+        raise InputError(path, f"is not JSON ({error})") from None
+    if not isinstance(content, dict) or not isinstance(content.get("joints"), dict):
+        raise InputError(path, 'expected an object {"joints": {"name": {"position": [x, y, z]}}}')
+    unknown = [key for key in content if key not in ("unit", "joints", "parts")]
+    if unknown:
+        raise InputError(path, f"'{ascii(unknown[0])[1:-1][:60]}' is unknown, expected unit, joints, parts")
+    joints = [_joint(f"{path} -> {ascii(name)[1:-1][:80]}", name, one) for name, one in content["joints"].items()]
+    return JointSet(
+        joints=tuple(joints),
+        parts=_parts(f"{path} -> parts", content.get("parts", {})),
+        unit=str(content.get("unit", "stage")),
+        where=str(path),
+    )
+
+
+class _TwiceError(Exception):
+    """A key that an object has twice."""
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise _TwiceError(next(name for name in names if names.count(name) > 1))
+    return found
+
+
+def _joint(where: str, path: str, content: object) -> JointSpec:
+    if not isinstance(content, dict) or "position" not in content:
+        raise InputError(where, 'expected an object {"position": [x, y, z]}')
+    unknown = [key for key in content if key not in _FIELDS]
+    if unknown:
+        raise InputError(where, f"'{ascii(unknown[0])[1:-1][:60]}' is unknown, expected some of {', '.join(_FIELDS)}")
+    position = _numbers(f"{where} -> position", content["position"], 3)
+    rotation = _numbers(f"{where} -> rotation", content.get("rotation", [0, 0, 0, 1]), 4)
+    if math.hypot(*rotation) < 1e-6:
+        raise InputError(f"{where} -> rotation", "of length 0, expected a unit quaternion x y z w")
+    radius = content.get("radius")
+    if radius is not None and _numbers(f"{where} -> radius", [radius], 1)[0] <= 0:
+        raise InputError(f"{where} -> radius", f"{radius}, expected a length above 0")
+    regions = content.get("regions", [])
+    if not isinstance(regions, list) or not all(isinstance(one, str) for one in regions):
+        raise InputError(f"{where} -> regions", "expected a list of region names")
+    surface = content.get("surface")
+    if surface is not None and not isinstance(surface, bool):
+        raise InputError(f"{where} -> surface", f"{str(surface)[:40]}, expected true or false")
+    return JointSpec(
+        path=path,
+        position=(position[0], position[1], position[2]),
+        rotation=(rotation[0], rotation[1], rotation[2], rotation[3]),
+        radius=None if radius is None else float(radius),
+        regions=tuple(regions),
+        surface=surface,
+    )
+
+
+def _numbers(where: str, values: Any, count: int) -> tuple[float, ...]:
+    good = isinstance(values, list) and len(values) == count
+    if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in values):
+        raise InputError(where, f"{str(values)[:60]}, expected {count} finite numbers")  # NaN fails the comparison
+    return tuple(float(one) for one in values)
+
+
+def _parts(where: str, content: object) -> dict[str, tuple[str, str]]:
+    if not isinstance(content, dict):
+        raise InputError(where, "expected an object of mesh names and joints")
+    found: dict[str, tuple[str, str]] = {}
+    for glob, value in content.items():
+        if isinstance(value, str):
+            found[glob] = (value, value)
+        elif isinstance(value, dict) and sorted(value) == ["lower", "upper"]:
+            found[glob] = (str(value["upper"]), str(value["lower"]))
+        else:
+            raise InputError(f"{where} -> {glob[:60]}", 'expected a joint, or {"upper": joint, "lower": joint}')
+    return found

@@ -1,0 +1,166 @@
+"""Gives a face a skeleton and skin weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.geometry.heat_weights import fewest, influences
+from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin, all_regions
+from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.processors.skin.from_joints import joint_weights
+from facepipe.processors.skin.joints_file import JointSet, JointSpec
+from facepipe.processors.skin.loose_parts import following, hold, hold_parts, joints_in
+from facepipe.processors.skin.options import SkinOptions
+from facepipe.processors.skin.report import SkinReport, steps
+from facepipe.processors.skin.skeletons import skeleton_of
+from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
+from facepipe.processors.skin.surface import Surface, surface_of
+from facepipe.rig.build import mesh_spaces
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+
+_BLUR = 0.15  # of a slit's width, at the border between its two sides
+_FARTHEST = 20.0  # sizes of the face that a joint may be away from it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skinning:
+    """A skeleton and weights (m, j) of the sewn points of a face, before they are cut to few influences."""
+
+    skeleton: Skeleton
+    weights: FloatArray
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinFace:
+    """Skeleton and weights of a face without joints, or new weights for one that has the same joints.
+
+    Weights fall off along the surface and never cross from lip to lip or lid to lid.
+    """
+
+    joints: JointSet
+    options: SkinOptions = field(default_factory=SkinOptions)
+
+    def __call__(self, face: Face) -> SkinReport:
+        """Author them.
+
+        :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface
+        """
+        parts = face.parts()
+        surface = surface_of(parts, face.where)
+        made = from_joints(parts, surface, self.joints, self.options)
+        weights = fewest(made.weights, self.options.influences)
+        author_changes(face, skinned(parts, surface, made.skeleton, weights))
+        return _report(surface, made, weights)
+
+
+def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: SkinOptions) -> Skinning:
+    """Skeleton and weights from joint positions."""
+    scale = joints.scale(parts.meters_per_unit)
+    positions = np.array([joint.position for joint in joints.joints]) * scale
+    millimetres = positions * parts.meters_per_unit * 1000.0
+    _check_near(surface, joints, millimetres)
+    slits = slits_of(surface)
+    eyeballs = eyeballs_of(surface)
+    turned = joints_in(eyeballs, millimetres)
+    moves = np.array([_moves(joint, i in turned.values()) for i, joint in enumerate(joints.joints)])
+    if not moves.any():
+        raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs or `surface`")
+    chosen = [joint for joint, one in zip(joints.joints, moves, strict=True) if one]
+    to_mm = scale * parts.meters_per_unit * 1000.0
+    radii = np.array([np.inf if joint.radius is None else joint.radius * to_mm for joint in chosen])
+    masks = [_mask(parts, surface, slits, joint, joints.where) for joint in chosen]
+    own = joint_weights(surface, chosen, millimetres[moves], radii, masks, slits, options.sharpness)
+    weights = np.zeros((len(surface.points), len(moves)))
+    weights[:, moves] = following(surface, own)
+    for number, joint in turned.items():
+        hold(weights, eyeballs[number].points, joint)
+    paths = tuple(joint.path for joint in joints.joints)
+    mouth = next((slit for slit in slits if slit.name == "mouth"), None)
+    hold_parts(surface, weights, joints.parts, paths, mouth)
+    rotations = np.array([joint.rotation for joint in joints.joints])
+    warning = "no multipie68 landmarks: joints beside lips and lids may move the other one round the corner"
+    return Skinning(
+        skeleton=skeleton_of(parts.skeleton, paths, positions, rotations),
+        weights=weights,
+        warnings=() if slits else (warning,),
+    )
+
+
+def skinned(parts: FaceParts, surface: Surface, skeleton: Skeleton, weights: FloatArray) -> FaceParts:
+    """The face with the skeleton and the weights (m, j), whose rows have few influences each.
+
+    :raises InputError: the face has other joints
+    """
+    old = parts.skeleton.joints
+    if old and old != skeleton.joints:
+        raise InputError(surface.where, f"has {len(old)} joints, expected a face without, or with the same ones")
+    meshes, start = [], 0
+    for mesh, space in zip(parts.meshes, mesh_spaces(parts), strict=True):
+        rows = weights[surface.group[start : start + len(mesh.points)]]
+        width = max(1, int((rows > 0).sum(axis=1).max(initial=0)))
+        indices, values = influences(rows, width)
+        skin = Skin(joint_indices=indices, joint_weights=values, geom_bind_transform=space)
+        meshes.append(replace(mesh, skin=skin))
+        start += len(mesh.points)
+    return replace(parts, meshes=tuple(meshes), skeleton=skeleton)
+
+
+def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
+    return joint.surface if joint.surface is not None else not in_eyeball
+
+
+def _check_near(surface: Surface, joints: JointSet, positions: FloatArray) -> None:
+    middle = surface.points.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    for joint, position in zip(joints.joints, positions, strict=True):
+        away = float(np.linalg.norm(position - middle))
+        if away > _FARTHEST * size:
+            what = f"{away:.4g} mm from the face, expected at most {_FARTHEST * size:.4g} (positions are in the unit"
+            raise InputError(f"{joints.where} -> {joint.path}", f"{what} '{joints.unit}')")
+
+
+def _mask(
+    parts: FaceParts, surface: Surface, slits: tuple[Slit, ...], joint: JointSpec, where: str
+) -> FloatArray | None:
+    """(m,) how much of each point the regions of a joint hold."""
+    if not joint.regions:
+        return None
+    first = np.unique(surface.group, return_index=True)[1]
+    known: dict[str, FloatArray] = {
+        name: np.asarray(mask, np.float64)[first] for name, mask in all_regions(parts.meshes).items()
+    }
+    for slit in slits:
+        for side, sign in (("upper", UPPER), ("lower", LOWER)):
+            known.setdefault(f"{slit.name}_{side}", slit.share(sign, _BLUR))
+    for name in joint.regions:
+        if name not in known:
+            some = ", ".join(known) or "none, it has neither regions nor landmarks"
+            raise InputError(f"{where} -> {joint.path} -> regions", f"no '{name[:60]}', expected some of {some}")
+    return np.asarray(np.clip(np.sum([known[name] for name in joint.regions], axis=0), 0.0, 1.0))
+
+
+def _report(surface: Surface, made: Skinning, weights: FloatArray) -> SkinReport:
+    counts = (weights > 0).sum(axis=1)
+    step, slope = steps(surface, weights)
+    names = surface.mesh_names
+    rigid = {}
+    for number, name in enumerate(names):
+        own = weights[surface.mesh == number]
+        held = np.flatnonzero((own == 1.0).all(axis=0))
+        if len(own) and len(held):
+            rigid[name] = made.skeleton.joints[held[0]]
+    return SkinReport(
+        joints=len(made.skeleton.joints),
+        influences=int(counts.max(initial=0)),
+        meshes={name: int(counts[surface.mesh == i].max(initial=0)) for i, name in enumerate(names)},
+        weightless=tuple(made.skeleton.joints[i] for i in np.flatnonzero((weights <= 0).all(axis=0))),
+        rigid=rigid,
+        largest_step=step,
+        largest_step_per_mm=slope,
+        warnings=made.warnings,
+    )

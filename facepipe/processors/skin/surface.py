@@ -1,0 +1,142 @@
+"""The surface of a face for skinning: all meshes in one place and unit, cuts sewn, in connected components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
+from facepipe.geometry.polygons import components, edges, point_normals, point_triangles
+from facepipe.geometry.seams import welded_points
+from facepipe.parts import FaceParts, FloatArray, IntArray
+from facepipe.rig.build import mesh_spaces
+
+LANDMARKS = "multipie68"
+_SAME = 1e-6  # border points nearer than this share of the face's size are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """m sewn points of a face in its bind pose, in millimetres of the world, and what connects them."""
+
+    where: str
+    points: FloatArray  # (m, 3)
+    triangles: IntArray  # (t, 3)
+    cells: IntArray  # (c, 4) triangles and quads, as `geodesics.cells` gives them
+    edges: IntArray  # (e, 2) of the polygons
+    group: IntArray  # (n,) sewn point of every point of the face, meshes in stage order
+    mesh: IntArray  # (m,) number of the mesh of each
+    mesh_names: tuple[str, ...]
+    component: IntArray  # (m,)
+    main: int  # component that the landmarks lie on, or that has most points
+    landmarks: IntArray | None  # (68,) sewn points of multipie68
+
+    @cached_property
+    def inside(self) -> IntArray:
+        """Points of the main component."""
+        return np.flatnonzero(self.component == self.main)
+
+    @cached_property
+    def loose(self) -> IntArray:
+        """Points of all others."""
+        return np.flatnonzero(self.component != self.main)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(m, 3)."""
+        return point_normals(self.points, self.triangles)
+
+    @cached_property
+    def graph(self) -> Any:
+        """(m, m) lengths along the surface."""
+        return surface_graph(self.points, self.cells, self.edges)
+
+    @cached_property
+    def even_triangles(self) -> IntArray:
+        """(t, 3) with both diagonals of quads."""
+        return even_triangles(self.cells)
+
+    def part_triangles(self, points: IntArray, *, even: bool = False) -> IntArray:
+        """(t, 3) triangles among `points`, as places in that list; `even`: with both diagonals of quads."""
+        place = np.full(len(self.points), -1)
+        place[points] = np.arange(len(points))
+        found = place[self.even_triangles if even else self.triangles]
+        return np.asarray(found[(found >= 0).all(axis=1)])
+
+
+def surface_of(parts: FaceParts, where: str) -> Surface:
+    """The surface of a face, as it was bound.
+
+    :raises InputError: no triangle
+    """
+    to_world = np.asarray(parts.skeleton.transform, np.float64)
+    millimetres = parts.meters_per_unit * 1000.0
+    points: list[Any] = []
+    triangles, faces, pairs, border, mesh_number = ([*points] for _ in range(5))
+    start = 0
+    for number, (mesh, space) in enumerate(zip(parts.meshes, mesh_spaces(parts), strict=True)):
+        matrix = to_world @ space
+        points.append((np.asarray(mesh.points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]) * millimetres)
+        counts, indices = mesh.face_vertex_counts, mesh.face_vertex_indices
+        triangles.append(point_triangles(counts, indices) + start)
+        polygons = cells(counts, indices)
+        faces.append(np.where(polygons >= 0, polygons + start, -1))
+        own, uses = edges(counts, indices)
+        pairs.append(own + start)
+        at_border = np.zeros(len(mesh.points), bool)
+        at_border[own[uses == 1].ravel()] = True
+        border.append(at_border)
+        mesh_number.append(np.full(len(mesh.points), number))
+        start += len(mesh.points)
+    if not sum(map(len, triangles)):
+        raise InputError(where, "no triangles, expected a surface to put weights on")
+    whole = [np.concatenate(arrays) for arrays in (points, triangles, faces, pairs, border, mesh_number)]
+    return _sewn(parts, where, *whole)
+
+
+def _sewn(
+    parts: FaceParts,
+    where: str,
+    points: FloatArray,
+    triangles: IntArray,
+    faces: IntArray,
+    pairs: IntArray,
+    border: Any,
+    mesh: IntArray,
+) -> Surface:
+    group = welded_points(points, border, _SAME * float(np.ptp(points, axis=0).max()))
+    first = np.unique(group, return_index=True)[1]
+    triangles, pairs = group[triangles], np.sort(group[pairs], axis=1)
+    faces = np.where(faces >= 0, group[faces], -1)
+    proper = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
+    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    component = components(len(first), pairs)
+    landmarks = _landmarks(parts, group)
+    counted = component if landmarks is None else component[landmarks]
+    return Surface(
+        where=where,
+        points=points[first],
+        triangles=triangles[proper],
+        cells=faces,
+        edges=pairs,
+        group=group,
+        mesh=mesh[first],
+        mesh_names=tuple(one.name for one in parts.meshes),
+        component=component,
+        main=int(np.bincount(counted).argmax()),
+        landmarks=landmarks,
+    )
+
+
+def _landmarks(parts: FaceParts, group: IntArray) -> IntArray | None:
+    start = 0
+    for mesh in parts.meshes:
+        found = mesh.landmarks.get(LANDMARKS)
+        if found is not None and len(found.indices) == 68:
+            return np.asarray(group[np.asarray(found.indices, np.int64) + start])
+        start += len(mesh.points)
+    return None

@@ -1,0 +1,89 @@
+"""Joint sets placed by the landmarks of a face, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from import_data import shared
+
+from facepipe.importers import ict, makehuman
+from facepipe.parts import FaceParts, Skeleton
+from facepipe.processors.skin import JointSet, JointSpec
+from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.processors.skin.surface import surface_of
+from facepipe.sample import make
+from facepipe.stage import Face
+
+# joint -> landmarks of multipie68 whose middle it stands at
+KINDS = ("sample", "ict", "makehuman")
+HELD = {  # loose parts that joints hold whole
+    "sample": {"TeethUpper": ("head", "head"), "TeethLower": ("head/jaw", "head/jaw"), "Tongue": ("head/jaw",) * 2},
+    "ict": {"Teeth": ("head", "head/jaw"), "GumsAndTongue": ("head", "head/jaw")},
+    "makehuman": {"TeethUpper": ("head", "head"), "TeethLower": ("head/jaw", "head/jaw"), "Tongue": ("head/jaw",) * 2},
+}
+AT = {
+    "head/jaw/lipLower": (57, 66),
+    "head/jaw/lipLowerRight": (58, 59),
+    "head/jaw/lipLowerLeft": (55, 56),
+    "head/lipUpper": (51, 62),
+    "head/lipUpperRight": (49, 50),
+    "head/lipUpperLeft": (52, 53),
+    "head/lipCornerRight": (48,),
+    "head/lipCornerLeft": (54,),
+    "head/noseTip": (30,),
+    "head/browRight": (19,),
+    "head/browLeft": (24,),
+    "head/lidUpperRight": (37, 38),
+    "head/lidUpperLeft": (43, 44),
+    "head/lidLowerRight": (40, 41),
+    "head/lidLowerLeft": (46, 47),
+}
+RADII = {"lid": 18.0, "lipUpper": 30.0, "lipLower": 30.0, "lipCorner": 35.0, "nose": 45.0, "brow": 40.0}
+
+
+def landmark_joints(face: Face, parts: dict[str, tuple[str, str]] | None = None) -> JointSet:
+    """Lips, lids, brows, nose at the surface; jaw, eyes and head inside."""
+    surface = surface_of(face.parts(), face.where)
+    at = surface.points[surface.landmarks]
+    right, left = at[0], at[16]
+    brow, chin = at[21:23].mean(axis=0), at[8]
+    ears = (right + left) / 2
+    found = {"head": ears + 0.4 * (brow - chin), "head/jaw": ears}
+    found |= {name: at[list(marks)].mean(axis=0) for name, marks in AT.items()}
+    for ball in eyeballs_of(surface):
+        found["head/eyeLeft" if ball.centre[0] > 0 else "head/eyeRight"] = ball.centre
+    joints = []
+    for path, position in found.items():
+        leaf = path.rpartition("/")[2]
+        radius = next((size for name, size in RADII.items() if leaf.startswith(name)), None)
+        x, y, z = map(float, position)
+        joints.append(
+            JointSpec(path=path, position=(x, y, z), radius=radius, regions=("mouth_lower",) if leaf == "jaw" else ())
+        )
+    return JointSet(joints=tuple(joints), parts=parts or {}, unit="mm")
+
+
+@cache
+def head(kind: str) -> FaceParts:
+    """The parts of a head as it comes, without its materials: the sample, ICT or MakeHuman."""
+    if kind == "sample":
+        parts = make()
+    elif kind == "ict":
+        parts = ict.read(shared("ict_facekit/ict_facekit.npz"), ict.Options()).parts
+    else:
+        parts = makehuman.read(shared("makehuman/makehuman_head.npz"), makehuman.Options()).parts
+    meshes = tuple(replace(mesh, material=None, material_faces=()) for mesh in parts.meshes)
+    return replace(parts, meshes=meshes, materials=())
+
+
+def without_joints(parts: FaceParts) -> FaceParts:
+    """The same face, its skeleton and skin taken away."""
+    meshes = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
+    return replace(parts, meshes=meshes, skeleton=Skeleton(), animations=(), sliders=(), bone_limits=None)
+
+
+def weights_of(face: Face) -> np.ndarray:
+    """(n, j) dense weights of all points."""
+    return np.asarray(face.rig().influences.toarray()[:, : len(face.skeleton.joints)])
