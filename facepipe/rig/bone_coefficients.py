@@ -61,3 +61,26 @@ def _rotation(angles: FloatArray) -> FloatArray:
         [-cx * sy, sx, cx * cy],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def coefficient_derivatives(coefficients: FloatArray) -> FloatArray:
+    """(..., 9, 4, 4) derivatives of `coefficient_matrices` by each of the (..., 9) coefficients."""
+    coefficients = np.asarray(coefficients, dtype=np.float64)
+    derivatives = np.zeros((*coefficients.shape[:-1], 9, 4, 4))
+    angles, scales = coefficients[..., 3:6], coefficients[..., 6:9]
+    whole = _rotation(angles)
+    for axis in range(3):
+        derivatives[..., axis, axis, 3] = 1.0
+        derivatives[..., 3 + axis, :3, :3] = _by_angle(angles, axis) * scales[..., None, :]
+        derivatives[..., 6 + axis, :3, axis] = whole[..., :, axis]
+    return derivatives
+
+
+def _by_angle(angles: FloatArray, axis: int) -> FloatArray:
+    """(..., 3, 3) derivative of the rotation by one angle.
+
+    The rotation is ``N + C cos + S sin`` in that angle: a quarter turn on, it is N plus the derivative, and N is the
+    mean over any two opposite angles.
+    """
+    turn = np.eye(3)[axis] * np.pi
+    return _rotation(angles + turn / 2) - 0.5 * (_rotation(angles) + _rotation(angles + turn))

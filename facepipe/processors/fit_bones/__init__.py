@@ -1,0 +1,1 @@
+"""Bone fit: 9-DOF bone coefficients, within limits, that bring a skinned face to a target."""

@@ -1,0 +1,90 @@
+"""A live bone fit: one rig prepared once, then fitted to any number of targets."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.processors.fit_bones.moments import SkinnedPoints
+from facepipe.processors.fit_bones.solver import Fitted, Problem, fit
+from facepipe.processors.fit_bones.tree import Tree
+from facepipe.rig import Rig, rest_coefficients
+
+FloatArray = npt.NDArray[np.floating]
+
+
+class BoneFit:
+    """The rig with its limits and point weights; fits that follow each other start where the last one ended.
+
+    :param rig: m joints, n points
+    :param lower: (m, 9) limits of the bone coefficients; None: none
+    :param upper: (m, 9)
+    :param weights: (n,) how much each point counts, 0: not at all; None: all alike
+    :param threshold: largest distance that is good enough, in stage units
+    :param steps: at most, per target
+    :param parent_world: (4, 4) what the root joints hang under; default the skeleton's place
+    :raises InputError: a lower limit above its upper one, arrays that don't fit, or negative weights
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        lower: FloatArray | None = None,
+        upper: FloatArray | None = None,
+        weights: FloatArray | None = None,
+        threshold: float,
+        steps: int = 200,
+        parent_world: FloatArray | None = None,
+    ) -> None:
+        count = len(rig.joints)
+        self.rig, self.threshold, self.steps = rig, threshold, steps
+        self.lower = _limits(rig, lower, -np.inf)
+        self.upper = _limits(rig, upper, np.inf)
+        crossed = np.argwhere(self.lower > self.upper)
+        if len(crossed):
+            joint, channel = crossed[0]
+            what = f"lower limit {self.lower[joint, channel]:g} above the upper {self.upper[joint, channel]:g}"
+            raise InputError(f"{rig.name} -> {rig.joints[joint]} -> channel {channel}", what)
+        self.weights = np.ones(len(rig.points)) if weights is None else np.asarray(weights, dtype=np.float64)
+        if self.weights.shape != (len(rig.points),) or not (np.isfinite(self.weights) & (self.weights >= 0)).all():
+            raise InputError(rig.name, f"point weights {self.weights.shape}, expected {len(rig.points)} of 0 or more")
+        self.tree = Tree(rig, parent_world)
+        self.skin = SkinnedPoints(rig)
+        self.weightless = self._weightless()
+        self.free = np.flatnonzero(~self.weightless & (self.lower < self.upper).any(axis=1))
+        self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
+        self._rest = rest_coefficients(count)
+
+    def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
+        """The coefficients that bring the rig to (n, 3) world points.
+
+        :param start: (m, 9) coefficients to start from, brought into the limits; default rest
+        :raises InputError: targets or coefficients of other shapes, or not finite
+        """
+        target = np.asarray(target, dtype=np.float64)
+        if target.shape != self.rig.points.shape or not np.isfinite(target).all():
+            raise InputError(self.rig.name, f"target {target.shape}, expected {self.rig.points.shape} finite numbers")
+        start = self._rest if start is None else np.asarray(start, dtype=np.float64)
+        if start.shape != self._rest.shape or not np.isfinite(start).all():
+            raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
+        problem = Problem(
+            target, self.weights, self.lower, self.upper, self.free, threshold=self.threshold, steps=self.steps
+        )
+        moments = self.skin.retargeted(self._moments, target, self.weights, self.tree.parent_world)
+        return fit(self.tree, self.skin, moments, problem, start)
+
+    def _weightless(self) -> npt.NDArray[np.bool_]:
+        """(m,) joints that, with all below them, move no point that counts: they keep their place."""
+        count = len(self.rig.joints)
+        used = np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) > 0
+        return ~((self.tree.below @ used) > 0)
+
+
+def _limits(rig: Rig, given: FloatArray | None, default: float) -> FloatArray:
+    shape = (len(rig.joints), 9)
+    limits = np.full(shape, default) if given is None else np.asarray(given, dtype=np.float64)
+    if limits.shape != shape or np.isnan(limits).any():
+        raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
+    return limits

@@ -1,0 +1,122 @@
+"""Bone coefficients that bring a skinned face to a target: damped Gauss-Newton steps inside the limits.
+
+Source: the bone driving coefficients document: deform, compare, solve ``A x = b`` within limits, update, until every
+point is within the threshold. Here A is the analytic Jacobian, and each step the exact minimum of the boxed quadratic
+model (Levenberg 1944, Marquardt 1963, with the damping of Nielsen 1999).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.boxed_qp import solve_boxed
+from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
+from facepipe.processors.fit_bones.tree import Pose, Tree
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_START = 1e-3  # damping, relative to the diagonal of the normal matrix
+_LEAST = 1e-12
+_MOST = 1e12
+_FLAT = 1e-9  # of the largest diagonal element: damping of coefficients that move nothing
+_STALLED = 1e-13  # relative fall of the objective that counts as none
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fit: what may move, how far, and where to."""
+
+    target: FloatArray  # (n, 3) world points
+    weights: FloatArray  # (n,) of points, 0 or more
+    lower: FloatArray  # (m, 9)
+    upper: FloatArray  # (m, 9)
+    free: IntArray  # (f,) joints that may move
+    threshold: float  # largest distance that is good enough, in stage units
+    steps: int  # at most
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Where the steps ended."""
+
+    coefficients: FloatArray  # (m, 9), within the limits
+    points: FloatArray  # (n, 3)
+    largest: float  # distance of a point with weight, stage units
+    steps: int
+    slope: float  # largest projected derivative left, relative to the first: 0 at a constrained optimum
+
+
+def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, start: FloatArray) -> Fitted:
+    """Least squares from `start` (m, 9), which is brought into the limits first."""
+    state = _State(tree, skin, problem, np.clip(start, problem.lower, problem.upper))
+    damping, growth, first, slope, taken = _START, 2.0, 0.0, 0.0, 0
+    while taken < problem.steps:
+        if state.largest <= problem.threshold:
+            break
+        generators = tree.generators(state.pose)
+        gradient = tree.gradient(generators, state.pose, moments.gradient(state.pose.skinning), problem.free)
+        slope = _projected(gradient, state.pose, problem)
+        first = first or slope
+        if slope <= _STALLED * first:
+            break
+        normal = tree.normal_matrix(generators, state.pose, moments.pairs, problem.free)
+        tried, damping, growth = _descend(state, normal, gradient, damping, growth)
+        if tried is None:
+            break
+        stalled = state.objective - tried.objective <= _STALLED * state.objective
+        state, taken = tried, taken + 1
+        if stalled:
+            break
+    return Fitted(state.pose.coefficients, state.points, state.largest, taken, slope / first if first else 0.0)
+
+
+def _descend(
+    state: _State, normal: FloatArray, gradient: FloatArray, damping: float, growth: float
+) -> tuple[_State | None, float, float]:
+    """The next state that is better, and the damping for the step after it; None where there is none."""
+    problem, pose = state.problem, state.pose
+    diagonal = np.diag(normal).copy()
+    floor = np.maximum(diagonal, _FLAT * max(float(diagonal.max(initial=0.0)), np.finfo(np.float64).tiny))
+    low, high = ((bound - pose.coefficients)[problem.free].ravel() for bound in (problem.lower, problem.upper))
+    while damping < _MOST:
+        damped = normal.copy()
+        damped[np.diag_indices_from(damped)] += damping * floor
+        found = solve_boxed(damped, gradient, low, high)
+        tried = state.moved(found.x)
+        expected = -float(gradient @ found.x) - 0.5 * float(found.x @ (normal @ found.x))
+        if tried.objective < state.objective and expected > 0:
+            ratio = (state.objective - tried.objective) / expected
+            return tried, max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST), 2.0
+        damping, growth = damping * growth, growth * 2.0
+    return None, damping, growth
+
+
+class _State:
+    """A pose and how far it is from the target."""
+
+    def __init__(self, tree: Tree, skin: SkinnedPoints, problem: Problem, coefficients: FloatArray) -> None:
+        self._tree, self._skin, self.problem = tree, skin, problem
+        self.pose = tree.pose(coefficients)
+        self.points = skin.evaluate(self.pose.skinning, tree.parent_world)
+        squares = ((self.points - problem.target) ** 2).sum(axis=1)
+        self.objective = 0.5 * float(problem.weights @ squares)
+        self.largest = float(np.sqrt(squares[problem.weights > 0].max(initial=0.0)))
+
+    def moved(self, change: FloatArray) -> _State:
+        """The state after a change (9 f,) of the free joints' coefficients."""
+        problem, coefficients = self.problem, self.pose.coefficients.copy()
+        coefficients[problem.free] += change.reshape(-1, 9)
+        return _State(self._tree, self._skin, problem, np.clip(coefficients, problem.lower, problem.upper))
+
+
+def _projected(gradient: FloatArray, pose: Pose, problem: Problem) -> float:
+    """The largest derivative that a step inside the limits could still follow."""
+    own = pose.coefficients[problem.free].ravel()
+    held = ((own <= problem.lower[problem.free].ravel()) & (gradient > 0)) | (
+        (own >= problem.upper[problem.free].ravel()) & (gradient < 0)
+    )
+    return float(np.abs(gradient[~held]).max(initial=0.0))

@@ -1,0 +1,70 @@
+"""Joint trees: skinning matrices of bone coefficients, and how these matrices answer to each coefficient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.rig import Rig, coefficient_matrices
+from facepipe.rig.bone_coefficients import coefficient_derivatives
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose of the tree."""
+
+    coefficients: FloatArray  # (m, 9)
+    worlds: FloatArray  # (m, 4, 4)
+    skinning: FloatArray  # (m, 4, 4) world times inverse bind
+
+
+class Tree:
+    """The joints of a rig, parents first."""
+
+    def __init__(self, rig: Rig, parent_world: FloatArray | None = None) -> None:
+        self.rig = rig
+        self.parent_world = rig.parent_world if parent_world is None else parent_world
+        below = np.eye(len(rig.joints))  # (m, m) 1 where the column's joint is the row's or below it
+        for joint in range(len(rig.joints) - 1, -1, -1):
+            if rig.parents[joint] >= 0:
+                below[rig.parents[joint]] += below[joint]
+        self.below = below
+
+    def pose(self, coefficients: FloatArray) -> Pose:
+        """The pose of (m, 9) coefficients."""
+        worlds = self.rig.joint_worlds(self.rig.rest @ coefficient_matrices(coefficients), self.parent_world)
+        return Pose(coefficients, worlds, worlds @ self.rig.inverse_bind)
+
+    def generators(self, pose: Pose) -> FloatArray:
+        """(m, 9, 4, 4) G with ``d world_d / d c_ja = G_ja world_d`` for every joint d at or below joint j.
+
+        :raises numpy.linalg.LinAlgError: a joint with scale 0
+        """
+        parents = self.rig.parents
+        above = np.where((parents >= 0)[:, None, None], pose.worlds[np.maximum(parents, 0)], self.parent_world)
+        change = (above @ self.rig.rest)[:, None] @ coefficient_derivatives(pose.coefficients)
+        return np.asarray(change @ np.linalg.inv(pose.worlds)[:, None])
+
+    def gradient(self, generators: FloatArray, pose: Pose, by_matrix: FloatArray, free: IntArray) -> FloatArray:
+        """(9 f,) derivatives by the coefficients of the `free` joints, of what has (m, 4, 3) by skinning matrices."""
+        own = np.einsum("dar,dba->drb", by_matrix, pose.skinning)
+        below = np.tensordot(self.below[free], own, (1, 0))
+        return np.asarray(np.einsum("jcrb,jrb->jc", generators[free][:, :, :3], below).ravel())
+
+    def normal_matrix(self, generators: FloatArray, pose: Pose, pairs: FloatArray, free: IntArray) -> FloatArray:
+        """(9 f, 9 f) Gauss-Newton matrix over the coefficients of the `free` joints, of moments (4m, 4m)."""
+        count, f = len(pose.skinning), len(free)
+        blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
+        moved = pose.skinning[:, None] @ blocks @ pose.skinning.transpose(0, 2, 1)[None]  # (m, m, 4, 4)
+        below = self.below[free]
+        half = (below @ moved.reshape(count, -1)).reshape(f, count, 16)
+        summed = np.matmul(below, half).reshape(f, f, 4, 4)  # over joints below either end
+        own = np.ascontiguousarray(generators[free][:, :, :3])  # (f, 9, 3, 4)
+        left = np.matmul(own.reshape(f, 1, 27, 4), summed).reshape(f, f, 9, 12)
+        right = own.reshape(f, 9, 12).transpose(0, 2, 1)
+        return np.ascontiguousarray(np.matmul(left, right[None]).transpose(0, 2, 1, 3)).reshape(9 * f, 9 * f)
