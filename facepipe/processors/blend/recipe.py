@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe import __version__
-from facepipe.digests import digest
 from facepipe.errors import InputError, SchemaError
 from facepipe.options import from_json, to_json
 from facepipe.parts import Recipe
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.weights import Weights
 from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
-from facepipe.stage.files import SUFFIXES, dependencies, relative_path
-from facepipe.stage.recipes import file_recipe
+from facepipe.stage.files import relative_path
+from facepipe.stage.recipes import file_recipe, source_digest
 
 VERB = "blend"
 
@@ -84,15 +83,6 @@ def read_blend_recipe(path: str | os.PathLike[str], replaced: Mapping[int, Path]
     return BlendRecipe(
         sources=sources, weights=weights, options=options, standalone=standalone, warnings=tuple(changed)
     )
-
-
-def source_digest(path: Path) -> str:
-    """The digest of a face and of every USD layer that it stands on.
-
-    :raises InputError: a file can't be read
-    """
-    layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
-    return digest({one.resolve() for one in layers})
 
 
 def _check_version(where: str, version: str) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.parts import FaceParts, Mesh
-from facepipe.rig import Rig, build, mesh_spaces
+from facepipe.parts import FaceParts
+from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
+from facepipe.rig import Rig, build
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
@@ -20,8 +21,6 @@ IntArray = npt.NDArray[np.integer]
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
 _SCALED = 1.5
 _SIZES = 1e4
-_SINGULAR = 1e-12  # of the product of the column lengths
-_Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +68,13 @@ def stack(faces: Sequence[Face]) -> Sources:
     parts, warnings = [base], []
     for name, face in zip(names[1:], faces[1:], strict=True):
         other = face.parts()
-        parts.append(_in_order(base, names[0], other, name))
+        parts.append(in_order(base, names[0], other, name))
         _check_joints(f"{name} -> {other.skeleton.name}", other.skeleton.joints, base.skeleton.joints, names[0])
         extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
         if extra:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
     for name, one in zip(names, parts, strict=True):
-        _check_spaces(name, one)
+        check_spaces(name, one)
     rigs = tuple(build(one) for one in parts)
     to_base = np.array([_to_base(one, base) for one in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
@@ -141,26 +140,13 @@ def _losses(names: Sequence[str], parts: Sequence[FaceParts]) -> list[str]:
 
 def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
     """(4, 4) from bind space to the base's, over the world of both stages."""
-    turn = np.eye(4)
-    if parts.up_axis != base.up_axis:
-        turn = _Z_TO_Y if parts.up_axis == "Z" else _Z_TO_Y.T
-    scale = parts.meters_per_unit / base.meters_per_unit
-    world = np.diag([scale, scale, scale, 1.0]) @ turn @ parts.skeleton.transform
+    world = world_to_world(parts.meters_per_unit, parts.up_axis, base) @ parts.skeleton.transform
     return np.asarray(np.linalg.inv(base.skeleton.transform) @ world)
 
 
 def _unit(matrix: FloatArray) -> float:
     """How much longer a matrix makes lengths, on average."""
     return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
-
-
-def _check_spaces(name: str, parts: FaceParts) -> None:
-    """:raises TopologyError: a mesh or skeleton space that is flat, from which there is no way back"""
-    spaces = zip([mesh.name for mesh in parts.meshes], mesh_spaces(parts), strict=True)
-    for what, space in [(parts.skeleton.name, parts.skeleton.transform), *spaces]:
-        linear = np.asarray(space, dtype=np.float64)[:3, :3]
-        if not abs(np.linalg.det(linear)) > _SINGULAR * np.linalg.norm(linear, axis=0).prod():
-            raise TopologyError(f"{name} -> {what}", "singular transform, expected an invertible one")
 
 
 def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_name: str) -> None:
@@ -171,35 +157,3 @@ def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_n
     for joint in joints:
         if joint not in base:
             raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
-
-
-def _in_order(base: FaceParts, base_name: str, other: FaceParts, name: str) -> FaceParts:
-    """`other` with the meshes of `base`, in its order."""
-    own = {mesh.name: mesh for mesh in other.meshes}
-    for mesh in base.meshes:
-        if mesh.name not in own:
-            found = ", ".join(own) or "none"
-            raise TopologyError(name, f"no mesh '{mesh.name}', expected the meshes of {base_name}; it has {found}")
-        _check_topology(f"{name} -> {mesh.name}", own[mesh.name], mesh, base_name)
-    return replace(other, meshes=tuple(own[mesh.name] for mesh in base.meshes))
-
-
-def _check_topology(where: str, mesh: Mesh, base: Mesh, base_name: str) -> None:
-    """:raises TopologyError: the first count or face in which `mesh` is not like `base`"""
-    for what, own, expected in (
-        ("points", len(mesh.points), len(base.points)),
-        ("faces", len(mesh.face_vertex_counts), len(base.face_vertex_counts)),
-    ):
-        if own != expected:
-            raise TopologyError(where, f"{own:,} {what}, expected {expected:,} as in {base_name}")
-    counts = np.flatnonzero(mesh.face_vertex_counts != base.face_vertex_counts)
-    if len(counts):
-        face = counts[0]
-        own, expected = int(mesh.face_vertex_counts[face]), int(base.face_vertex_counts[face])
-        raise TopologyError(where, f"face {face} has {own} corners, expected {expected} as in {base_name}")
-    corners = np.flatnonzero(mesh.face_vertex_indices != base.face_vertex_indices)
-    if len(corners):
-        corner = corners[0]
-        face = int(np.searchsorted(np.cumsum(base.face_vertex_counts), corner, side="right"))
-        own, expected = int(mesh.face_vertex_indices[corner]), int(base.face_vertex_indices[corner])
-        raise TopologyError(where, f"face {face} uses point {own}, expected point {expected} as in {base_name}")
