@@ -13,6 +13,8 @@ from facepipe.rig import Rig, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
 
+_LEAST_WEIGHT = 0.05  # what a point that is on its target keeps of its weight in a round of evening
+
 
 class BoneFit:
     """The rig with its limits and point weights; fits that follow each other start where the last one ended.
@@ -22,7 +24,8 @@ class BoneFit:
     :param upper: (m, 9)
     :param weights: (n,) how much each point counts, 0: not at all; None: all alike
     :param threshold: largest distance that is good enough, in stage units
-    :param steps: at most, per target
+    :param steps: at most, per solve
+    :param rounds: of evening, at most, where least squares leave a point too far off; 0: plain least squares
     :param parent_world: (4, 4) what the root joints hang under; default the skeleton's place
     :raises InputError: a lower limit above its upper one, arrays that don't fit, or negative weights
     """
@@ -36,10 +39,11 @@ class BoneFit:
         weights: FloatArray | None = None,
         threshold: float,
         steps: int = 200,
+        rounds: int = 6,
         parent_world: FloatArray | None = None,
     ) -> None:
         count = len(rig.joints)
-        self.rig, self.threshold, self.steps = rig, threshold, steps
+        self.rig, self.threshold, self.steps, self.rounds = rig, threshold, steps, rounds
         self.lower = _limits(rig, lower, -np.inf)
         self.upper = _limits(rig, upper, np.inf)
         crossed = np.argwhere(self.lower > self.upper)
@@ -56,9 +60,13 @@ class BoneFit:
         self.free = np.flatnonzero(~self.weightless & (self.lower < self.upper).any(axis=1))
         self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
         self._rest = rest_coefficients(count)
+        self._at_rest = self.skin.evaluate(self.tree.pose(self._rest).skinning, self.tree.parent_world)
 
     def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
-        """The coefficients that bring the rig to (n, 3) world points.
+        """The coefficients that bring the rig to (n, 3) world points: those that leave the smallest largest distance.
+
+        Least squares from `start`; where they end too far off, again by way of the points halfway between rest and
+        target, which leads round most local minima; then rounds of evening.
 
         :param start: (m, 9) coefficients to start from, brought into the limits; default rest
         :raises InputError: targets or coefficients of other shapes, or not finite
@@ -69,10 +77,36 @@ class BoneFit:
         start = self._rest if start is None else np.asarray(start, dtype=np.float64)
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
-        problem = Problem(
-            target, self.weights, self.lower, self.upper, self.free, threshold=self.threshold, steps=self.steps
-        )
-        moments = self.skin.retargeted(self._moments, target, self.weights, self.tree.parent_world)
+        found = self._solve(target, start, self.weights)
+        if found.largest > self.threshold:
+            halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights)
+            found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
+        return self._evened(found, target) if found.largest > self.threshold else found
+
+    def _evened(self, found: Fitted, target: FloatArray) -> Fitted:
+        """Rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
+
+        Source: Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times
+        distances, round by round.
+        """
+        weights, latest = self.weights, found
+        for _ in range(self.rounds):
+            apart = np.linalg.norm(latest.points - target, axis=1) / latest.largest
+            weights = weights * (apart + _LEAST_WEIGHT)
+            weights = weights * (self.weights.sum() / weights.sum())
+            latest = self._solve(target, latest.coefficients, weights)
+            found = _nearer(found, latest)
+            if found.largest <= self.threshold:
+                break
+        return found
+
+    def _solve(self, target: FloatArray, start: FloatArray, weights: FloatArray) -> Fitted:
+        world = self.tree.parent_world
+        if weights is self.weights:
+            moments = self.skin.retargeted(self._moments, target, weights, world)
+        else:
+            moments = self.skin.moments(target, weights, world)
+        problem = Problem(target, weights, self.lower, self.upper, self.free, self.threshold, self.steps)
         return fit(self.tree, self.skin, moments, problem, start)
 
     def _weightless(self) -> npt.NDArray[np.bool_]:
@@ -80,6 +114,10 @@ class BoneFit:
         count = len(self.rig.joints)
         used = np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) > 0
         return ~((self.tree.below @ used) > 0)
+
+
+def _nearer(one: Fitted, other: Fitted) -> Fitted:
+    return other if other.largest < one.largest else one
 
 
 def _limits(rig: Rig, given: FloatArray | None, default: float) -> FloatArray:

@@ -1,0 +1,264 @@
+"""The bone fit's steps against finite differences, dense algebra, known poses and the conditions of an optimum."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from faces import tiny_face
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from import_data import shared
+
+from facepipe.errors import InputError
+from facepipe.geometry.boxed_qp import solve_boxed
+from facepipe.importers import makehuman
+from facepipe.processors.fit_bones.moments import SkinnedPoints, stacked
+from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones.tree import Tree
+from facepipe.rig import Rig, build, coefficient_matrices, rest_coefficients
+from facepipe.rig.bone_coefficients import coefficient_derivatives
+
+SEEDS = st.integers(0, 2**32 - 1)
+MM = 100.0  # millimetres in a unit of MakeHuman
+
+
+@functools.cache
+def head() -> Rig:
+    return build(makehuman.read(shared("makehuman/makehuman_head.npz"), makehuman.Options()).parts)
+
+
+@functools.cache
+def small() -> Rig:
+    return build(tiny_face(0))
+
+
+def face_joints(rig: Rig) -> np.ndarray:
+    """MakeHuman's 35 face joints that points hang at."""
+    weighted = np.flatnonzero(np.asarray(abs(rig.influences[:, : len(rig.joints)]).sum(axis=0)).ravel() > 0)
+    return np.array([joint for joint in weighted if "neck01" in rig.joints[joint].split("/")])
+
+
+def random_pose(rng: np.random.Generator, count: int, joints: np.ndarray, reach: float = 0.1) -> np.ndarray:
+    """Coefficients spanning +-10 mm (for MakeHuman), +-0.6 rad and 0.7 to 1.4."""
+    pose, size = rest_coefficients(count), (len(joints), 3)
+    spans = (rng.uniform(-reach, reach, size), rng.uniform(-0.6, 0.6, size), rng.uniform(0.7, 1.4, size))
+    pose[joints] = np.concatenate(spans, axis=1)
+    return pose
+
+
+def limits(count: int, joints: np.ndarray, reach: float = 0.11) -> tuple[np.ndarray, np.ndarray]:
+    """A little wider than `random_pose`; the other joints are locked at rest."""
+    lower, upper = rest_coefficients(count), rest_coefficients(count)
+    lower[joints] = [-reach] * 3 + [-0.65] * 3 + [0.68] * 3
+    upper[joints] = [reach] * 3 + [0.65] * 3 + [1.42] * 3
+    return lower, upper
+
+
+def jacobian(tree: Tree, coefficients: np.ndarray) -> np.ndarray:
+    """(3 n, 9 m) dense derivatives of all points, from the tree's generators."""
+    pose, skin = tree.pose(coefficients), SkinnedPoints(tree.rig)
+    generators = tree.generators(pose)
+    columns = []
+    for joint in range(len(tree.rig.joints)):
+        below = tree.below[joint][:, None, None]
+        for channel in range(9):
+            moved = below * (generators[joint, channel] @ pose.skinning)
+            columns.append((skin.rows @ stacked(moved)).ravel())
+    return np.stack(columns, axis=1)
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS)
+def test_derivatives_of_the_matrices_agree_with_differences(seed: int) -> None:
+    own, step = np.random.default_rng(seed).normal(size=(4, 9)), 1e-6
+    found = coefficient_derivatives(own)
+    for channel in range(9):
+        shift = step * np.eye(9)[channel]
+        difference = (coefficient_matrices(own + shift) - coefficient_matrices(own - shift)) / (2 * step)
+        np.testing.assert_allclose(found[:, channel], difference, atol=1e-8)
+
+
+@pytest.mark.parametrize("rig", [small, head])
+def test_the_jacobian_agrees_with_differences_of_the_rig(rig: functools._lru_cache_wrapper[Rig]) -> None:
+    own = rig()
+    rng, step, count = np.random.default_rng(1), 1e-6, len(own.joints)
+    pose = random_pose(rng, count, np.arange(count))
+    dense = jacobian(Tree(own), pose)
+    size = np.ptp(own.points, axis=0).max()
+    for number in rng.choice(9 * count, min(9 * count, 40), replace=False):
+        shift = np.zeros(9 * count)
+        shift[number] = step
+        ends = [own.evaluate(coefficients=pose + sign * shift.reshape(-1, 9)) for sign in (1, -1)]
+        np.testing.assert_allclose(dense[:, number], ((ends[0] - ends[1]) / (2 * step)).ravel(), atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("rig", [small, head])
+def test_gradient_and_normal_matrix_are_those_of_the_jacobian(rig: functools._lru_cache_wrapper[Rig]) -> None:
+    own = rig()
+    rng, count = np.random.default_rng(2), len(own.joints)
+    tree, skin, weights = Tree(own), SkinnedPoints(own), rng.uniform(0, 2, len(own.points))
+    coefficients = random_pose(rng, count, np.arange(count))
+    pose, target = tree.pose(coefficients), own.points + rng.normal(0, 0.1, own.points.shape)
+    moments = skin.moments(target, weights, tree.parent_world)
+    free = np.sort(rng.choice(count, max(1, count // 2), replace=False))
+    columns = (free[:, None] * 9 + np.arange(9)).ravel()
+    J, W = jacobian(tree, coefficients)[:, columns], np.repeat(weights, 3)
+    generators = tree.generators(pose)
+    normal = tree.normal_matrix(generators, pose, moments.pairs, free)
+    np.testing.assert_allclose(normal, J.T @ (W[:, None] * J), rtol=1e-8, atol=1e-8 * np.abs(normal).max())
+    residual = (own.evaluate(coefficients=coefficients) - target).ravel()
+    gradient = tree.gradient(generators, pose, moments.gradient(pose.skinning), free)
+    np.testing.assert_allclose(gradient, J.T @ (W * residual), atol=1e-8 * np.abs(gradient).max())
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_boxed_problems_end_at_their_optimum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(1, 25))
+    root = rng.normal(size=(size + 3, size))
+    hessian, linear = root.T @ root + 1e-6 * np.eye(size), rng.normal(size=size)
+    lower = -rng.exponential(0.3, size) * (rng.random(size) < 0.8)
+    upper = rng.exponential(0.3, size) * (rng.random(size) < 0.8)
+    found = solve_boxed(hessian, linear, lower, upper).x
+    assert (found >= lower).all()
+    assert (found <= upper).all()
+    slope = hessian @ found + linear
+    scale = np.abs(linear).max()
+    assert np.abs(slope[(found > lower) & (found < upper)]).max(initial=0.0) <= 1e-9 * scale
+    assert (slope[(found <= lower) & (lower < upper)] >= -1e-9 * scale).all()
+    assert (slope[(found >= upper) & (lower < upper)] <= 1e-9 * scale).all()
+
+
+def recovered(seed: int, count: int) -> list[float]:
+    """Largest distances in mm of fits from rest to random poses; every fit within its limits, exactly."""
+    rig, rng = head(), np.random.default_rng(seed)
+    joints = face_joints(rig)
+    lower, upper = limits(len(rig.joints), joints)
+    fit = BoneFit(rig, lower=lower, upper=upper, threshold=0.01 / MM, steps=300)
+    largest = []
+    for _ in range(count):
+        target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints))
+        found = fit.fit(target)
+        assert (found.coefficients >= lower).all()
+        assert (found.coefficients <= upper).all()
+        apart = np.linalg.norm(rig.evaluate(coefficients=found.coefficients) - target, axis=1).max() * MM
+        assert apart == pytest.approx(found.largest * MM, abs=1e-9)
+        largest.append(float(apart))
+    return largest
+
+
+def test_random_poses_are_recovered() -> None:
+    assert len(face_joints(head())) == 35
+    assert max(recovered(0, 8)) <= 0.01
+
+
+@pytest.mark.slow
+def test_ninety_nine_of_a_hundred_random_poses_are_recovered() -> None:
+    largest = recovered(1, 100)
+    assert sum(one <= 0.01 for one in largest) >= 99, sorted(largest)[-3:]
+
+
+def test_limits_that_exclude_the_truth_end_at_the_constrained_optimum() -> None:
+    rig, rng = head(), np.random.default_rng(3)
+    joints = face_joints(rig)
+    lower, upper = limits(len(rig.joints), joints)
+    lower[joints, 3:6], upper[joints, 3:6] = -0.2, 0.2
+    lower[joints, 6:], upper[joints, 6:] = 0.95, 1.05
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.05))
+    fit = BoneFit(rig, lower=lower, upper=upper, threshold=0.01 / MM, steps=400, rounds=0)
+    found = fit.fit(target)
+    assert found.largest * MM > 1.0, "the truth lies outside the limits"
+    own = found.coefficients
+    assert ((own >= lower) & (own <= upper)).all()
+    columns = (joints[:, None] * 9 + np.arange(9)).ravel()
+    slope = jacobian(fit.tree, own)[:, columns].T @ (found.points - target).ravel()
+    x, low, high = (array.ravel()[columns] for array in (own, lower, upper))
+    scale = np.abs(
+        jacobian(fit.tree, rest_coefficients(len(rig.joints)))[:, columns].T @ (rig.points - target).ravel()
+    ).max()
+    assert np.abs(slope[(x > low) & (x < high)]).max() <= 1e-6 * scale
+    assert (slope[x <= low] >= -1e-6 * scale).all()
+    assert (slope[x >= high] <= 1e-6 * scale).all()
+
+
+def test_evening_lowers_the_largest_distance() -> None:
+    rig, rng = head(), np.random.default_rng(6)
+    joints = face_joints(rig)
+    lower, upper = limits(len(rig.joints), joints)
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.05))
+    target = target + 0.02 * np.sin(7.0 * target)  # out of the bones' reach
+    plain, even = (
+        BoneFit(rig, lower=lower, upper=upper, threshold=0.01 / MM, rounds=rounds).fit(target) for rounds in (0, 8)
+    )
+    assert even.largest < 0.8 * plain.largest
+
+
+def test_limits_that_exclude_rest_are_kept_from_the_start() -> None:
+    rig = small()
+    lower, upper = rest_coefficients(3) - 0.5, rest_coefficients(3) + 0.5
+    lower[1, 0] = 0.2
+    found = BoneFit(rig, lower=lower, upper=upper, threshold=1e-6).fit(rig.evaluate())
+    assert found.coefficients[1, 0] >= 0.2
+
+
+def test_a_warm_start_takes_fewer_steps() -> None:
+    rig, rng = head(), np.random.default_rng(4)
+    joints = face_joints(rig)
+    pose = random_pose(rng, len(rig.joints), joints)
+    near = pose + 0.02 * (random_pose(rng, len(rig.joints), joints) - rest_coefficients(len(rig.joints)))
+    lower, upper = limits(len(rig.joints), joints, 0.2)
+    fit = BoneFit(rig, lower=lower - 0.2, upper=upper + 0.2, threshold=0.01 / MM)
+    cold, warm = fit.fit(rig.evaluate(coefficients=near)), fit.fit(rig.evaluate(coefficients=near), start=pose)
+    assert warm.largest * MM <= 0.01
+    assert warm.steps < cold.steps / 2
+
+
+def test_joints_without_weight_keep_their_place() -> None:
+    rig = small()
+    influences = rig.influences.tolil()
+    influences[:, 2] = 0.0
+    bare = replace(rig, influences=influences.tocsr())
+    fit = BoneFit(bare, threshold=1e-6)
+    assert fit.weightless.tolist() == [False, False, True]
+    found = fit.fit(bare.points + np.array([0.1, 0.0, 0.0]))
+    np.testing.assert_array_equal(found.coefficients[2], rest_coefficients(1)[0])
+
+
+def test_points_without_weight_do_not_count() -> None:
+    rig, rng = small(), np.random.default_rng(5)
+    weights = np.ones(len(rig.points))
+    weights[20:] = 0.0
+    pose = random_pose(rng, 3, np.arange(3))
+    target = rig.evaluate(coefficients=pose)
+    target[20:] += 100.0
+    found = BoneFit(rig, weights=weights, threshold=1e-7).fit(target)
+    assert found.largest <= 1e-7
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"lower": np.ones((3, 9)), "upper": np.zeros((3, 9))}, "lower limit 1 above the upper 0"),
+        ({"lower": np.zeros((2, 9))}, "limits .* expected"),
+        ({"upper": np.full((3, 9), np.nan)}, "limits"),
+        ({"weights": np.full(45, -1.0)}, "point weights"),
+        ({"weights": np.ones(3)}, "point weights"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(settings: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        BoneFit(small(), threshold=1e-3, **settings)  # type: ignore[arg-type]
+
+
+def test_targets_that_do_not_fit_are_refused() -> None:
+    fit = BoneFit(small(), threshold=1e-3)
+    with pytest.raises(InputError, match="target"):
+        fit.fit(np.zeros((3, 3)))
+    with pytest.raises(InputError, match="target"):
+        fit.fit(np.full(small().points.shape, np.nan))
+    with pytest.raises(InputError, match="initial"):
+        fit.fit(small().points, start=np.zeros((2, 9)))
