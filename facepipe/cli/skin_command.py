@@ -7,10 +7,14 @@ surface), "regions" (of the face, or mouth_upper, mouth_lower, eye_left_upper ..
 parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the surface and
 never cross from lip to lip or lid to lid.
 
+--from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
+which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips.
+
 OUT is an override layer over FACE.
 
 examples:
   facepipe skin head.usdc --joints joints.json -o skinned.usdc --picture weights.png
+  facepipe skin ict.usdc --from makehuman.usdc -o rigged.usdc
 """
 
 from __future__ import annotations
@@ -37,7 +41,9 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     from facepipe.processors.skin import SkinOptions
 
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage without joints, or with the same ones")
-    parser.add_argument("--joints", type=Path, metavar="JSON", required=True, help="where joints are")
+    way = parser.add_mutually_exclusive_group(required=True)
+    way.add_argument("--joints", type=Path, metavar="JSON", help="where joints are")
+    way.add_argument("--from", dest="source", type=Path, metavar="OTHER_FACE", help="a skinned face, of any topology")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the weights on the face, a colour a joint")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
@@ -52,11 +58,15 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.stage import Face
     from facepipe.stage.author_skeleton import author_recipe
 
-    inputs = [arguments.face, arguments.joints]
+    inputs = [arguments.face, arguments.joints or arguments.source]
     out = output_of(arguments, inputs)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
     options: SkinOptions = options_from(arguments, SkinOptions)
-    skin = SkinFace(joints=read_joints(arguments.joints), options=options)
+    skin = SkinFace(
+        joints=None if arguments.joints is None else read_joints(arguments.joints),
+        source=None if arguments.source is None else facepipe.open(arguments.source),
+        options=options,
+    )
     with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
         try:
             report = skin(face)
@@ -90,6 +100,9 @@ def _draw(face: Face) -> Image:
 def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
     lines = [f"{out}: {report.joints} joints, at most {report.influences} a point"]
     lines += [f"weights change by {report.largest_step_per_mm:.3f} a mm at most"]
+    if report.transfer is not None:
+        away = report.transfer.surface_mm
+        lines.append(f"from {report.transfer.source}: {away['mean']:.2f} mm from its surface, p95 {away['p95']:.2f}")
     lines += [f"{mesh}: held by {joint}" for mesh, joint in report.rigid.items()]
     if report.weightless:
         some = ", ".join(joint.rpartition("/")[2] for joint in report.weightless[:8])

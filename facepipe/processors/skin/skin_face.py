@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from facepipe.errors import InputError
-from facepipe.geometry.heat_weights import fewest, influences
-from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin, all_regions
+from facepipe.geometry.heat_weights import fewest
+from facepipe.parts import FaceParts, FloatArray, all_regions
 from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import joint_weights
 from facepipe.processors.skin.joints_file import JointSet, JointSpec
 from facepipe.processors.skin.loose_parts import following, hold, hold_parts, joints_in
 from facepipe.processors.skin.options import SkinOptions
 from facepipe.processors.skin.report import SkinReport, steps
 from facepipe.processors.skin.skeletons import skeleton_of
+from facepipe.processors.skin.skinning import Skinning, check_joints, skinned
 from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
-from facepipe.rig.build import mesh_spaces
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
@@ -27,35 +28,43 @@ _FARTHEST = 20.0  # sizes of the face that a joint may be away from it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Skinning:
-    """A skeleton and weights (m, j) of the sewn points of a face, before they are cut to few influences."""
-
-    skeleton: Skeleton
-    weights: FloatArray
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
 class SkinFace:
     """Skeleton and weights of a face without joints, or new weights for one that has the same joints.
 
     Weights fall off along the surface and never cross from lip to lip or lid to lid.
+
+    :param joints: joint positions; or
+    :param source: another face, whose skeleton and weights come over, whatever its topology; both faces need the
+        landmarks multipie68
     """
 
-    joints: JointSet
+    joints: JointSet | None = None
+    source: Face | None = None
     options: SkinOptions = field(default_factory=SkinOptions)
+
+    def __post_init__(self) -> None:
+        if (self.joints is None) == (self.source is None):
+            raise InputError("skin", "joints and a source face, or neither, expected one of them")
 
     def __call__(self, face: Face) -> SkinReport:
         """Author them.
 
-        :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface
+        :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface;
+            a source without skeleton, or landmarks missing
         """
         parts = face.parts()
         surface = surface_of(parts, face.where)
-        made = from_joints(parts, surface, self.joints, self.options)
+        made = self._made(parts, surface)
+        check_joints(surface, parts, made.skeleton.joints)
         weights = fewest(made.weights, self.options.influences)
         author_changes(face, skinned(parts, surface, made.skeleton, weights))
         return _report(surface, made, weights)
+
+    def _made(self, parts: FaceParts, surface: Surface) -> Skinning:
+        if self.joints is not None:
+            return from_joints(parts, surface, self.joints, self.options)
+        assert self.source is not None
+        return from_face(parts, surface, self.source.parts(), self.source.where, self.options.smoothing)
 
 
 def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: SkinOptions) -> Skinning:
@@ -89,25 +98,6 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
         weights=weights,
         warnings=() if slits else (warning,),
     )
-
-
-def skinned(parts: FaceParts, surface: Surface, skeleton: Skeleton, weights: FloatArray) -> FaceParts:
-    """The face with the skeleton and the weights (m, j), whose rows have few influences each.
-
-    :raises InputError: the face has other joints
-    """
-    old = parts.skeleton.joints
-    if old and old != skeleton.joints:
-        raise InputError(surface.where, f"has {len(old)} joints, expected a face without, or with the same ones")
-    meshes, start = [], 0
-    for mesh, space in zip(parts.meshes, mesh_spaces(parts), strict=True):
-        rows = weights[surface.group[start : start + len(mesh.points)]]
-        width = max(1, int((rows > 0).sum(axis=1).max(initial=0)))
-        indices, values = influences(rows, width)
-        skin = Skin(joint_indices=indices, joint_weights=values, geom_bind_transform=space)
-        meshes.append(replace(mesh, skin=skin))
-        start += len(mesh.points)
-    return replace(parts, meshes=tuple(meshes), skeleton=skeleton)
 
 
 def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
@@ -162,5 +152,6 @@ def _report(surface: Surface, made: Skinning, weights: FloatArray) -> SkinReport
         rigid=rigid,
         largest_step=step,
         largest_step_per_mm=slope,
+        transfer=made.transfer,
         warnings=made.warnings,
     )

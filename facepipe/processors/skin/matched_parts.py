@@ -1,0 +1,134 @@
+"""Which part of the other face the loose parts of a face take their weights from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from facepipe.geometry.heat_weights import heat_weights, normalised
+from facepipe.parts import FloatArray, IntArray
+from facepipe.processors.skin.correspondence import nearest
+from facepipe.processors.skin.eyeballs import Eyeball
+from facepipe.processors.skin.surface import Surface
+
+_SMALL = 30.0  # mm: parts up to this size, such as a tooth, are rather rigid
+_RIGID = 0.95  # of all weights on one joint: a part of the source is rigid
+_PREFERRED = 2.5  # they take the nearest rigid part up to so many times as far as the nearest of all; others that alone
+_NEAR = 10.0  # mm: and no farther than this
+_LOOSE = 0.6  # distances from loose parts count so much where others choose: these touch the mouth around them
+_BLEND = 3.0  # mm over which weights of parts blend
+_TRUSTED = 0.5  # mm: weights of points nearer to the source than this blend less
+_SHARP = 1e-3  # of the length: those of points that lie on it, not at all
+
+
+def matched_parts(
+    target: Surface,
+    source: Surface,
+    warped: FloatArray,
+    weights: FloatArray,
+    eyeballs: Sequence[tuple[Eyeball, Eyeball]],
+) -> tuple[FloatArray, Mapping[str, tuple[str, ...]]]:
+    """Weights (m, j) of the loose points of the target, 0 elsewhere, and which meshes gave them to which.
+
+    Eyeballs turn as the source's do; teeth and other parts that lie on a rigid one go with it; all others, point by
+    point, with what of the source is nearest, smoothed.
+
+    :param warped: (m', 3) points of the source, warped onto the target
+    :param weights: (m', j) of the source
+    :param eyeballs: pairs, of the target and of the source
+    """
+    found = np.zeros((len(target.points), weights.shape[1]))
+    origin: dict[str, set[str]] = {}
+    done = np.zeros(len(target.points), bool)
+    for own, other in eyeballs:
+        found[own.points] = _whole(weights[other.points])
+        _note(origin, target, own.points, source, other.points)
+        done[own.points] = True
+    taken = np.concatenate([np.zeros(0, np.int64), *(other.points for _, other in eyeballs)])
+    parts = _parts(source, taken)
+    rigid = {number for number in parts if number != source.main and _is_rigid(weights[source.component == number])}
+    rest = []
+    for number in np.unique(target.component[target.loose[~done[target.loose]]]):
+        points = np.flatnonzero(target.component == number)
+        chosen = _rigid_part(target, points, warped, parts, rigid)
+        if chosen is None:
+            rest.append(points)
+            continue
+        place = nearest(target.points[points], warped, parts[chosen])
+        found[points] = _whole(place.of(weights))
+        _note(origin, target, points, source, place.corners[:, 0])
+    if rest:
+        _follow(np.sort(np.concatenate(rest)), target, source, warped, weights, parts, found, origin)
+    return found, {name: tuple(sorted(names)) for name, names in sorted(origin.items())}
+
+
+def _parts(source: Surface, taken: IntArray) -> dict[int, IntArray]:
+    """Component -> its triangles, of those that are no eyeball."""
+    component = source.component[source.triangles[:, 0]]
+    numbers = set(np.unique(component).tolist()) - set(source.component[taken].tolist())
+    return {int(number): source.triangles[component == number] for number in sorted(numbers)}
+
+
+def _is_rigid(weights: FloatArray) -> bool:
+    return bool(weights.mean(axis=0).max(initial=0.0) >= _RIGID)
+
+
+def _whole(weights: FloatArray) -> FloatArray:
+    """(j,) weights of a part that moves as one: their mean, or the one joint that has nearly all."""
+    mean = normalised(weights.mean(axis=0)[None])[0]
+    return np.where(mean == mean.max(), 1.0, 0.0) if mean.max() >= _RIGID else mean
+
+
+def _rigid_part(
+    target: Surface, points: IntArray, warped: FloatArray, parts: Mapping[int, IntArray], rigid: set[int]
+) -> int | None:
+    """The rigid part of the source that a part of the target goes with."""
+    at = target.points[points]
+    small = np.ptp(at, axis=0).max() <= _SMALL
+    mean = {number: float(nearest(at, warped, parts[number]).distances.mean()) for number in _around(at, warped, parts)}
+    among = [number for number in mean if number in rigid]
+    if not among:
+        return None
+    best = min(among, key=lambda number: (mean[number], number))
+    reach = (_PREFERRED if small else 1.0) * min(mean.values())
+    return best if mean[best] <= min(reach, _NEAR) else None
+
+
+def _around(at: FloatArray, warped: FloatArray, parts: Mapping[int, IntArray]) -> list[int]:
+    """Parts whose boxes come within reach."""
+    low, high = at.min(axis=0) - _NEAR, at.max(axis=0) + _NEAR
+    boxes = {number: warped[np.unique(triangles)] for number, triangles in parts.items()}
+    return [n for n, box in boxes.items() if (box.min(axis=0) <= high).all() and (box.max(axis=0) >= low).all()]
+
+
+def _follow(
+    points: IntArray,
+    target: Surface,
+    source: Surface,
+    warped: FloatArray,
+    weights: FloatArray,
+    parts: Mapping[int, IntArray],
+    found: FloatArray,
+    origin: dict[str, set[str]],
+) -> None:
+    at = target.points[points]
+    main = nearest(at, warped, parts[source.main])
+    raw, distances, corners = main.of(weights), main.distances.copy(), main.corners[:, 0].copy()
+    loose = [triangles for number, triangles in parts.items() if number != source.main]
+    if loose:
+        other = nearest(at, warped, np.concatenate(loose))
+        nearer = _LOOSE * other.distances < main.distances
+        raw[nearer], distances[nearer] = other.of(weights)[nearer], other.distances[nearer]
+        corners[nearer] = other.corners[nearer, 0]
+    local = target.part_triangles(points, even=True)
+    lengths = _BLEND * np.clip(distances / _TRUSTED, _SHARP, 1.0)
+    found[points] = normalised(heat_weights(at, local, normalised(raw), lengths))
+    _note(origin, target, points, source, corners)
+
+
+def _note(origin: dict[str, set[str]], target: Surface, points: IntArray, source: Surface, given: IntArray) -> None:
+    for number in np.unique(target.mesh[points]):
+        own = target.mesh[points] == number
+        names = {source.mesh_names[i] for i in np.unique(source.mesh[given[own] if len(given) == len(own) else given])}
+        origin.setdefault(target.mesh_names[number], set()).update(names)
