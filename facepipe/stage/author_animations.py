@@ -32,8 +32,8 @@ _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
 
 def author_animation(stage: Usd.Stage, path: Sdf.Path, animation: Animation, skeleton: Skeleton) -> None:
     """Define a SkelAnimation; what it leaves out of a joint's transform is authored from rest."""
-    prim = UsdSkel.Animation.Define(stage, path)
-    _write(prim, _completed(animation, skeleton, path), tuple(_ATTRIBUTES))
+    done = _completed(animation, skeleton, path)
+    _write(UsdSkel.Animation.Define(stage, path), done, tuple(_ATTRIBUTES))
 
 
 def author_animation_changes(
@@ -146,6 +146,8 @@ def _transforms(animation: Animation, skeleton: Skeleton, where: object) -> tupl
             raise InputError(where, f"{np.shape(part)} transforms, expected {samples} x {shape[1]} finite ones")
     trs = decompose(local_transforms(skeleton, animation))
     translations, rotations, scales = given
+    if not np.isfinite(_halves(trs.scale)).all():
+        raise InputError(where, "scales too large for the half precision of SkelAnimation, expected them below 65520")
     kept = animation.coefficients is None or all(part is not None for part in given)
     return (
         translations if kept and translations is not None else trs.translation,

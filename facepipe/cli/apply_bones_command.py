@@ -1,0 +1,168 @@
+"""Rebuild a face from bone coefficients: an animation on an override layer, or its points.
+
+COEFFICIENTS is a payload (.fpb) for the joints of FACE. OUT holds a SkelAnimation below FACE: a pose, a clip where the
+payload has sample times, or poses NAME_1, NAME_2 ... where it has frames without times. An .npz holds `points`, (n, 3)
+or (frames, n, 3) in stage units, and `times`.
+
+examples:
+  facepipe apply-bones head.usda --info person.fpb
+  facepipe apply-bones head.usda person.fpb -o person.usda
+  facepipe apply-bones head.usda person.fpb -o points.npz
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.cli.parser import check_input, output_of
+from facepipe.cli.show import emit, progress
+from facepipe.errors import FacepipeError, InputError
+
+if TYPE_CHECKING:
+    from facepipe.parts import Recipe
+    from facepipe.payload import PayloadContent
+    from facepipe.stage import Face
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    parser.add_argument("coefficients", type=Path, metavar="COEFFICIENTS", help="bone coefficients: .fpb")
+    parser.add_argument("--info", action="store_true", help="print what COEFFICIENTS holds, and whether it fits FACE")
+    output = "override layer to write: .usda .usdc .usd .usdz, or points: .npz"
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help=output)
+    parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
+    parser.add_argument("--name", help="name of the animation (default: the file's)")
+    parser.add_argument("--flatten", action="store_true", help="write a standalone file")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, then tell or rebuild."""
+    import facepipe
+    from facepipe.payload import decode
+    from facepipe.processors.bone_payload import payload_bytes
+
+    inputs = [arguments.face, arguments.coefficients]
+    if arguments.info:
+        _refuse_flags(arguments, "--info", ("output", "name"))
+        for one in inputs:
+            check_input(one)
+        return _info(facepipe.open(arguments.face), arguments)
+    out = output_of(arguments, inputs)
+    data = payload_bytes(arguments.coefficients)
+    face = facepipe.open(arguments.face)
+    content = decode(data, face.skeleton.joints, arguments.coefficients)
+    if out.suffix.lower() == ".npz":
+        _refuse_flags(arguments, f"-o {out.name}", ("name", "flatten"))
+        return _points(face, content, arguments, out)
+    return _author(face, content, arguments, out)
+
+
+def _refuse_flags(arguments: argparse.Namespace, beside: str, names: tuple[str, ...]) -> None:
+    for name in names:
+        if getattr(arguments, name):
+            raise InputError(f"--{name}", f"given with {beside}, expected only one of them")
+
+
+def _author(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
+    from facepipe.names import identifier
+    from facepipe.processors.apply_bones import ApplyBones
+
+    name = arguments.name if arguments.name is not None else identifier(arguments.coefficients.stem)
+    if identifier(name) != name:
+        raise InputError(f"--name {name}", f"no name of a prim, expected one like {identifier(name)}")
+    with face.deriving(out, flatten=arguments.flatten) as derived:
+        try:
+            report = ApplyBones(content=content, name=name)(derived, recipe=_recipe(arguments, name, out))
+        except FacepipeError as error:  # the layer being made has no file yet: name its source
+            raise error.under(arguments.face) if error.where.startswith(("<", "/")) else error from None
+    names = ", ".join(report.animations[:4]) + (" ..." if len(report.animations) > 4 else "")
+    text = f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"
+    emit({"path": str(out), **dataclasses.asdict(report)}, text, as_json=arguments.json)
+    return 0
+
+
+def _points(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
+    import numpy as np
+
+    from facepipe.atomic import write_bytes
+    from facepipe.processors.apply_bones import posed_points
+
+    with progress("pose", len(content.frames)) as bar:
+        points = posed_points(face, content, bar.update)
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = {"points": points} | ({} if content.times is None else {"times": content.times})
+    np.savez(buffer, **arrays)
+    write_bytes(out, buffer.getvalue())
+    text = f"{out}: points {points.shape}"
+    emit({"path": str(out), "shape": list(points.shape)}, text, as_json=arguments.json)
+    return 0
+
+
+def _info(face: Face, arguments: argparse.Namespace) -> int:
+    from facepipe.payload import joints_hash, read_header
+    from facepipe.processors.bone_payload import payload_bytes
+
+    data = payload_bytes(arguments.coefficients)
+    header = read_header(data, arguments.coefficients)
+    joints = face.skeleton.joints
+    fits = (header.joints, header.joints_hash) == (len(joints), joints_hash(joints).hex())
+    result: dict[str, Any] = {
+        "path": str(arguments.coefficients),
+        "bytes": len(data),
+        "fits": fits,
+        **header._asdict(),
+    }
+    frames = f"{header.frames} frame(s)" if header.has_frames else "one pose"
+    lines = [
+        f"{arguments.coefficients}: {len(data):,} bytes: {frames}, {header.stored} of {header.joints} joints in "
+        f"{header.precision}, units of {header.meters_per_unit:g} m, joints hash {header.joints_hash}"
+    ]
+    if fits:
+        ranges = _ranges(data, joints, arguments.coefficients)
+        result |= ranges
+        lines += [
+            f"moves by at most {ranges['translation']:g} units, {ranges['rotation']:g} radians, scales "
+            f"{ranges['scale'][0]:g} to {ranges['scale'][1]:g}"
+        ]
+        lines += [f"times {ranges['times'][0]:g} to {ranges['times'][1]:g} s"] if header.has_times else []
+    else:
+        lines.append(f"is not for {arguments.face}: its {len(joints)} joints are others")
+    emit(result, "\n".join(lines), as_json=arguments.json)
+    return 0 if fits else 1
+
+
+def _ranges(data: bytes, joints: tuple[str, ...], where: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from facepipe.payload import decode
+
+    content = decode(data, joints, where)
+    values = content.frames
+    return {
+        "translation": float(np.abs(values[..., :3]).max()),
+        "rotation": float(np.abs(values[..., 3:6]).max()),
+        "scale": [float(values[..., 6:].min()), float(values[..., 6:].max())],
+        "times": None if content.times is None else [float(content.times[0]), float(content.times[-1])],
+    }
+
+
+def _recipe(arguments: argparse.Namespace, name: str, out: Path) -> Recipe:
+    from facepipe import __version__
+    from facepipe.digests import digest
+    from facepipe.parts import Recipe
+    from facepipe.stage.files import relative_path
+
+    sources = (arguments.face, arguments.coefficients)
+    return Recipe(
+        verb="apply-bones",
+        sources=tuple(relative_path(str(source), out.absolute().parent) for source in sources),
+        digests=tuple(digest([source]) for source in sources),
+        options={"name": name},
+        version=__version__,
+    )

@@ -1,0 +1,100 @@
+"""Rebuilds a face from bone coefficients: poses or a clip on a stage, or points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.parts import Animation, FloatArray, Recipe
+from facepipe.payload import PayloadContent
+from facepipe.reports import Report
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+
+MAX_POSES = 4096  # prims that one payload may make
+_REST = np.array([0.0] * 6 + [1.0] * 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApplyBonesReport(Report):
+    """What was authored."""
+
+    animations: tuple[str, ...]
+    joints: int  # that move
+    frames: int
+    authored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApplyBones:
+    """Coefficients authored as a SkelAnimation: a pose, or a clip of frames with times.
+
+    Frames without times become poses ``<name>_1``, ``<name>_2`` ... Joints that never leave rest are in none of them.
+
+    :param name: of the animation
+    """
+
+    content: PayloadContent
+    name: str
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> ApplyBonesReport:
+        """Author them.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: other joints or units than the face has, a name that is taken, too many poses, or scales
+            that SkelAnimation can't hold
+        """
+        check_fits(face, self.content)
+        parts = face.parts()
+        added = self._animations()
+        taken = sorted({one.name for one in parts.animations} & {one.name for one in added})
+        if taken:
+            raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
+        changed = replace(parts, animations=(*parts.animations, *added), recipe=recipe or parts.recipe)
+        return ApplyBonesReport(
+            animations=tuple(one.name for one in added),
+            joints=len(added[0].joints),
+            frames=len(self.content.frames),
+            authored=author_changes(face, changed),
+        )
+
+    def _animations(self) -> tuple[Animation, ...]:
+        content, frames = self.content, self.content.frames
+        moving = np.flatnonzero((frames != _REST).any(axis=(0, 2)))
+        moving = moving if moving.size else np.arange(len(content.joints))
+        joints, values = tuple(content.joints[i] for i in moving), frames[:, moving]
+        if content.times is not None or np.ndim(content.coefficients) == 2:
+            return (Animation(name=self.name, times=content.times, joints=joints, coefficients=values),)
+        if len(values) > MAX_POSES:
+            raise InputError(self.name, f"{len(values)} poses without times, expected at most {MAX_POSES}")
+        return tuple(
+            Animation(name=f"{self.name}_{number}", joints=joints, coefficients=pose[None])
+            for number, pose in enumerate(values, 1)
+        )
+
+
+def check_fits(face: Face, content: PayloadContent) -> None:
+    """:raises InputError: the coefficients are of other joints or in other units than the face"""
+    joints = face.skeleton.joints
+    if content.joints != joints:
+        raise InputError(face.where, f"{len(joints)} joints, expected the {len(content.joints)} of the coefficients")
+    if np.float32(content.meters_per_unit) != np.float32(face.meters_per_unit):
+        what = f"translations in units of {content.meters_per_unit:g} m, expected {face.meters_per_unit:g} m"
+        raise InputError(face.where, what)
+
+
+def posed_points(face: Face, content: PayloadContent, done: Callable[[], object] = lambda: None) -> FloatArray:
+    """(n, 3) or (T, n, 3) float32 world points, in stage units.
+
+    :param done: called after every frame
+    :raises InputError: other joints or units than the face has
+    """
+    check_fits(face, content)
+    points = np.empty((len(content.frames), len(face.rig().points), 3), np.float32)
+    for own, coefficients in zip(points, content.frames, strict=True):
+        own[:] = face.evaluate(coefficients=coefficients)
+        done()
+    return points if np.ndim(content.coefficients) == 3 else points[0]
