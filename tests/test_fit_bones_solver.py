@@ -239,6 +239,39 @@ def test_points_without_weight_do_not_count() -> None:
     assert found.largest <= 1e-7
 
 
+def test_regularised_fits_stay_nearer_to_rest() -> None:
+    rig, rng = head(), np.random.default_rng(7)
+    joints, rest = face_joints(rig), rest_coefficients(len(rig.joints))
+    lower, upper = limits(len(rig.joints), joints)
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.05)) + 0.01 * np.sin(9 * rig.points)
+    strains, distances = [], []
+    for weight in (0.0, 1e-3, 1e-1):
+        fit = BoneFit(rig, lower=lower, upper=upper, threshold=0.01 / MM, rounds=0, regularise=weight)
+        found = fit.fit(target)
+        strains.append(np.linalg.norm(found.coefficients - rest))
+        distances.append(np.linalg.norm(found.points - target))
+    assert strains[0] > strains[1] > strains[2]
+    assert distances[0] < distances[1] < distances[2]
+
+
+def test_sparse_fits_move_the_bones_that_moved() -> None:
+    rig, rng = head(), np.random.default_rng(8)
+    joints, rest = face_joints(rig), rest_coefficients(len(rig.joints))
+    lower, upper = limits(len(rig.joints), joints)
+    few = np.sort(rng.choice(joints, 3, replace=False))
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), few)) + rng.normal(0, 0.002, rig.points.shape)
+    plain, sparse = (
+        BoneFit(rig, lower=lower, upper=upper, threshold=0.1 / MM, rounds=0, sparsity=weight).fit(target)
+        for weight in (0.0, 30.0)
+    )
+    moved = [np.flatnonzero((one.coefficients != rest).any(axis=1)) for one in (plain, sparse)]
+    assert len(moved[0]) == 35
+    assert set(few) <= set(moved[1])
+    assert len(moved[1]) <= 12
+    off = [np.sqrt(((one.points - target) ** 2).sum(axis=1).mean()) * MM for one in (plain, sparse)]
+    assert off[1] <= off[0] + 0.1
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -247,6 +280,8 @@ def test_points_without_weight_do_not_count() -> None:
         ({"upper": np.full((3, 9), np.nan)}, "limits"),
         ({"weights": np.full(45, -1.0)}, "point weights"),
         ({"weights": np.ones(3)}, "point weights"),
+        ({"regularise": -1.0}, "expected 0 or more"),
+        ({"sparsity": np.nan}, "expected 0 or more"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(settings: dict[str, np.ndarray], message: str) -> None:

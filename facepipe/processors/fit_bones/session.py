@@ -14,6 +14,8 @@ from facepipe.rig import Rig, rest_coefficients
 FloatArray = npt.NDArray[np.floating]
 
 _LEAST_WEIGHT = 0.05  # what a point that is on its target keeps of its weight in a round of evening
+_SPARSE_ROUNDS = 8
+_STILL = 0.1  # strain, in thresholds, that counts as none
 
 
 class BoneFit:
@@ -26,8 +28,11 @@ class BoneFit:
     :param threshold: largest distance that is good enough, in stage units
     :param steps: at most, per solve
     :param rounds: of evening, at most, where least squares leave a point too far off; 0: plain least squares
+    :param regularise: weight of the mean square strain beside the mean square distance. Strain is how far coefficients
+        are from rest in stage units: translations as they are, angles and scales by a tenth of the face's size
+    :param sparsity: weight of the mean strain, in thresholds: few coefficients move, the others stay exactly at rest
     :param parent_world: (4, 4) what the root joints hang under; default the skeleton's place
-    :raises InputError: a lower limit above its upper one, arrays that don't fit, or negative weights
+    :raises InputError: a negative weight, a lower limit above its upper one, arrays that don't fit, or negative weights
     """
 
     def __init__(
@@ -40,6 +45,8 @@ class BoneFit:
         threshold: float,
         steps: int = 200,
         rounds: int = 6,
+        regularise: float = 0.0,
+        sparsity: float = 0.0,
         parent_world: FloatArray | None = None,
     ) -> None:
         count = len(rig.joints)
@@ -54,6 +61,10 @@ class BoneFit:
         self.weights = np.ones(len(rig.points)) if weights is None else np.asarray(weights, dtype=np.float64)
         if self.weights.shape != (len(rig.points),) or not (np.isfinite(self.weights) & (self.weights >= 0)).all():
             raise InputError(rig.name, f"point weights {self.weights.shape}, expected {len(rig.points)} of 0 or more")
+        if not (regularise >= 0 and sparsity >= 0 and np.isfinite(regularise + sparsity)):
+            raise InputError(rig.name, f"regularise {regularise:g}, sparsity {sparsity:g}, expected 0 or more")
+        self.regularise, self.sparsity = regularise, sparsity
+        self._levers = np.repeat([1.0, 0.1 * float(np.ptp(rig.points, axis=0).max(initial=0.0))], [3, 6])
         self.tree = Tree(rig, parent_world)
         self.skin = SkinnedPoints(rig)
         self.weightless = self._weightless()
@@ -77,6 +88,8 @@ class BoneFit:
         start = self._rest if start is None else np.asarray(start, dtype=np.float64)
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
+        if self.sparsity > 0:
+            return self._sparse(target, start)
         found = self._solve(target, start, self.weights)
         if found.largest > self.threshold:
             halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights)
@@ -100,14 +113,45 @@ class BoneFit:
                 break
         return found
 
-    def _solve(self, target: FloatArray, start: FloatArray, weights: FloatArray) -> Fitted:
+    def _sparse(self, target: FloatArray, start: FloatArray) -> Fitted:
+        """Rounds of reweighted springs that add up to the mean absolute strain; then only what moves is fitted."""
+        found = self._solve(target, start, self.weights)
+        for _ in range(_SPARSE_ROUNDS):
+            strain = np.abs(self._strain(found.coefficients))
+            springs = self.sparsity * self.threshold / (strain + _STILL * self.threshold)
+            found = self._solve(target, found.coefficients, self.weights, springs=springs, exact=True)
+        still = np.abs(self._strain(found.coefficients)) < _STILL * self.threshold
+        still &= (self.lower <= self._rest) & (self._rest <= self.upper)
+        lower, upper = np.where(still, self._rest, self.lower), np.where(still, self._rest, self.upper)
+        return self._solve(target, found.coefficients, self.weights, box=(lower, upper))
+
+    def _solve(
+        self,
+        target: FloatArray,
+        start: FloatArray,
+        weights: FloatArray,
+        *,
+        springs: FloatArray | float = 0.0,
+        box: tuple[FloatArray, FloatArray] | None = None,
+        exact: bool = False,
+    ) -> Fitted:
+        """One descent; `springs` (m, 9) are weights of each squared strain beside that of the mean square distance."""
         world = self.tree.parent_world
         if weights is self.weights:
             moments = self.skin.retargeted(self._moments, target, weights, world)
         else:
             moments = self.skin.moments(target, weights, world)
-        problem = Problem(target, weights, self.lower, self.upper, self.free, self.threshold, self.steps)
+        lower, upper = box or (self.lower, self.upper)
+        stiffness = np.broadcast_to(self.regularise + np.asarray(springs), lower.shape)
+        share = float(weights.sum()) / max(9 * len(self.free), 1)
+        pull = share * stiffness * self._levers**2 if stiffness.any() else None
+        threshold = 0.0 if exact else self.threshold
+        problem = Problem(target, weights, lower, upper, self.free, threshold, self.steps, pull)
         return fit(self.tree, self.skin, moments, problem, start)
+
+    def _strain(self, coefficients: FloatArray) -> FloatArray:
+        """(m, 9) how far coefficients are from rest, in stage units."""
+        return np.asarray((coefficients - self._rest) * self._levers)
 
     def _weightless(self) -> npt.NDArray[np.bool_]:
         """(m,) joints that, with all below them, move no point that counts: they keep their place."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from facepipe.geometry.boxed_qp import solve_boxed
 from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
 from facepipe.processors.fit_bones.tree import Pose, Tree
+from facepipe.rig import rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -37,6 +38,7 @@ class Problem:
     free: IntArray  # (f,) joints that may move
     threshold: float  # largest distance that is good enough, in stage units
     steps: int  # at most
+    pull: FloatArray | None = None  # (m, 9) springs to rest, added to half the weighted squared distance
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,15 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
         if state.largest <= problem.threshold:
             break
         generators = tree.generators(state.pose)
-        gradient = tree.gradient(generators, state.pose, moments.gradient(state.pose.skinning), problem.free)
+        by_matrix = moments.gradient(state.pose.skinning)
+        gradient = tree.gradient(generators, state.pose, by_matrix, problem.free) + state.pulled()
         slope = _projected(gradient, state.pose, problem)
         first = first or slope
         if slope <= _STALLED * first:
             break
         normal = tree.normal_matrix(generators, state.pose, moments.pairs, problem.free)
+        if problem.pull is not None:
+            normal[np.diag_indices_from(normal)] += problem.pull[problem.free].ravel()
         tried, damping, growth = _descend(state, normal, gradient, damping, growth)
         if tried is None:
             break
@@ -104,7 +109,17 @@ class _State:
         self.points = skin.evaluate(self.pose.skinning, tree.parent_world)
         squares = ((self.points - problem.target) ** 2).sum(axis=1)
         self.objective = 0.5 * float(problem.weights @ squares)
+        if problem.pull is not None:
+            self.objective += 0.5 * float((problem.pull * self._strain() ** 2).sum())
         self.largest = float(np.sqrt(squares[problem.weights > 0].max(initial=0.0)))
+
+    def pulled(self) -> FloatArray | float:
+        """(9 f,) what the springs add to the gradient."""
+        pull, free = self.problem.pull, self.problem.free
+        return 0.0 if pull is None else (pull * self._strain())[free].ravel()
+
+    def _strain(self) -> FloatArray:
+        return self.pose.coefficients - rest_coefficients(len(self.pose.coefficients))
 
     def moved(self, change: FloatArray) -> _State:
         """The state after a change (9 f,) of the free joints' coefficients."""
