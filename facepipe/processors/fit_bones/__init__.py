@@ -1,1 +1,22 @@
 """Bone fit: 9-DOF bone coefficients, within limits, that bring a skinned face to a target."""
+
+from facepipe.processors.fit_bones.fit_bones import FitBones
+from facepipe.processors.fit_bones.limits import LimitRules, read_limits
+from facepipe.processors.fit_bones.options import FitBonesOptions
+from facepipe.processors.fit_bones.recipe import fit_bones_recipe
+from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
+from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones.targets import Target, read_targets
+
+__all__ = [
+    "BoneFit",
+    "FitBones",
+    "FitBonesOptions",
+    "FitBonesReport",
+    "LimitRules",
+    "Target",
+    "TargetReport",
+    "fit_bones_recipe",
+    "read_limits",
+    "read_targets",
+]

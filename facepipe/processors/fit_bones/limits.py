@@ -1,0 +1,190 @@
+"""Limits of bone coefficients: those of the rig, and rules of a JSON file over them.
+
+    {
+      "joints": {
+        "*": {"t": [-0.1, 0.1], "r": [-0.5, 0.5], "s": [0.8, 1.25]},
+        "jaw": {"rx": [-0.05, 0.4], "tz": [null, 0]}
+      },
+      "lock": ["root:*", "eye*:s"],
+      "units": "stage"
+    }
+
+Names of joints are patterns of their paths or last names; later ones win. Channels are single (``tx``) or of a kind
+(``t``, ``r``, ``s``; a single one wins). ``null`` is no limit. Rotations are radians, scales factors (1 is rest),
+translations ``units``: ``stage``, ``mm``, ``cm`` or ``m``. ``lock`` keeps channels, or ``*`` all of them, at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.parts import BoneLimits
+from facepipe.reading import read_json_object
+from facepipe.rig import CHANNELS, rest_coefficients
+
+FloatArray = npt.NDArray[np.floating]
+
+Range = tuple[float | None, float | None]
+
+_MOST_BYTES = 1 << 24
+_KEYS = ("joints", "lock", "units")
+_UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
+_KINDS = ("t", "r", "s")
+_LARGEST = 1e9  # of a limit: in any unit it stays finite in float32
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitRules:
+    """Limits by patterns of joints; what the fields mean is above.
+
+    :raises InputError: channels or units that are unknown, limits that are not finite, or a lower one above its upper
+    """
+
+    joints: tuple[tuple[str, Mapping[str, Range]], ...] = ()  # (pattern, channel or kind -> limits), later ones win
+    lock: tuple[str, ...] = ()  # "pattern:channel"
+    units: str = "stage"
+    where: str = "limits"  # for messages
+
+    def __post_init__(self) -> None:
+        if self.units not in _UNITS:
+            raise InputError(f"{self.where} -> units", f"'{self.units}', expected one of {', '.join(_UNITS)}")
+        for pattern, channels in self.joints:
+            for channel, pair in channels.items():
+                where = f"{self.where} -> joints -> {pattern} -> {channel}"
+                _channels(where, channel)
+                _check_pair(where, pair)
+        for word in self.lock:
+            where = f"{self.where} -> lock -> {word}"
+            pattern, colon, channel = word.rpartition(":")
+            if not (pattern and colon):
+                raise InputError(where, "expected JOINT:CHANNEL, like jaw:tx, eye*:s or root:*")
+            _channels(where, channel)
+
+    def resolve(
+        self, joints: Sequence[str], meters_per_unit: float, base: BoneLimits | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """(j, 9) lower and upper limits of joints, over those of `base`; float32 values within what the rules say.
+
+        :raises InputError: a pattern that matches no joint, or a lower limit of `base` above its upper one
+        """
+        lower, upper = _base_limits(joints, base)
+        meters = _UNITS[self.units]
+        scale = 1.0 if meters is None else meters / meters_per_unit
+        for pattern, channels in self.joints:
+            rows = _matching(f"{self.where} -> joints -> {pattern}", pattern, joints)
+            # a single channel after the kinds
+            for channel in sorted(channels, key=len):
+                factor = scale if channel.startswith("t") else 1.0
+                columns = _channels("", channel)
+                low, high = _rounded_inwards(channels[channel], factor)
+                lower[np.ix_(rows, columns)], upper[np.ix_(rows, columns)] = low, high
+        rest = rest_coefficients(len(joints))
+        for word in self.lock:
+            pattern, _, channel = word.rpartition(":")
+            at = np.ix_(_matching(f"{self.where} -> lock -> {word}", pattern, joints), _channels("", channel))
+            lower[at] = upper[at] = rest[at]
+        return lower, upper
+
+    def to_json(self) -> dict[str, Any]:
+        """The rules as recipes hold them, their order kept."""
+        joints = [
+            [pattern, {key: list(channels[key]) for key in sorted(channels)}] for pattern, channels in self.joints
+        ]
+        return {"joints": joints, "lock": list(self.lock), "units": self.units}
+
+
+def read_limits(path: Path) -> LimitRules:
+    """The rules of a JSON file; its joints are checked against the rig later.
+
+    :raises InputError: not such JSON
+    """
+    content, where = read_json_object(path, _MOST_BYTES), str(path)
+    for key in content:
+        if key not in _KEYS:
+            raise InputError(f"{where} -> {key[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
+    joints = content.get("joints", {})
+    if not isinstance(joints, dict):
+        raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected an object of joints")
+    lock = content.get("lock", [])
+    if not isinstance(lock, list) or not all(isinstance(one, str) for one in lock):
+        raise InputError(f"{where} -> lock", f"{str(lock)[:40]}, expected a list of JOINT:CHANNEL")
+    units = content.get("units", "stage")
+    if not isinstance(units, str):
+        raise InputError(f"{where} -> units", f"{str(units)[:40]}, expected one of {', '.join(_UNITS)}")
+    rules = []
+    for pattern, channels in joints.items():
+        trail = f"{where} -> joints -> {pattern}"
+        if not isinstance(channels, dict):
+            raise InputError(trail, f"{str(channels)[:40]}, expected an object of channels")
+        rules.append((pattern, {channel: _pair(f"{trail} -> {channel}", pair) for channel, pair in channels.items()}))
+    return LimitRules(joints=tuple(rules), lock=tuple(lock), units=units, where=where)
+
+
+def _pair(where: str, value: object) -> Range:
+    numbers = isinstance(value, list) and all(one is None or type(one) in (int, float) for one in value)
+    if not isinstance(value, list) or len(value) != 2 or not numbers:
+        raise InputError(where, f"{str(value)[:40]}, expected [lower, upper], null for no limit")
+    return value[0], value[1]
+
+
+def _check_pair(where: str, pair: Range) -> None:
+    low, high = pair
+    for value in (low, high):
+        if value is not None and not -_LARGEST <= value <= _LARGEST:  # NaN and integers beyond any float too
+            raise InputError(where, f"{str(value)[:20]}, expected a finite number, or null for no limit")
+    if low is not None and high is not None and low > high:
+        raise InputError(where, f"lower limit {low:g} above the upper {high:g}")
+
+
+def _channels(where: str, name: str) -> list[int]:
+    """Numbers of the channels that a name stands for."""
+    found = [i for i, channel in enumerate(CHANNELS) if name in (channel, channel[0], "*")]
+    if not found:
+        raise InputError(where, f"unknown channel '{name[:20]}', expected {' '.join(CHANNELS)}, or t r s")
+    return found
+
+
+def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
+    found = [
+        number
+        for number, path in enumerate(joints)
+        if fnmatchcase(path, pattern) or fnmatchcase(path.rpartition("/")[2], pattern)
+    ]
+    if not found:
+        some = ", ".join(joint.rpartition("/")[2] for joint in joints[:4])
+        raise InputError(where, f"matches none of {len(joints)} joints, expected some of {some} ...")
+    return found
+
+
+def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatArray, FloatArray]:
+    if base is None:
+        return np.full((len(joints), 9), -np.inf), np.full((len(joints), 9), np.inf)
+    lower, upper = np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
+    crossed = np.argwhere(lower > upper)
+    if len(crossed):
+        joint, channel = crossed[0]
+        what = f"lower limit {lower[joint, channel]:g} above the upper {upper[joint, channel]:g}"
+        raise InputError(f"bone limits -> {joints[joint]} -> {CHANNELS[channel]}", what)
+    return lower, upper
+
+
+def _rounded_inwards(pair: Range, factor: float) -> tuple[float, float]:
+    """Limits as float32, which coefficients are stored in: not beyond what was asked for, unless they meet there."""
+    low = -np.inf if pair[0] is None else pair[0] * factor
+    high = np.inf if pair[1] is None else pair[1] * factor
+    inside = [np.float32(low), np.float32(high)]
+    if inside[0] < low:
+        inside[0] = np.nextafter(inside[0], np.float32(np.inf))
+    if inside[1] > high:
+        inside[1] = np.nextafter(inside[1], np.float32(-np.inf))
+    if inside[0] > inside[1]:
+        inside = [np.float32(low)] * 2
+    return float(inside[0]), float(inside[1])

@@ -1,0 +1,47 @@
+"""Options of a bone fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from facepipe.options import check_ranges
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitBonesOptions:
+    """How far to go, and what to keep of what bones can't reach.
+
+    :raises InputError: a number out of range
+    """
+
+    threshold_mm: float = field(
+        default=0.1,
+        metadata={
+            "help": "a target is reached where no point is further from it",
+            "range": (1e-6, 1e6),
+            "unit": "mm",
+        },
+    )
+    max_iterations: int = field(default=200, metadata={"help": "steps of a solve, at most", "range": (1, 1_000_000)})
+    rounds: int = field(
+        default=6,
+        metadata={
+            "help": "rounds that even the largest distance, at most, where a target is not reached; 0: least squares",
+            "range": (0, 1000),
+        },
+    )
+    regularise: float = field(
+        default=0.0,
+        metadata={"help": "weight of the mean square strain of the bones beside the distances", "range": (0.0, 1e6)},
+    )
+    sparsity: float = field(
+        default=0.0,
+        metadata={"help": "weight of the mean strain: few bones move, the others stay at rest", "range": (0.0, 1e6)},
+    )
+    residual: bool = field(
+        default=False,
+        metadata={"help": "keep what bones can't reach as a sparse blendshape TARGET_residual"},
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

@@ -1,0 +1,131 @@
+"""Meshes of any stage over time: points that change from sample to sample, with or without a face."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import InputError, TopologyError
+from facepipe.parts import Animation, FloatArray, Mesh
+from facepipe.stage.files import open_stage
+from facepipe.stage.guard import reads_prim, usd_errors
+from facepipe.stage.orientation import is_left_handed, turned
+from facepipe.stage.read_skeleton import read_animation
+from facepipe.stage.traversal import prims_below
+from facepipe.stage.values import floats, ints, matrix
+
+MOST_SAMPLES = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class CachedMesh:
+    """One mesh over T samples."""
+
+    mesh: Mesh  # name and faces; points of the first sample
+    points: FloatArray  # (T, n, 3) float32 mesh space
+    worlds: FloatArray  # (T, 4, 4) mesh space -> world
+    has_default: bool  # points without time are authored too
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointCache:
+    """All meshes of a stage."""
+
+    meshes: tuple[CachedMesh, ...]
+    times: npt.NDArray[np.float64] | None  # (T,) seconds; None: nothing moves, T = 1
+    meters_per_unit: float
+    up_axis: str
+    has_face: bool  # the stage has a face, whose skeleton may move the points further
+
+
+def read_point_cache(path: str | os.PathLike[str]) -> PointCache:
+    """The meshes of a USD file at all samples of their points and transforms; skins and blendshapes are left out.
+
+    :raises InputError: no such file, no readable USD, too many samples, or NaN
+    :raises TopologyError: a mesh whose number of points changes, or whose faces don't fit its points
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        try:
+            return _read(stage)
+        except (InputError, TopologyError) as error:
+            raise error.under(path) from None
+
+
+def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]:
+    """The SkelAnimations of a USD file, whether it has a face or not.
+
+    :raises InputError, TopologyError: no such file, no readable USD, or arrays that don't fit each other
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        try:
+            return tuple(read_animation(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
+        except (InputError, TopologyError) as error:
+            raise error.under(path) from None
+
+
+def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
+    return prims_below(stage.GetPseudoRoot(), "stage")
+
+
+def _read(stage: Usd.Stage) -> PointCache:
+    prims = [prim for prim in _prims(stage) if prim.IsA(UsdGeom.Mesh)]
+    names = [str(prim.GetName()) for prim in prims]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(twice, "is the name of more than one mesh, expected different names")
+    codes = sorted({code for prim in prims for code in _codes(prim)})
+    if len(codes) > MOST_SAMPLES:
+        raise InputError("time samples", f"{len(codes)}, expected at most {MOST_SAMPLES}")
+    times = [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
+    rate = stage.GetTimeCodesPerSecond() or 24.0
+    return PointCache(
+        meshes=tuple(_cached(prim, times) for prim in prims),
+        times=np.array(codes) / rate if codes else None,
+        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
+        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+        has_face=any(tokens.FACE_API in prim.GetAppliedSchemas() for prim in _prims(stage)),
+    )
+
+
+def _codes(prim: Usd.Prim) -> set[float]:
+    """Time codes at which the points or the place of a mesh are authored."""
+    codes = set(UsdGeom.Mesh(prim).GetPointsAttr().GetTimeSamples())
+    while prim and not prim.IsPseudoRoot():
+        if prim.IsA(UsdGeom.Xformable):
+            codes |= set(UsdGeom.Xformable(prim).GetTimeSamples())
+        prim = prim.GetParent()
+    return codes
+
+
+@reads_prim
+def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
+    mesh, where = UsdGeom.Mesh(prim), str(prim.GetPath())
+    samples = [floats(mesh.GetPointsAttr().Get(time), 3) for time in times]
+    if any(len(points) != len(samples[0]) for points in samples):
+        other = next(points for points in samples if len(points) != len(samples[0]))
+        raise TopologyError(where, f"{len(other)} points at a time sample, expected {len(samples[0])} as at the first")
+    counts = ints(mesh.GetFaceVertexCountsAttr().Get(times[0]))
+    indices = ints(mesh.GetFaceVertexIndicesAttr().Get(times[0]))
+    if counts.sum() != len(indices) or (indices.size and not 0 <= indices.min() <= indices.max() < len(samples[0])):
+        raise TopologyError(where, f"faces that don't fit {len(samples[0])} points")
+    points = np.stack(samples)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=(1, 2)))
+    if bad.size:
+        when = "" if times[0].IsDefault() else f" at time code {times[bad[0]].GetValue():g}"
+        raise InputError(where, f"points hold NaN or infinity{when}, expected finite numbers")
+    own = Mesh(name=prim.GetName(), points=points[0], face_vertex_counts=counts, face_vertex_indices=indices)
+    worlds = np.stack([matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)) for time in times])
+    return CachedMesh(
+        mesh=turned(own) if is_left_handed(mesh) else own,
+        points=points,
+        worlds=worlds,
+        has_default=bool(mesh.GetPointsAttr().Get()),
+    )
