@@ -23,6 +23,7 @@ COMMANDS = {
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "eval": "run an exported ONNX file",
+    "fit-bones": "bring bones to targets, within limits",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "landmarks": "author named landmarks",

@@ -1,6 +1,7 @@
 """Bone fit: 9-DOF bone coefficients, within limits, that bring a skinned face to a target."""
 
 from facepipe.processors.fit_bones.fit_bones import FitBones
+from facepipe.processors.fit_bones.initial import initial_coefficients
 from facepipe.processors.fit_bones.limits import LimitRules, read_limits
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.recipe import fit_bones_recipe
@@ -17,6 +18,7 @@ __all__ = [
     "Target",
     "TargetReport",
     "fit_bones_recipe",
+    "initial_coefficients",
     "read_limits",
     "read_targets",
 ]

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from facepipe.options import check_ranges
 
+_ROUNDS = 6
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitBonesOptions:
@@ -23,10 +25,11 @@ class FitBonesOptions:
         },
     )
     max_iterations: int = field(default=200, metadata={"help": "steps of a solve, at most", "range": (1, 1_000_000)})
-    rounds: int = field(
-        default=6,
+    rounds: int | None = field(
+        default=None,
         metadata={
-            "help": "rounds that even the largest distance, at most, where a target is not reached; 0: least squares",
+            "help": "rounds that even the largest distance, at most, where a target is not reached (default 6; with a "
+            "residual 0, which keeps it small)",
             "range": (0, 1000),
         },
     )
@@ -45,3 +48,10 @@ class FitBonesOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+    @property
+    def evening(self) -> int:
+        """Rounds that even the largest distance."""
+        if self.rounds is not None:
+            return self.rounds
+        return 0 if self.residual else _ROUNDS

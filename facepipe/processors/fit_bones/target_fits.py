@@ -81,7 +81,7 @@ class TargetFits:
                 weights=weights,
                 threshold=_STRICTER * self.options.threshold_mm / self.mm,
                 steps=self.options.max_iterations,
-                rounds=self.options.rounds,
+                rounds=self.options.evening,
                 regularise=self.options.regularise,
                 sparsity=self.options.sparsity,
             )
