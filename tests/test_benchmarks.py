@@ -75,3 +75,22 @@ def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path)
     (whole,) = face["samples"]["whole"]
     assert sum(whole[step] for step in ("open_s", "solve_s", "author_s", "save_s")) == pytest.approx(whole["whole_s"])
     assert 0 < whole["border_step_mm"] < 1
+
+
+def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    words = ("--runs", "1", "--joints", "3", "--scipy-targets", "1", "--json", out, "--data", tmp_path)
+    printed = run(*words, benchmark="bone_fit.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    nine, six = result["tasks"]
+
+    assert "ICT-FaceKit" in result["skipped"]
+    assert printed.count("skipped: ") == len(result["skipped"])
+    assert (nine["targets"], nine["joints"], nine["dof"], six["dof"]) == (7, 3, 9, 6)
+    best = nine["best"]
+    assert best["plain"]["rms_mm"] < six["best"]["plain"]["rms_mm"], "scales help"
+    assert best["even"]["max_mm"] < best["plain"]["max_mm"]
+    assert nine["scipy"]["ours"]["rms_mm"] <= (1 + 1e-4) * nine["scipy"]["rms_mm"]
+    if "py-dem-bones" not in result["skipped"]:
+        rigid = six["best"]
+        assert rigid["plain"]["rms_mm"] <= (1 + 1e-4) * rigid["dem-bones"]["rms_mm"], "the same least squares"

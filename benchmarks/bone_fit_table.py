@@ -1,0 +1,84 @@
+"""The table of bone_fit.py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from tables import aligned, ms, times
+
+Json = dict[str, Any]
+Row = tuple[str, ...]
+
+_PEER, _DEFAULT = "dem-bones", "dem-bones-default"
+_HEAD = ("bones", "figure", "facepipe", "evened", "py-dem-bones", "its defaults", "scipy", "ratio", "evened", "aim")
+
+
+def table(result: Json) -> str:
+    """One table for people: a row a figure, ratios always facepipe / py-dem-bones; what was skipped below."""
+    rows: list[Row] = [_HEAD]
+    for task in result["tasks"]:
+        rows += _rows(task, result["aims"])
+    skipped = [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
+    made, runs = result["tasks"][0], result["runs"]
+    note = f"{result['face']}: {made['points']} points, {made['targets']} targets, {made['influences']} influences"
+    return "\n".join(
+        [*aligned(rows), *skipped, f"{note}; best of {runs} run{'s' * (runs > 1)}, ratio = facepipe / py-dem-bones"]
+    )
+
+
+def _rows(task: Json, aims: Json) -> list[Row]:
+    name = f"{task['joints']} joints, {task['dof']} DOF"
+    errors = [
+        _row(name, "mean error", "mean_mm", task, mm, aims["error"]),
+        _row(name, "largest error", "max_mm", task, mm, aims["error"]),
+        _row(name, "  of a target, mean", "mean_of_max_mm", task, mm, None),
+    ]
+    whole = _row(name, f"all {task['targets']} targets", "set_s", task, ms, aims["set"])
+    singles = [
+        _single(name, "a fit from rest, median", "cold_s", task, aims["cold_s"]),
+        _single(name, "  slowest", "cold_slowest_s", task, None),
+        _single(name, "a fit from the frame before, median", "warm_s", task, aims["warm_s"]),
+        _single(name, "  slowest", "warm_slowest_s", task, None),
+    ]
+    return [*errors, whole, *singles, *_scipy(name, task, aims)]
+
+
+def _row(name: str, text: str, key: str, task: Json, show: Callable[[float | None], str], aim: float | None) -> Row:
+    """A figure that the peer has too."""
+    best, ratios = task["best"], task["ratios"].get(_PEER)
+    cells = [show(best.get(side, {}).get(key)) for side in ("plain", "even", _PEER, _DEFAULT)]
+    own = [None if ratios is None else ratios[side].get(key) for side in ("plain", "even")]
+    known = [one for one in own if one is not None]
+    met = "" if aim is None or not known else f"{aim:g}x" + ("" if min(known) <= aim else ": missed")
+    scipy = "" if key != "set_s" or task["scipy"] is None else f"({show(task['scipy'][key])})"
+    return name, text, *cells, scipy, *(times(one) for one in own), met
+
+
+def _single(name: str, text: str, key: str, task: Json, aim: float | None) -> Row:
+    best = task["best"]
+    own = best["plain"][key]
+    met = "" if aim is None else ms(aim) + ("" if own <= aim else ": missed")
+    return name, text, ms(own), ms(best["even"][key]), "", "", "", "", "", met
+
+
+def _scipy(name: str, task: Json, aims: Json) -> list[Row]:
+    scipy = task["scipy"]
+    if scipy is None:
+        return []
+    ratios, count = task["ratios"]["scipy"], scipy["targets"]
+    met = f"{aims['scipy']:g}x"
+    rows: list[Row] = []
+    for text, own, key in (
+        (f"the {count} hardest targets, from rest: scipy / facepipe", scipy["ours_cold_s"], "cold"),
+        ("one boxed linear system: scipy / facepipe", task["linear_s"], "linear"),
+    ):
+        missed = "" if ratios[key] >= aims["scipy"] else ": missed"
+        rows.append((name, text, ms(own), "", "", "", ms(scipy[f"{key}_s"]), times(ratios[key]), "", met + missed))
+    rms = (mm(scipy["ours"]["rms_mm"]), "", "", "", mm(scipy["rms_mm"]))
+    return [*rows, (name, "  RMS error of these targets", *rms, "", "", "")]
+
+
+def mm(value: float | None) -> str:
+    """Millimetres."""
+    return "" if value is None else f"{value:.4f} mm"
