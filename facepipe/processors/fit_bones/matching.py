@@ -27,7 +27,7 @@ class Match:
 def match_meshes(
     parts: FaceParts, others: Sequence[Mesh], where: str, only: str = "", *, triangles: bool = False
 ) -> Match:
-    """Meshes by name; a single mesh of another name is the only one of the face, or all of them in stage order.
+    """Meshes by name; a single mesh of another name is the only one of as many points, or all in stage order.
 
     :param only: the mesh of the face that the single other mesh is
     :param triangles: the other meshes are triangulated, and lack points that are in no face
@@ -64,17 +64,28 @@ def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str
         if len(others) != 1 and only not in found:
             raise InputError(f"{where}:{only}", f"{len(others)} meshes, expected a single one or one called '{only}'")
         return [(names.index(only), found.get(only, 0))]
+    if len(others) == 1:
+        return _single(meshes, others[0], where)
     pairs = [(number, found[name]) for number, name in enumerate(names) if name in found]
-    if pairs or len(others) != 1:
-        if not pairs:
-            some = ", ".join(list(found)[:6]) or "none"
-            raise TopologyError(where, f"meshes {some}, expected some of {', '.join(names)}")
-        return pairs
-    if len(meshes) == 1:
-        return [(0, 0)]
-    if len(others[0].points) == sum(len(mesh.points) for mesh in meshes):
+    if not pairs:
+        some = ", ".join(list(found)[:6]) or "none"
+        raise TopologyError(where, f"meshes {some}, expected some of {', '.join(names)}")
+    return pairs
+
+
+def _single(meshes: Sequence[Mesh], other: Mesh, where: str) -> list[tuple[int, int]] | None:
+    """The mesh that a single other one is: by name, or the only one of as many points; None for all of them."""
+    names, points = [mesh.name for mesh in meshes], [len(mesh.points) for mesh in meshes]
+    named, count = other.name in names, len(other.points)
+    if named and points[names.index(other.name)] == count:
+        return [(names.index(other.name), 0)]
+    if points.count(count) == 1:
+        return [(points.index(count), 0)]
+    if count == sum(points):
         return None
-    what = f"mesh '{others[0].name}' of {len(others[0].points):,} points is none of {', '.join(names)}"
+    if named or len(meshes) == 1:
+        return [(names.index(other.name) if named else 0, 0)]  # whose difference is told
+    what = f"mesh '{other.name}' of {count:,} points is none of {', '.join(names)}"
     raise TopologyError(where, f"{what}, expected FILE:MESH to tell which")
 
 
