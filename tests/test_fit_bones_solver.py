@@ -205,6 +205,13 @@ def test_limits_that_exclude_rest_are_kept_from_the_start() -> None:
     assert found.coefficients[1, 0] >= 0.2
 
 
+def test_scales_stay_positive_without_limits() -> None:
+    rig = small()
+    mirrored = rig.points * np.array([-1.0, 1.0, 1.0])
+    found = BoneFit(rig, threshold=1e-6, steps=50).fit(mirrored)
+    assert found.coefficients[:, 6:].min() >= 0.01
+
+
 def test_a_warm_start_takes_fewer_steps() -> None:
     rig, rng = head(), np.random.default_rng(4)
     joints = face_joints(rig)

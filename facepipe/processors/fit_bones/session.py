@@ -13,6 +13,7 @@ from facepipe.rig import Rig, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
 
+LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
 _LEAST_WEIGHT = 0.05  # what a point that is on its target keeps of its weight in a round of evening
 _SPARSE_ROUNDS = 8
 _STILL = 0.1  # strain, in thresholds, that counts as none
@@ -22,7 +23,7 @@ class BoneFit:
     """The rig with its limits and point weights; fits that follow each other start where the last one ended.
 
     :param rig: m joints, n points
-    :param lower: (m, 9) limits of the bone coefficients; None: none
+    :param lower: (m, 9) limits of the bone coefficients; None: none but `LEAST_SCALE`, so that no joint is mirrored
     :param upper: (m, 9)
     :param weights: (n,) how much each point counts, 0: not at all; None: all alike
     :param threshold: largest distance that is good enough, in stage units
@@ -52,6 +53,7 @@ class BoneFit:
         count = len(rig.joints)
         self.rig, self.threshold, self.steps, self.rounds = rig, threshold, steps, rounds
         self.lower = _limits(rig, lower, -np.inf)
+        self.lower[:, 6:] = np.where(np.isinf(self.lower[:, 6:]), LEAST_SCALE, self.lower[:, 6:])
         self.upper = _limits(rig, upper, np.inf)
         crossed = np.argwhere(self.lower > self.upper)
         if len(crossed):
@@ -166,7 +168,7 @@ def _nearer(one: Fitted, other: Fitted) -> Fitted:
 
 def _limits(rig: Rig, given: FloatArray | None, default: float) -> FloatArray:
     shape = (len(rig.joints), 9)
-    limits = np.full(shape, default) if given is None else np.asarray(given, dtype=np.float64)
+    limits = np.full(shape, default) if given is None else np.array(given, dtype=np.float64)
     if limits.shape != shape or np.isnan(limits).any():
         raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
     return limits
