@@ -10,8 +10,9 @@
     }
 
 Names of joints are patterns of their paths or last names; later ones win. Channels are single (``tx``) or of a kind
-(``t``, ``r``, ``s``; a single one wins). ``null`` is no limit. Rotations are radians, scales factors (1 is rest),
-translations ``units``: ``stage``, ``mm``, ``cm`` or ``m``. ``lock`` keeps channels, or ``*`` all of them, at rest.
+(``t``, ``r``, ``s``; a single one wins). ``null`` is no limit; scales without stay above 0.01. Rotations are radians,
+scales factors (1 is rest), translations ``units``: ``stage``, ``mm``, ``cm`` or ``m``. ``lock`` keeps channels, or
+``*`` all of them, at rest.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits
+from facepipe.processors.fit_bones.session import LEAST_SCALE
 from facepipe.reading import read_json_object
 from facepipe.rig import CHANNELS, rest_coefficients
 
@@ -85,7 +87,10 @@ class LimitRules:
                 factor = scale if channel.startswith("t") else 1.0
                 columns = _channels("", channel)
                 low, high = _rounded_inwards(channels[channel], factor)
-                lower[np.ix_(rows, columns)], upper[np.ix_(rows, columns)] = low, high
+                at = np.ix_(rows, columns)
+                lower[at], upper[at] = low, high
+                if channels[channel][0] is None:
+                    lower[at] = np.minimum(_none_below(len(rows))[:, columns], high)
         rest = rest_coefficients(len(joints))
         for word in self.lock:
             pattern, _, channel = word.rpartition(":")
@@ -166,7 +171,7 @@ def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
 
 def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatArray, FloatArray]:
     if base is None:
-        return np.full((len(joints), 9), -np.inf), np.full((len(joints), 9), np.inf)
+        return _none_below(len(joints)), np.full((len(joints), 9), np.inf)
     lower, upper = np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
     crossed = np.argwhere(lower > upper)
     if len(crossed):
@@ -176,15 +181,20 @@ def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatA
     return lower, upper
 
 
+def _none_below(count: int) -> FloatArray:
+    """(count, 9) lower limits where none are given: no joint turns inside out."""
+    return np.tile([-np.inf] * 6 + [_rounded_inwards((LEAST_SCALE, None), 1.0)[0]] * 3, (count, 1))
+
+
 def _rounded_inwards(pair: Range, factor: float) -> tuple[float, float]:
     """Limits as float32, which coefficients are stored in: not beyond what was asked for, unless they meet there."""
     low = -np.inf if pair[0] is None else pair[0] * factor
     high = np.inf if pair[1] is None else pair[1] * factor
-    inside = [np.float32(low), np.float32(high)]
-    if inside[0] < low:
-        inside[0] = np.nextafter(inside[0], np.float32(np.inf))
-    if inside[1] > high:
-        inside[1] = np.nextafter(inside[1], np.float32(-np.inf))
-    if inside[0] > inside[1]:
-        inside = [np.float32(low)] * 2
-    return float(inside[0]), float(inside[1])
+    inside_low, inside_high = np.float32(low), np.float32(high)
+    if float(inside_low) < low:
+        inside_low = np.nextafter(inside_low, np.float32(np.inf))
+    if float(inside_high) > high:
+        inside_high = np.nextafter(inside_high, np.float32(-np.inf))
+    if inside_low > inside_high:
+        inside_low = inside_high = np.float32(low)
+    return float(inside_low), float(inside_high)
