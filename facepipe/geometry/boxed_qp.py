@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
 
 _STEPS = 60
 _SETTLED = 1e-12  # of the largest slope at the start
@@ -24,36 +25,60 @@ class BoxedSolution:
 
 
 def solve_boxed(hessian: FloatArray, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> BoxedSolution:
-    """Projected Newton steps: Cholesky over the variables that no bound holds, along the path bent at the bounds.
+    """The minimiser of one problem; arguments and errors as those of `BoxedQuadratic`."""
+    return BoxedQuadratic(hessian).minimise(linear, lower, upper)
 
+
+class BoxedQuadratic:
+    """Problems that share their matrix: the factor stays for as long as the same variables are free.
+
+    Projected Newton steps: Cholesky over the variables that no bound holds, along the path bent at the bounds.
     Source: Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
     Optim. 1982.
 
     :param hessian: (n, n) symmetric positive definite
-    :param lower: (n,) at most 0: 0 must lie in the box
-    :param upper: (n,) at least 0
-    :raises numpy.linalg.LinAlgError: H is not positive definite
     """
-    from scipy.linalg import cho_factor, cho_solve
 
-    x = np.zeros(len(linear))
-    slope = np.array(linear, dtype=np.float64)
-    enough = _SETTLED * float(np.abs(slope).max(initial=0.0))
-    for step in range(_STEPS):
-        held = ((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0))
-        free = np.flatnonzero(~held)
-        residual = float(np.abs(slope[free]).max(initial=0.0))
-        if residual <= enough:
-            return BoxedSolution(x, residual, step)
-        factor = cho_factor(hessian[np.ix_(free, free)], lower=True, overwrite_a=True, check_finite=False)
-        direction = np.zeros(len(x))
-        direction[free] = -cho_solve(factor, slope[free], check_finite=False)
-        moved, change = _along(hessian, x, slope, direction, lower, upper)
-        if not moved.any():
-            return BoxedSolution(x, residual, step)
-        x = np.clip(x + moved, lower, upper)
-        slope = slope + change
-    return BoxedSolution(x, residual, _STEPS)
+    def __init__(self, hessian: FloatArray) -> None:
+        self.hessian = hessian
+        self._free: IntArray | None = None
+        self._factor: tuple[FloatArray, bool] | None = None
+
+    def minimise(self, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> BoxedSolution:
+        """From 0.
+
+        :param lower: (n,) at most 0: 0 must lie in the box
+        :param upper: (n,) at least 0
+        :raises numpy.linalg.LinAlgError: H is not positive definite
+        """
+        x = np.zeros(len(linear))
+        slope = np.array(linear, dtype=np.float64)
+        enough = _SETTLED * float(np.abs(slope).max(initial=0.0))
+        for step in range(_STEPS):
+            held = ((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0))
+            free = np.flatnonzero(~held)
+            residual = float(np.abs(slope[free]).max(initial=0.0))
+            if residual <= enough:
+                return BoxedSolution(x, residual, step)
+            direction = np.zeros(len(x))
+            direction[free] = self._newton(free, slope[free])
+            moved, change = _along(self.hessian, x, slope, direction, lower, upper)
+            if not moved.any():
+                return BoxedSolution(x, residual, step)
+            x = np.clip(x + moved, lower, upper)
+            slope = slope + change
+        return BoxedSolution(x, residual, _STEPS)
+
+    def _newton(self, free: IntArray, slope: FloatArray) -> FloatArray:
+        """(f,) the step that makes the slope of the free variables 0."""
+        from scipy.linalg import cho_factor, cho_solve
+
+        if self._free is None or not np.array_equal(free, self._free):
+            own = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
+            # transposed, the same matrix lies as LAPACK wants it
+            self._factor = cho_factor(own.T, lower=True, overwrite_a=own is not self.hessian, check_finite=False)
+            self._free = free
+        return -np.asarray(cho_solve(self._factor, slope, check_finite=False))
 
 
 def _along(

@@ -34,6 +34,7 @@ class Tree:
             if rig.parents[joint] >= 0:
                 below[rig.parents[joint]] += below[joint]
         self.below = below
+        self.flat = bool((rig.parents < 0).all())  # no joint below another
 
     def pose(self, coefficients: FloatArray) -> Pose:
         """The pose of (m, 9) coefficients."""
@@ -58,13 +59,33 @@ class Tree:
 
     def normal_matrix(self, generators: FloatArray, pose: Pose, pairs: FloatArray, free: IntArray) -> FloatArray:
         """(9 f, 9 f) Gauss-Newton matrix over the coefficients of the `free` joints, of moments (4m, 4m)."""
+        f = len(free)
+        first, second, summed = self._coupled(pose, pairs, free)
+        own = np.ascontiguousarray(generators[free][:, :, :3])  # (f, 9, 3, 4)
+        left = np.matmul(own.reshape(f, 27, 4)[first], summed).reshape(-1, 9, 12)
+        right = own.reshape(f, 9, 12).transpose(0, 2, 1)
+        blocks = np.matmul(left, right[second])
+        matrix = np.zeros((f, 9, f, 9))
+        matrix[first, :, second] = blocks
+        matrix[second, :, first] = blocks.transpose(0, 2, 1)
+        return matrix.reshape(9 * f, 9 * f)
+
+    def _coupled(self, pose: Pose, pairs: FloatArray, free: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Pairs (p,) (p,) of `free` joints that move the same points, and their moments (p, 4, 4) in this pose.
+
+        Each pair once; the moments are summed over the joints at or below either end.
+        """
         count, f = len(pose.skinning), len(free)
         blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
-        moved = pose.skinning[:, None] @ blocks @ pose.skinning.transpose(0, 2, 1)[None]  # (m, m, 4, 4)
+        shared = pairs[3::4, 3::4] != 0  # sums of products of weights
+        own = np.nonzero(shared)
+        moved = pose.skinning[own[0]] @ blocks[own] @ pose.skinning[own[1]].transpose(0, 2, 1)
         below = self.below[free]
-        half = (below @ moved.reshape(count, -1)).reshape(f, count, 16)
-        summed = np.matmul(below, half).reshape(f, f, 4, 4)  # over joints below either end
-        own = np.ascontiguousarray(generators[free][:, :, :3])  # (f, 9, 3, 4)
-        left = np.matmul(own.reshape(f, 1, 27, 4), summed).reshape(f, f, 9, 12)
-        right = own.reshape(f, 9, 12).transpose(0, 2, 1)
-        return np.ascontiguousarray(np.matmul(left, right[None]).transpose(0, 2, 1, 3)).reshape(9 * f, 9 * f)
+        everything = np.zeros((count, count, 16))
+        everything[own] = moved.reshape(-1, 16)
+        if self.flat:
+            first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
+            return first, second, everything[free[first], free[second]].reshape(-1, 4, 4)
+        first, second = np.nonzero(np.triu(below @ shared @ below.T))
+        half = (below @ everything.reshape(count, -1)).reshape(f, count, 16)
+        return first, second, np.matmul(below, half)[first, second].reshape(-1, 4, 4)
