@@ -9,12 +9,13 @@ never cross from lip to lip or lid to lid.
 
 --from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
 which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips.
+--optimise then refines the weights, so that the joints alone come nearer to the blendshapes that FACE has.
 
 OUT is an override layer over FACE.
 
 examples:
   facepipe skin head.usdc --joints joints.json -o skinned.usdc --picture weights.png
-  facepipe skin ict.usdc --from makehuman.usdc -o rigged.usdc
+  facepipe skin ict.usdc --from makehuman.usdc -o rigged.usdc --optimise
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
-from facepipe.cli.show import emit, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
     from facepipe.parts import Recipe
-    from facepipe.processors.skin import SkinReport
+    from facepipe.processors.skin import SkinOptions, SkinReport
     from facepipe.stage import Face
 
 
@@ -45,6 +46,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     way.add_argument("--joints", type=Path, metavar="JSON", help="where joints are")
     way.add_argument("--from", dest="source", type=Path, metavar="OTHER_FACE", help="a skinned face, of any topology")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
+    parser.add_argument("--optimise", action="store_true", help="refine the weights for the face's own blendshapes")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the weights on the face, a colour a joint")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
     parser.add_argument("--json", action="store_true", help="print what was authored as JSON")
@@ -65,14 +67,16 @@ def run(arguments: argparse.Namespace) -> int:
     skin = SkinFace(
         joints=None if arguments.joints is None else read_joints(arguments.joints),
         source=None if arguments.source is None else facepipe.open(arguments.source),
+        optimise=arguments.optimise,
         options=options,
     )
     with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
         try:
-            report = skin(face)
+            with progress("optimise", options.iterations if arguments.optimise else 0) as bar:
+                report = skin(face, bar.update)
         except FacepipeError as error:  # the layer being made has no file yet: name its source
             raise error.under(arguments.face) if error.where.startswith("<") else error from None
-        author_recipe(face.prim, _recipe(inputs, options, out))
+        author_recipe(face.prim, _recipe(inputs, arguments, options, out))
         image = _draw(Face(face.stage, face.prim)) if picture else None
     if image is not None and picture is not None:
         from facepipe.render import save_png
@@ -103,6 +107,10 @@ def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
     if report.transfer is not None:
         away = report.transfer.surface_mm
         lines.append(f"from {report.transfer.source}: {away['mean']:.2f} mm from its surface, p95 {away['p95']:.2f}")
+    if report.fit is not None:
+        fit = report.fit
+        misses = f"RMS {fit.rms_before_mm:.3f} -> {fit.rms_after_mm:.3f} mm, max {fit.max_before_mm:.1f} -> "
+        lines.append(f"{fit.shapes} shapes by rigid joints alone: {misses}{fit.max_after_mm:.1f} mm")
     lines += [f"{mesh}: held by {joint}" for mesh, joint in report.rigid.items()]
     if report.weightless:
         some = ", ".join(joint.rpartition("/")[2] for joint in report.weightless[:8])
@@ -110,7 +118,7 @@ def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
     return "\n".join([*lines, *([str(picture)] if picture else [])])
 
 
-def _recipe(sources: list[Path], options: object, out: Path) -> Recipe:
+def _recipe(sources: list[Path], arguments: argparse.Namespace, options: SkinOptions, out: Path) -> Recipe:
     from facepipe import __version__
     from facepipe.digests import digest
     from facepipe.options import to_json
@@ -121,6 +129,6 @@ def _recipe(sources: list[Path], options: object, out: Path) -> Recipe:
         verb="skin",
         sources=tuple(relative_path(str(source), out.parent) for source in sources),
         digests=tuple(digest([source]) for source in sources),
-        options=to_json(options),  # type: ignore[arg-type]
+        options={"from": arguments.joints is None, "optimise": arguments.optimise, **to_json(options)},
         version=__version__,
     )

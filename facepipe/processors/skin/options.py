@@ -27,10 +27,13 @@ class SkinOptions:
         metadata={"help": "weights of --from are smoothed over this length along the surface", "unit": "mm",
                   "range": (0.0, 50.0)},
     )  # fmt: skip
-    iterations: int = field(default=20, metadata={"help": "rounds of --optimise", "range": (1, 1000)})
+    iterations: int = field(default=10, metadata={"help": "rounds of --optimise", "range": (1, 1000)})
     evenness: float = field(
-        default=0.01,
-        metadata={"help": "how much --optimise keeps weights even from point to point", "range": (0.0, 100.0)},
+        default=0.3,
+        metadata={
+            "help": "how much --optimise keeps weights even from point to point: more is smoother and misses more",
+            "range": (0.0, 100.0),
+        },
     )
 
     def __post_init__(self) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import joint_weights
 from facepipe.processors.skin.joints_file import JointSet, JointSpec
 from facepipe.processors.skin.loose_parts import following, hold, hold_parts, joints_in
+from facepipe.processors.skin.optimise import optimised
 from facepipe.processors.skin.options import SkinOptions
-from facepipe.processors.skin.report import SkinReport, steps
+from facepipe.processors.skin.report import FitReport, SkinReport, steps
 from facepipe.processors.skin.skeletons import skeleton_of
 from facepipe.processors.skin.skinning import Skinning, check_joints, skinned
 from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
@@ -36,29 +38,36 @@ class SkinFace:
     :param joints: joint positions; or
     :param source: another face, whose skeleton and weights come over, whatever its topology; both faces need the
         landmarks multipie68
+    :param optimise: refine the weights for the face's own blendshapes
     """
 
     joints: JointSet | None = None
     source: Face | None = None
+    optimise: bool = False
     options: SkinOptions = field(default_factory=SkinOptions)
 
     def __post_init__(self) -> None:
         if (self.joints is None) == (self.source is None):
             raise InputError("skin", "joints and a source face, or neither, expected one of them")
 
-    def __call__(self, face: Face) -> SkinReport:
+    def __call__(self, face: Face, step: Callable[[], object] = lambda: None) -> SkinReport:
         """Author them.
 
+        :param step: called after every round of `optimise`
         :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface;
-            a source without skeleton, or landmarks missing
+            a source without skeleton, or landmarks missing; nothing to optimise for
         """
         parts = face.parts()
         surface = surface_of(parts, face.where)
         made = self._made(parts, surface)
         check_joints(surface, parts, made.skeleton.joints)
-        weights = fewest(made.weights, self.options.influences)
+        fit: FitReport | None = None
+        if self.optimise:
+            weights, fit = optimised(parts, surface, made.weights, self.options, step)
+        else:
+            weights = fewest(made.weights, self.options.influences)
         author_changes(face, skinned(parts, surface, made.skeleton, weights))
-        return _report(surface, made, weights)
+        return replace(_report(surface, made, weights), fit=fit)
 
     def _made(self, parts: FaceParts, surface: Surface) -> Skinning:
         if self.joints is not None:
