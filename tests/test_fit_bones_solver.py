@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faces import tiny_face
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from import_data import shared
 
@@ -116,6 +116,7 @@ def test_gradient_and_normal_matrix_are_those_of_the_jacobian(rig: functools._lr
 
 @settings(max_examples=60, deadline=None)
 @given(SEEDS)
+@example(223)  # its bent Newton direction leads uphill
 def test_boxed_problems_end_at_their_optimum(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = int(rng.integers(1, 25))

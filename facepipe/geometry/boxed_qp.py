@@ -63,6 +63,8 @@ class BoxedQuadratic:
             direction = np.zeros(len(x))
             direction[free] = self._newton(free, slope[free])
             moved, change = _along(self.hessian, x, slope, direction, lower, upper)
+            if not moved.any():  # bent at the bounds, a Newton direction may lead uphill; the slope's never does
+                moved, change = _along(self.hessian, x, slope, -slope / np.diag(self.hessian), lower, upper)
             if not moved.any():
                 return BoxedSolution(x, residual, step)
             x = np.clip(x + moved, lower, upper)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from facepipe.options import check_ranges
 
-_ROUNDS = 6
+_ROUNDS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class FitBonesOptions:
     rounds: int | None = field(
         default=None,
         metadata={
-            "help": "rounds that even the largest distance, at most, where a target is not reached (default 6; with a "
+            "help": "rounds that even the largest distance, at most, where a target is not reached (default 2; with a "
             "residual 0, which keeps it small)",
             "range": (0, 1000),
         },

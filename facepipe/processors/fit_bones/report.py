@@ -56,7 +56,7 @@ class FitBonesReport(Report):
     points: int
     joints: int
     free: int  # joints that could move
-    weightless: tuple[str, ...]  # joints that, with all below them, move no point that counts: they keep their place
+    weightless: tuple[str, ...]  # joints without influence on a point that counts: they keep their place
     targets: Mapping[str, TargetReport]
     authored: tuple[str, ...] = ()
     seconds: float = 0.0

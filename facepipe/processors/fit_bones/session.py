@@ -7,14 +7,15 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.processors.fit_bones.moments import SkinnedPoints
-from facepipe.processors.fit_bones.solver import Fitted, Problem, fit
+from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.rig import Rig, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
 
 LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
-_LEAST_WEIGHT = 0.05  # what a point that is on its target keeps of its weight in a round of evening
+_LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
+_ROUGH = 1e-5  # where the next solve goes on from the end of this one
 _SPARSE_ROUNDS = 8
 _STILL = 0.1  # strain, in thresholds, that counts as none
 
@@ -45,7 +46,7 @@ class BoneFit:
         weights: FloatArray | None = None,
         threshold: float,
         steps: int = 200,
-        rounds: int = 6,
+        rounds: int = 2,
         regularise: float = 0.0,
         sparsity: float = 0.0,
         parent_world: FloatArray | None = None,
@@ -94,7 +95,7 @@ class BoneFit:
             return self._sparse(target, start)
         found = self._solve(target, start, self.weights)
         if found.largest > self.threshold:
-            halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights)
+            halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
             found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
         return self._evened(found, target) if found.largest > self.threshold else found
 
@@ -109,7 +110,7 @@ class BoneFit:
             apart = np.linalg.norm(latest.points - target, axis=1) / latest.largest
             weights = weights * (apart + _LEAST_WEIGHT)
             weights = weights * (self.weights.sum() / weights.sum())
-            latest = self._solve(target, latest.coefficients, weights)
+            latest = self._solve(target, latest.coefficients, weights, settled=_ROUGH)
             found = _nearer(found, latest)
             if found.largest <= self.threshold:
                 break
@@ -136,6 +137,7 @@ class BoneFit:
         springs: FloatArray | float = 0.0,
         box: tuple[FloatArray, FloatArray] | None = None,
         exact: bool = False,
+        settled: float = SETTLED,
     ) -> Fitted:
         """One descent; `springs` (m, 9) are weights of each squared strain beside that of the mean square distance."""
         world = self.tree.parent_world
@@ -148,7 +150,7 @@ class BoneFit:
         share = float(weights.sum()) / max(9 * len(self.free), 1)
         pull = share * stiffness * self._levers**2 if stiffness.any() else None
         threshold = 0.0 if exact else self.threshold
-        problem = Problem(target, weights, lower, upper, self.free, threshold, self.steps, pull)
+        problem = Problem(target, weights, lower, upper, self.free, threshold, self.steps, settled, pull)
         return fit(self.tree, self.skin, moments, problem, start)
 
     def _strain(self, coefficients: FloatArray) -> FloatArray:
@@ -156,10 +158,12 @@ class BoneFit:
         return np.asarray((coefficients - self._rest) * self._levers)
 
     def _weightless(self) -> npt.NDArray[np.bool_]:
-        """(m,) joints that, with all below them, move no point that counts: they keep their place."""
+        """(m,) joints without influence on a point that counts: they keep their place.
+
+        What one of them does to the joints below it these can do themselves.
+        """
         count = len(self.rig.joints)
-        used = np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) > 0
-        return ~((self.tree.below @ used) > 0)
+        return np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) <= 0
 
 
 def _nearer(one: Fitted, other: Fitted) -> Fitted:

@@ -24,7 +24,7 @@ _START = 1e-3  # damping, relative to the diagonal of the normal matrix
 _LEAST = 1e-12
 _MOST = 1e12
 _FLAT = 1e-9  # of the largest diagonal element: damping of coefficients that move nothing
-_STALLED = 1e-13  # relative fall of the objective that counts as none
+SETTLED = 1e-10  # relative fall of the objective that counts as none
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Problem:
     free: IntArray  # (f,) joints that may move
     threshold: float  # largest distance that is good enough, in stage units
     steps: int  # at most
+    settled: float = SETTLED  # relative fall of the objective, or of its slope, that counts as the end
     pull: FloatArray | None = None  # (m, 9) springs to rest, added to half the weighted squared distance
 
 
@@ -64,7 +65,7 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
         gradient = tree.gradient(generators, state.pose, by_matrix, problem.free) + state.pulled()
         slope = _projected(gradient, state.pose, problem)
         first = first or slope
-        if slope <= _STALLED * first:
+        if slope <= problem.settled * first:
             break
         normal = tree.normal_matrix(generators, state.pose, moments.pairs, problem.free)
         if problem.pull is not None:
@@ -72,7 +73,7 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
         tried, damping, growth = _descend(state, normal, gradient, damping, growth)
         if tried is None:
             break
-        stalled = state.objective - tried.objective <= _STALLED * state.objective
+        stalled = state.objective - tried.objective <= problem.settled * state.objective
         state, taken = tried, taken + 1
         if stalled:
             break
