@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from import_data import shared
 
 from facepipe.errors import InputError
-from facepipe.geometry.boxed_qp import solve_boxed
+from facepipe.geometry.boxed_qp import BoxedQuadratic, solve_boxed
 from facepipe.importers import makehuman
 from facepipe.processors.fit_bones.moments import SkinnedPoints, stacked
 from facepipe.processors.fit_bones.session import BoneFit
@@ -124,7 +124,34 @@ def test_boxed_problems_end_at_their_optimum(seed: int) -> None:
     hessian, linear = root.T @ root + 1e-6 * np.eye(size), rng.normal(size=size)
     lower = -rng.exponential(0.3, size) * (rng.random(size) < 0.8)
     upper = rng.exponential(0.3, size) * (rng.random(size) < 0.8)
-    found = solve_boxed(hessian, linear, lower, upper).x
+    check_optimum(hessian, linear, lower, upper, solve_boxed(hessian, linear, lower, upper).x)
+
+
+def test_boxed_problems_that_a_rounding_off_a_bound_would_jam() -> None:
+    for seed in (223, 486, 707, 2310):
+        rng = np.random.default_rng(seed)
+        size = int(rng.integers(1, 25))
+        root, linear = rng.normal(size=(size + 3, size)), rng.normal(size=size)
+        hessian = root.T @ root + 1e-6 * np.eye(size)
+        lower = -rng.exponential(0.3, size) * (rng.random(size) < 0.8)
+        upper = rng.exponential(0.3, size) * (rng.random(size) < 0.8)
+        check_optimum(hessian, linear, lower, upper, solve_boxed(hessian, linear, lower, upper).x)
+
+
+def test_boxed_problems_of_one_matrix_share_it_whatever_is_held() -> None:
+    rng, size = np.random.default_rng(0), 80
+    root = rng.normal(size=(size + 20, size))
+    hessian = root.T @ root
+    quadratic = BoxedQuadratic(hessian)
+    for reach in (10.0, 0.05, 0.02, 0.005, 1e-4, 10.0):  # of 80 variables none, few and most end at a bound
+        linear, lower, upper = rng.normal(size=size), np.full(size, -reach), np.full(size, reach)
+        lower[:3] = upper[:3] = 0.0
+        check_optimum(hessian, linear, lower, upper, quadratic.minimise(linear, lower, upper).x)
+
+
+def check_optimum(
+    hessian: np.ndarray, linear: np.ndarray, lower: np.ndarray, upper: np.ndarray, found: np.ndarray
+) -> None:
     assert (found >= lower).all()
     assert (found <= upper).all()
     slope = hessian @ found + linear

@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
 
 _STEPS = 60
 _SETTLED = 1e-12  # of the largest slope at the start
 _ARMIJO = 1e-4
+_FEW = 16  # of so many variables one may be held for the factor of all to serve
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ def solve_boxed(hessian: FloatArray, linear: FloatArray, lower: FloatArray, uppe
 
 
 class BoxedQuadratic:
-    """Problems that share their matrix: the factor stays for as long as the same variables are free.
+    """Problems that share their matrix, and mostly its factor: a few variables at their bounds need none of their own.
 
     Projected Newton steps: Cholesky over the variables that no bound holds, along the path bent at the bounds.
     Source: Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
@@ -41,7 +42,7 @@ class BoxedQuadratic:
 
     def __init__(self, hessian: FloatArray) -> None:
         self.hessian = hessian
-        self._free: IntArray | None = None
+        self._factored = np.zeros(len(hessian), dtype=np.bool_)
         self._factor: tuple[FloatArray, bool] | None = None
 
     def minimise(self, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> BoxedSolution:
@@ -51,48 +52,64 @@ class BoxedQuadratic:
         :param upper: (n,) at least 0
         :raises numpy.linalg.LinAlgError: H is not positive definite
         """
-        x = np.zeros(len(linear))
-        slope = np.array(linear, dtype=np.float64)
-        enough = _SETTLED * float(np.abs(slope).max(initial=0.0))
+        x: FloatArray = np.zeros(len(linear))
+        slope: FloatArray = np.array(linear, dtype=np.float64)
+        enough, residual = _SETTLED * float(np.abs(slope).max(initial=0.0)), 0.0
         for step in range(_STEPS):
             held = ((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0))
-            free = np.flatnonzero(~held)
-            residual = float(np.abs(slope[free]).max(initial=0.0))
+            residual = float(np.abs(slope[~held]).max(initial=0.0))
             if residual <= enough:
                 return BoxedSolution(x, residual, step)
-            direction = np.zeros(len(x))
-            direction[free] = self._newton(free, slope[free])
-            moved, change = _along(self.hessian, x, slope, direction, lower, upper)
-            if not moved.any():  # bent at the bounds, a Newton direction may lead uphill; the slope's never does
-                moved, change = _along(self.hessian, x, slope, -slope / np.diag(self.hessian), lower, upper)
-            if not moved.any():
+            direction = self._newton(held, lower < upper, slope)
+            ahead, change = _along(self.hessian, x, slope, direction, lower, upper)
+            if ahead is x:
                 return BoxedSolution(x, residual, step)
-            x = np.clip(x + moved, lower, upper)
-            slope = slope + change
+            x, slope = ahead, slope + change
         return BoxedSolution(x, residual, _STEPS)
 
-    def _newton(self, free: IntArray, slope: FloatArray) -> FloatArray:
-        """(f,) the step that makes the slope of the free variables 0."""
-        from scipy.linalg import cho_factor, cho_solve
+    def _newton(self, held: BoolArray, movable: BoolArray, slope: FloatArray) -> FloatArray:
+        """(n,) the step that makes the slope of all variables 0 that are not `held`."""
+        from scipy.linalg import cho_solve
 
-        if self._free is None or not np.array_equal(free, self._free):
-            own = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
-            # transposed, the same matrix lies as LAPACK wants it
-            self._factor = cho_factor(own.T, lower=True, overwrite_a=own is not self.hessian, check_finite=False)
-            self._free = free
-        return -np.asarray(cho_solve(self._factor, slope, check_finite=False))
+        few = len(slope) // _FEW
+        if self._factor is None or (~held & ~self._factored).any() or (held & self._factored).sum() > few:
+            self._refactor(movable if (held & movable).sum() <= few else ~held)
+        inside = np.flatnonzero(self._factored)
+        step = -np.asarray(cho_solve(self._factor, slope[inside], check_finite=False))
+        stopped = np.flatnonzero(held[inside])
+        if len(stopped):  # forces on them that undo their steps
+            answers = np.zeros((len(inside), len(stopped)))
+            answers[stopped, np.arange(len(stopped))] = 1.0
+            answers = np.asarray(cho_solve(self._factor, answers, overwrite_b=True, check_finite=False))
+            step -= answers @ np.linalg.solve(answers[stopped], step[stopped])
+        direction = np.zeros(len(slope))
+        direction[inside] = step
+        direction[held] = 0.0
+        return direction
+
+    def _refactor(self, chosen: BoolArray) -> None:
+        from scipy.linalg import cho_factor
+
+        free = np.flatnonzero(chosen)
+        own = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
+        # transposed, the same matrix lies as LAPACK wants it
+        self._factor = cho_factor(own.T, lower=True, overwrite_a=own is not self.hessian, check_finite=False)
+        self._factored = chosen
 
 
 def _along(
     hessian: FloatArray, x: FloatArray, slope: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The step taken, shortened until the objective falls enough, and how much the slope changes by it."""
+    """Where the step ends, shortened until the objective falls enough, and how much the slope changes by it."""
     length = 1.0
     while length > 1e-12:
-        moved = np.clip(x + length * direction, lower, upper) - x
+        ahead = np.clip(x + length * direction, lower, upper)  # exactly at bounds: a rounding off would jam later steps
+        moved = ahead - x
+        if not moved.any():
+            break
         change = hessian @ moved
         fall = float(slope @ moved)
         if fall + 0.5 * float(moved @ change) <= _ARMIJO * fall:
-            return moved, change
+            return ahead, change
         length *= 0.5
-    return np.zeros(len(x)), np.zeros(len(x))
+    return x, np.zeros(len(x))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.boxed_qp import solve_boxed
+from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
 from facepipe.processors.fit_bones.tree import Pose, Tree
 from facepipe.rig import rest_coefficients
@@ -23,8 +23,9 @@ IntArray = npt.NDArray[np.integer]
 _START = 1e-3  # damping, relative to the diagonal of the normal matrix
 _LEAST = 1e-12
 _MOST = 1e12
+_KEPT = 0.5  # of the slope: what a step may leave of it for the normal matrix to stay
 _FLAT = 1e-9  # of the largest diagonal element: damping of coefficients that move nothing
-SETTLED = 1e-10  # relative fall of the objective that counts as none
+SETTLED = 1e-11  # relative fall of the objective that counts as none
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ class Fitted:
 def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, start: FloatArray) -> Fitted:
     """Least squares from `start` (m, 9), which is brought into the limits first."""
     state = _State(tree, skin, problem, np.clip(start, problem.lower, problem.upper))
-    damping, growth, first, slope, taken = _START, 2.0, 0.0, 0.0, 0
+    damping, first, slope, before, taken = _START, 0.0, 0.0, np.inf, 0
+    model: _Model | None = None
     while taken < problem.steps:
         if state.largest <= problem.threshold:
             break
@@ -67,38 +69,59 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
         first = first or slope
         if slope <= problem.settled * first:
             break
-        normal = tree.normal_matrix(generators, state.pose, moments.pairs, problem.free)
-        if problem.pull is not None:
-            normal[np.diag_indices_from(normal)] += problem.pull[problem.free].ravel()
-        tried, damping, growth = _descend(state, normal, gradient, damping, growth)
-        if tried is None:
+        kept = model is not None and slope <= _KEPT * before
+        if model is None or not kept:
+            model = _Model(tree.normal_matrix(generators, state.pose, moments.pairs, problem.free), problem, damping)
+        tried, damping = _descend(state, model, gradient, kept)
+        stalled = tried is None or state.objective - tried.objective <= problem.settled * state.objective
+        if tried is not None:
+            state, taken, before = tried, taken + 1, slope
+        if stalled and not kept:
             break
-        stalled = state.objective - tried.objective <= problem.settled * state.objective
-        state, taken = tried, taken + 1
         if stalled:
-            break
+            model = None  # too old
     return Fitted(state.pose.coefficients, state.points, state.largest, taken, slope / first if first else 0.0)
 
 
-def _descend(
-    state: _State, normal: FloatArray, gradient: FloatArray, damping: float, growth: float
-) -> tuple[_State | None, float, float]:
-    """The next state that is better, and the damping for the step after it; None where there is none."""
-    problem, pose = state.problem, state.pose
-    diagonal = np.diag(normal).copy()
-    floor = np.maximum(diagonal, _FLAT * max(float(diagonal.max(initial=0.0)), np.finfo(np.float64).tiny))
+class _Model:
+    """The damped quadratic around a pose. It serves the poses after it too, while steps to its minimum go well."""
+
+    def __init__(self, normal: FloatArray, problem: Problem, damping: float) -> None:
+        if problem.pull is not None:
+            normal[np.diag_indices_from(normal)] += problem.pull[problem.free].ravel()
+        self.normal = normal
+        self._diagonal = np.diag(normal).copy()
+        largest = max(float(self._diagonal.max(initial=0.0)), np.finfo(np.float64).tiny)
+        self._floor = np.maximum(self._diagonal, _FLAT * largest)
+        self.damp(damping)
+
+    def damp(self, damping: float) -> None:
+        """Another damping."""
+        self.damping = damping
+        damped = self.normal.copy()
+        damped[np.diag_indices_from(damped)] += damping * self._floor
+        self.damped = BoxedQuadratic(damped)
+
+
+def _descend(state: _State, model: _Model, gradient: FloatArray, kept: bool) -> tuple[_State | None, float]:
+    """The next state that is better, and the damping for the model after it; None where there is none.
+
+    A model of an earlier pose is tried once.
+    """
+    problem, pose, growth = state.problem, state.pose, 2.0
     low, high = ((bound - pose.coefficients)[problem.free].ravel() for bound in (problem.lower, problem.upper))
-    while damping < _MOST:
-        damped = normal.copy()
-        damped[np.diag_indices_from(damped)] += damping * floor
-        found = solve_boxed(damped, gradient, low, high)
+    while model.damping < _MOST:
+        found = model.damped.minimise(gradient, low, high)
         tried = state.moved(found.x)
-        expected = -float(gradient @ found.x) - 0.5 * float(found.x @ (normal @ found.x))
+        expected = -float(gradient @ found.x) - 0.5 * float(found.x @ (model.normal @ found.x))
         if tried.objective < state.objective and expected > 0:
             ratio = (state.objective - tried.objective) / expected
-            return tried, max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST), 2.0
-        damping, growth = damping * growth, growth * 2.0
-    return None, damping, growth
+            return tried, max(model.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST)
+        if kept:
+            break
+        model.damp(model.damping * growth)
+        growth *= 2.0
+    return None, model.damping
 
 
 class _State:
