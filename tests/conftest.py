@@ -6,9 +6,13 @@ import shutil
 from pathlib import Path
 
 import pytest
+import scipy.linalg  # noqa: F401  (its BLAS is limited too)
 from blend_line import made
+from threadpoolctl import threadpool_limits
 
 from facepipe.stage import save_parts
+
+threadpool_limits(limits=1)  # tests run side by side, one on each core
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from facepipe.processors.fit_bones.moments import SkinnedPoints
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.rig import Rig, rest_coefficients
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -91,6 +92,10 @@ class BoneFit:
         start = self._rest if start is None else np.asarray(start, dtype=np.float64)
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
+        with one_thread():
+            return self._fitted(target, start)
+
+    def _fitted(self, target: FloatArray, start: FloatArray) -> Fitted:
         if self.sparsity > 0:
             return self._sparse(target, start)
         found = self._solve(target, start, self.weights)

@@ -1,0 +1,23 @@
+"""Small dense algebra on one thread: on matrices of some hundred rows, more BLAS threads only cost."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """BLAS runs on one thread inside the block, in all threads of the process, and as before after it."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+@functools.cache
+def _controller() -> Any:
+    import scipy.linalg  # noqa: F401  (the controller knows the libraries that are loaded when it is made)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
