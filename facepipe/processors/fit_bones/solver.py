@@ -39,7 +39,8 @@ class Problem:
     free: IntArray  # (f,) joints that may move
     threshold: float  # largest distance that is good enough, in stage units
     steps: int  # at most
-    settled: float = SETTLED  # relative fall of the objective, or of its slope, that counts as the end
+    settled: float = SETTLED  # relative fall of the objective that ends the steps, once a tenth of its root is all
+    # that is left of the slope: near an optimum the one goes with the square of the other
     pull: FloatArray | None = None  # (m, 9) springs to rest, added to half the weighted squared distance
 
 
@@ -76,7 +77,7 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
         stalled = tried is None or state.objective - tried.objective <= problem.settled * state.objective
         if tried is not None:
             state, taken, before = tried, taken + 1, slope
-        if stalled and not kept:
+        if stalled and not kept and (tried is None or slope <= 0.1 * np.sqrt(problem.settled) * first):
             break
         if stalled:
             model = None  # too old
