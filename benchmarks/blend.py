@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from arguments import add_common
 from blend_table import table
 from children import Json, run_child
 
@@ -113,21 +114,8 @@ def _best(samples: Sequence[Json]) -> Json:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--runs", type=_positive, default=3, help="child processes a side, best of them (default 3)")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        default=_HERE.parents[1] / "shared" / "data",
-        help="folder of the source faces (default ../shared/data beside the repository)",
-    )
+    add_common(parser, 3, "best")
     return parser
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}', expected a number from 1")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from arguments import add_common
 from children import ChildError, Json, run_child
 from export_table import table
 from glb_content import content, dense_bytes, differences, reaches, read_json
@@ -168,21 +169,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PYTHON",
         help="interpreter of the environment that has bpy; default FACEPIPE_BLENDER_PYTHON, skipped without",
     )
-    parser.add_argument("--runs", type=_positive, default=5, help="child processes a side, medians of them (default 5)")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        default=_HERE.parents[1] / "shared" / "data",
-        help="folder of the source faces (default ../shared/data beside the repository)",
-    )
+    add_common(parser, 5, "medians")
     return parser
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}', expected a number from 1")
-    return int(text)
 
 
 if __name__ == "__main__":
