@@ -1,0 +1,21 @@
+"""Bone coefficients as a compact payload (.fpb): what is sent to a device that has the face already."""
+
+from facepipe.payload.content import Encoded, PayloadContent, Precision
+from facepipe.payload.decoding import decode, read_header
+from facepipe.payload.encoding import encode
+from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, joints_hash
+
+__all__ = [
+    "LARGEST",
+    "MAGIC",
+    "MAX_VALUES",
+    "VERSION",
+    "Encoded",
+    "Header",
+    "PayloadContent",
+    "Precision",
+    "decode",
+    "encode",
+    "joints_hash",
+    "read_header",
+]

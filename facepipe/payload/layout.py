@@ -1,0 +1,69 @@
+"""The layout of a payload: header, where what stands, and what is sound.
+
+It is in docs/files.md, "Bone coefficients (.fpb)". Numbers are little-endian; scales are stored as s - 1, so that rest
+is all zeros and half precision is spent where faces need it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.payload.content import Precision
+
+FloatArray = npt.NDArray[np.floating]
+
+MAGIC = b"FPBC"
+VERSION = 1
+FLOAT32, FRAMES, TIMES, SPARSE = 1, 2, 4, 8  # flags
+LARGEST = 2.0**100  # of a number, about 1.3e30: products of some stay finite
+MAX_VALUES = 1 << 27  # of T m 9 numbers, 1 GiB as float64: what a reader allocates for a sound file
+LEAST_UNIT, LARGEST_UNIT = 1e-9, 1e9  # metres
+
+HEADER = struct.Struct("<4sHHIIIf8s")
+CRC = struct.Struct("<I")
+DTYPES: dict[Precision, str] = {"float16": "<f2", "float32": "<f4"}
+
+
+class Header(NamedTuple):
+    """What a payload says about itself."""
+
+    precision: Precision
+    joints: int  # m, of the skeleton
+    frames: int  # T
+    stored: int  # joints in the payload
+    meters_per_unit: float  # the shortest decimal of a float32
+    joints_hash: str  # hexadecimal
+    has_frames: bool  # coefficients are (T, m, 9), also where T = 1
+    has_times: bool
+    is_sparse: bool
+
+    @property
+    def values(self) -> int:
+        """Where the coefficients begin, in bytes."""
+        return HEADER.size + 4 * self.frames * self.has_times
+
+    @property
+    def mask(self) -> int:
+        """Where the joint mask begins, or would."""
+        return self.values + 9 * self.frames * self.stored * np.dtype(DTYPES[self.precision]).itemsize
+
+    @property
+    def end(self) -> int:
+        """Where the CRC stands."""
+        return self.mask + (self.joints + 7) // 8 * self.is_sparse
+
+
+def joints_hash(joints: Sequence[str]) -> bytes:
+    """8 bytes that tell one list of joint paths from another."""
+    return hashlib.sha256("\n".join(joints).encode()).digest()[:8]
+
+
+def ascend(times: FloatArray) -> bool:
+    """Whether times are finite, and each after the one before."""
+    return bool(np.isfinite(times).all() and (np.diff(times) > 0).all())
