@@ -1,13 +1,16 @@
-"""Recipes of files whose layers may be lost, and digests of the sources that recipes name."""
+"""Recipes of files whose layers may be lost, and the sources that recipes name: found, and told from what they were."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from facepipe import __version__
 from facepipe.digests import digest
-from facepipe.errors import FacepipeError
+from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage
 from facepipe.stage.read_skeleton import read_recipe
@@ -34,10 +37,63 @@ def file_recipe(path: str | os.PathLike[str]) -> FileRecipe:
     return FileRecipe(recipe, not stage.GetRootLayer().subLayerPaths)
 
 
+def recipe_of(path: Path, verb: str) -> tuple[Recipe, bool]:
+    """The recipe on a face that `facepipe VERB` made, and whether its file stands on no other layer.
+
+    :raises InputError: no recipe, or one of another verb
+    :raises SchemaError: a damaged recipe, or one of a newer facepipe
+    """
+    recipe, standalone = file_recipe(path)
+    expected = f"expected a face made by `facepipe {verb}`"
+    if recipe is None:
+        raise InputError(path, f"has no recipe, {expected}")
+    if recipe.verb != verb:
+        raise InputError(path, f"has a recipe of '{recipe.verb[:40]}', {expected}")
+    where, count = f"{path} -> recipe", len(recipe.sources)
+    _check_version(where, recipe.version)
+    if not count or len(recipe.digests) != count:
+        what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
+        raise SchemaError(where, what)
+    return recipe, standalone
+
+
+def _check_version(where: str, version: str) -> None:
+    own, found = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
+    if found is None or own is None:
+        raise SchemaError(where, f"version '{version[:40]}', expected one like {__version__}")
+    if tuple(map(int, found.groups())) > tuple(map(int, own.groups())):
+        raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
+
+
+def existing_source(where: str, path: Path, instead: str) -> Path:
+    """The absolute path of a source that a recipe names.
+
+    :param instead: the argument that takes another one
+    :raises InputError: no such file
+    """
+    try:
+        found = path.is_file()
+    except OSError:  # a name that no file can have
+        found = False
+    if not found:
+        raise InputError(where, f"{path}: no such file, expected it there (or {instead})")
+    return path.resolve()
+
+
+def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[str, ...]:
+    """A line for each of the sources, with their digests, that is not what it was when the face at `path` was made.
+
+    :raises InputError: a source can't be read
+    """
+    return tuple(f"{one.name} changed since {path.name} was made" for one, old in sources if source_digest(one) != old)
+
+
 def source_digest(path: Path) -> str:
-    """The digest of a face and of every USD layer that it stands on.
+    """The digest of a file, of a face with every USD layer that it stands on.
 
     :raises InputError: a file can't be read
     """
+    if path.suffix.lower() not in SUFFIXES:
+        return digest([path])
     layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
     return digest({one.resolve() for one in layers})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.weights import Weights
 from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
 from facepipe.stage.files import relative_path
-from facepipe.stage.recipes import file_recipe, source_digest
+from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
 VERB = "blend"
 
@@ -66,31 +65,22 @@ def read_blend_recipe(path: str | os.PathLike[str], replaced: Mapping[int, Path]
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
     file, replaced = Path(path), replaced or {}
-    recipe, standalone = file_recipe(file)
-    if recipe is None:
-        raise InputError(file, "has no recipe, expected a face made by `facepipe blend`")
-    if recipe.verb != VERB:
-        raise InputError(file, f"has a recipe of '{recipe.verb[:40]}', expected a face made by `facepipe blend`")
+    recipe, standalone = recipe_of(file, VERB)
     where = f"{file} -> recipe"
-    _check_version(where, recipe.version)
     weights, options = _settings(where, recipe.options)
     sources = _sources(where, recipe, file.absolute().parent, replaced)
-    changed = [
-        f"{source.name} changed since {file.name} was made"
+    kept = [
+        (source, old)
         for number, (source, old) in enumerate(zip(sources, recipe.digests, strict=True), 1)
-        if number not in replaced and source_digest(source) != old
+        if number not in replaced
     ]
     return BlendRecipe(
-        sources=sources, weights=weights, options=options, standalone=standalone, warnings=tuple(changed)
+        sources=sources,
+        weights=weights,
+        options=options,
+        standalone=standalone,
+        warnings=changed_sources(file, kept),
     )
-
-
-def _check_version(where: str, version: str) -> None:
-    own, found = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
-    if found is None or own is None:
-        raise SchemaError(where, f"version '{version[:40]}', expected one like {__version__}")
-    if tuple(map(int, found.groups())) > tuple(map(int, own.groups())):
-        raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
 
 
 def _settings(where: str, content: object) -> tuple[Weights, BlendOptions]:
@@ -105,23 +95,10 @@ def _settings(where: str, content: object) -> tuple[Weights, BlendOptions]:
 
 def _sources(where: str, recipe: Recipe, folder: Path, replaced: Mapping[int, Path]) -> tuple[Path, ...]:
     count = len(recipe.sources)
-    if not count or len(recipe.digests) != count:
-        what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
-        raise SchemaError(where, what)
     for number in replaced:
         if not 1 <= number <= count:
             raise InputError(f"--replace {number}", f"no such source, expected a number from 1 to {count}")
     return tuple(
-        _found(f"{where} -> source {number}", replaced.get(number, folder / source))
+        existing_source(f"{where} -> source {number}", replaced.get(number, folder / source), "--replace")
         for number, source in enumerate(recipe.sources, 1)
     )
-
-
-def _found(where: str, path: Path) -> Path:
-    try:
-        found = path.is_file()
-    except OSError:  # a name that no file can have
-        found = False
-    if not found:
-        raise InputError(where, f"{path}: no such file, expected it there (or --replace)")
-    return path.resolve()
