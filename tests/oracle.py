@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
@@ -38,6 +39,23 @@ def bake_all(face: Face, poses: Sequence[tuple[Mapping[str, float], np.ndarray |
     assert UsdSkel.BakeSkinning(root, Gf.Interval(0, len(poses) - 1))
     meshes = [one for one in Usd.PrimRange(root.GetPrim()) if one.IsA(UsdGeom.Mesh)]
     return np.stack([np.concatenate([_world_points(mesh, t) for mesh in meshes]) for t in range(len(poses))])
+
+
+def played(path: Path, times: Sequence[float | None] = (None,), animation: str | None = None) -> np.ndarray:
+    """(times, n, 3) world points that UsdSkel gives a file as it is, at seconds; None: a pose, without time.
+
+    :param animation: the one that the skeleton is to play, instead of its own
+    """
+    stage = Usd.Stage.Open(Usd.Stage.Open(str(path)).Flatten())
+    prims = list(Usd.PrimRange(stage.GetDefaultPrim()))
+    skeleton = next(one for one in prims if one.IsA(UsdSkel.Skeleton))
+    if animation is not None:
+        source = next(one for one in prims if one.IsA(UsdSkel.Animation) and one.GetName() == animation)
+        UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([source.GetPath()])
+    codes = [0.0 if time is None else time * stage.GetTimeCodesPerSecond() for time in times]
+    assert UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetDefaultPrim()), Gf.Interval.GetFullInterval())
+    meshes = [one for one in prims if one.IsA(UsdGeom.Mesh)]
+    return np.stack([np.concatenate([_world_points(mesh, code) for mesh in meshes]) for code in codes])
 
 
 def _world_points(prim: Usd.Prim, time: float) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Rebuild a face from bone coefficients: an animation on an override layer, or its points.
 
 COEFFICIENTS is a payload (.fpb) for the joints of FACE. OUT holds a SkelAnimation below FACE: a pose, a clip where the
-payload has sample times, or poses NAME_1, NAME_2 ... where it has frames without times. An .npz holds `points`, (n, 3)
-or (frames, n, 3) in stage units, and `times`.
+payload has sample times, or poses NAME_1, NAME_2 ... where it has frames without times; the (first) one is what the
+skeleton plays. An .npz holds `points`, (n, 3) or (frames, n, 3) in stage units, and `times`. Exit code 1: done, but
+coefficients are beyond the limits of FACE; --clamp brings them into these.
 
 examples:
   facepipe apply-bones head.usda --info person.fpb
@@ -19,12 +20,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import check_input, output_of
-from facepipe.cli.show import emit, progress
+from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
     from facepipe.parts import Recipe
-    from facepipe.payload import PayloadContent
+    from facepipe.payload import Header, PayloadContent
     from facepipe.stage import Face
 
 
@@ -36,6 +37,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     output = "override layer to write: .usda .usdc .usd .usdz, or points: .npz"
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help=output)
     parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
+    parser.add_argument("--clamp", action="store_true", help="bring coefficients into the bone limits of FACE")
     parser.add_argument("--name", help="name of the animation (default: the file's)")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -49,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     inputs = [arguments.face, arguments.coefficients]
     if arguments.info:
-        _refuse_flags(arguments, "--info", ("output", "name"))
+        _refuse_flags(arguments, "--info", ("output", "name", "clamp"))
         for one in inputs:
             check_input(one)
         return _info(facepipe.open(arguments.face), arguments)
@@ -78,21 +80,28 @@ def _author(face: Face, content: PayloadContent, arguments: argparse.Namespace, 
         raise InputError(f"--name {name}", f"no name of a prim, expected one like {identifier(name)}")
     with face.deriving(out, flatten=arguments.flatten) as derived:
         try:
-            report = ApplyBones(content=content, name=name)(derived, recipe=_recipe(arguments, name, out))
+            report = ApplyBones(content=content, name=name, clamp=arguments.clamp)(
+                derived, recipe=_recipe(arguments, name, out)
+            )
         except FacepipeError as error:  # the layer being made has no file yet: name its source
             raise error.under(arguments.face) if error.where.startswith(("<", "/")) else error from None
     names = ", ".join(report.animations[:4]) + (" ..." if len(report.animations) > 4 else "")
     text = f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"
+    warn(report.warnings)
     emit({"path": str(out), **dataclasses.asdict(report)}, text, as_json=arguments.json)
-    return 0
+    return 1 if report.beyond_limits and not arguments.clamp else 0
 
 
 def _points(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
     import numpy as np
 
     from facepipe.atomic import write_bytes
-    from facepipe.processors.apply_bones import posed_points
+    from facepipe.processors.apply_bones import check_fits, limit_warnings, posed_points
+    from facepipe.processors.bone_limits import beyond_limits, within_limits
 
+    check_fits(face, content)
+    beyond = beyond_limits(face, content)
+    content = within_limits(face, content) if arguments.clamp else content
     with progress("pose", len(content.frames)) as bar:
         points = posed_points(face, content, bar.update)
     buffer = io.BytesIO()
@@ -100,49 +109,58 @@ def _points(face: Face, content: PayloadContent, arguments: argparse.Namespace, 
     np.savez(buffer, **arrays)
     write_bytes(out, buffer.getvalue())
     text = f"{out}: points {points.shape}"
-    emit({"path": str(out), "shape": list(points.shape)}, text, as_json=arguments.json)
-    return 0
+    warnings = limit_warnings(beyond, clamped=arguments.clamp)
+    warn(warnings)
+    result = {"path": str(out), "shape": list(points.shape), "beyond_limits": beyond, "warnings": warnings}
+    emit(result, text, as_json=arguments.json)
+    return 1 if beyond and not arguments.clamp else 0
 
 
 def _info(face: Face, arguments: argparse.Namespace) -> int:
-    from facepipe.payload import joints_hash, read_header
+    from facepipe.payload import decode, read_header
+    from facepipe.processors.apply_bones import limit_warnings
+    from facepipe.processors.bone_limits import beyond_limits
     from facepipe.processors.bone_payload import payload_bytes
 
-    data = payload_bytes(arguments.coefficients)
-    header = read_header(data, arguments.coefficients)
-    joints = face.skeleton.joints
-    fits = (header.joints, header.joints_hash) == (len(joints), joints_hash(joints).hex())
-    result: dict[str, Any] = {
-        "path": str(arguments.coefficients),
-        "bytes": len(data),
-        "fits": fits,
-        **header._asdict(),
-    }
+    where = arguments.coefficients
+    data = payload_bytes(where)
+    header = read_header(data, where)
+    misfit = _misfit(face, header)
+    result: dict[str, Any] = {"path": str(where), "bytes": len(data), "fits": not misfit, **header._asdict()}
     frames = f"{header.frames} frame(s)" if header.has_frames else "one pose"
     lines = [
-        f"{arguments.coefficients}: {len(data):,} bytes: {frames}, {header.stored} of {header.joints} joints in "
-        f"{header.precision}, units of {header.meters_per_unit:g} m, joints hash {header.joints_hash}"
+        f"{where}: {len(data):,} bytes: {frames}, {header.stored} of {header.joints} joints in {header.precision}, "
+        f"units of {header.meters_per_unit:g} m, joints hash {header.joints_hash}"
     ]
-    if fits:
-        ranges = _ranges(data, joints, arguments.coefficients)
-        result |= ranges
-        lines += [
-            f"moves by at most {ranges['translation']:g} units, {ranges['rotation']:g} radians, scales "
-            f"{ranges['scale'][0]:g} to {ranges['scale'][1]:g}"
-        ]
-        lines += [f"times {ranges['times'][0]:g} to {ranges['times'][1]:g} s"] if header.has_times else []
+    beyond: tuple[str, ...] = ()
+    if misfit:
+        lines.append(f"is not for {arguments.face}: {misfit}")
     else:
-        lines.append(f"is not for {arguments.face}: its {len(joints)} joints are others")
+        content = decode(data, face.skeleton.joints, where)
+        beyond, ranges = beyond_limits(face, content), _ranges(content)
+        result |= {**ranges, "beyond_limits": beyond}
+        lines += [*_ranges_text(ranges), *limit_warnings(beyond, clamped=False)]
     emit(result, "\n".join(lines), as_json=arguments.json)
-    return 0 if fits else 1
+    return 1 if beyond or misfit else 0
 
 
-def _ranges(data: bytes, joints: tuple[str, ...], where: Path) -> dict[str, Any]:
+def _misfit(face: Face, header: Header) -> str:
+    """Why a payload is not for a face; empty where it is."""
     import numpy as np
 
-    from facepipe.payload import decode
+    from facepipe.payload import joints_hash
 
-    content = decode(data, joints, where)
+    joints = face.skeleton.joints
+    if (header.joints, header.joints_hash) != (len(joints), joints_hash(joints).hex()):
+        return f"its {len(joints)} joints are others"
+    if np.float32(header.meters_per_unit) != np.float32(face.meters_per_unit):
+        return f"its units are {face.meters_per_unit:g} m"
+    return ""
+
+
+def _ranges(content: PayloadContent) -> dict[str, Any]:
+    import numpy as np
+
     values = content.frames
     return {
         "translation": float(np.abs(values[..., :3]).max()),
@@ -150,6 +168,15 @@ def _ranges(data: bytes, joints: tuple[str, ...], where: Path) -> dict[str, Any]
         "scale": [float(values[..., 6:].min()), float(values[..., 6:].max())],
         "times": None if content.times is None else [float(content.times[0]), float(content.times[-1])],
     }
+
+
+def _ranges_text(ranges: dict[str, Any]) -> list[str]:
+    scales = " to ".join(f"{one:g}" for one in ranges["scale"])
+    times = ranges["times"]
+    return [
+        f"moves by at most {ranges['translation']:g} units, {ranges['rotation']:g} radians, scales {scales}",
+        *([f"times {times[0]:g} to {times[1]:g} s"] if times else []),
+    ]
 
 
 def _recipe(arguments: argparse.Namespace, name: str, out: Path) -> Recipe:
@@ -163,6 +190,6 @@ def _recipe(arguments: argparse.Namespace, name: str, out: Path) -> Recipe:
         verb="apply-bones",
         sources=tuple(relative_path(str(source), out.absolute().parent) for source in sources),
         digests=tuple(digest([source]) for source in sources),
-        options={"name": name},
+        options={"name": name, "clamp": arguments.clamp},
         version=__version__,
     )

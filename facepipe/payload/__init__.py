@@ -3,7 +3,7 @@
 from facepipe.payload.content import Encoded, PayloadContent, Precision
 from facepipe.payload.decoding import decode, read_header
 from facepipe.payload.encoding import encode
-from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, joints_hash
+from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, as_stored, joints_hash
 
 __all__ = [
     "LARGEST",
@@ -14,6 +14,7 @@ __all__ = [
     "Header",
     "PayloadContent",
     "Precision",
+    "as_stored",
     "decode",
     "encode",
     "joints_hash",

@@ -24,6 +24,7 @@ from facepipe.payload.layout import (
     SPARSE,
     TIMES,
     VERSION,
+    as_stored,
     ascend,
     joints_hash,
 )
@@ -88,12 +89,9 @@ def _check(content: PayloadContent) -> None:
 def _rounded(content: PayloadContent, exact: FloatArray) -> FloatArray:
     """(T, m, 9) numbers as they are stored."""
     _refuse(content, exact, np.abs(exact) <= LARGEST, f"a finite number of at most {LARGEST:g}")
-    shifted = exact.copy()
-    shifted[..., 6:] -= 1.0
-    with np.errstate(over="ignore"):
-        rounded = shifted.astype(DTYPES[content.precision])
+    rounded = as_stored(exact, content.precision)
     _refuse(content, exact, np.isfinite(rounded), "one that float16 holds (below 65520; or precision float32)")
-    return np.asarray(rounded + rounded.dtype.type(0))  # no -0: the same pose is the same bytes
+    return rounded
 
 
 def _refuse(content: PayloadContent, exact: FloatArray, sound: npt.NDArray[np.bool_], expected: str) -> None:

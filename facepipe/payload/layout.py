@@ -64,6 +64,15 @@ def joints_hash(joints: Sequence[str]) -> bytes:
     return hashlib.sha256("\n".join(joints).encode()).digest()[:8]
 
 
+def as_stored(coefficients: FloatArray, precision: Precision) -> FloatArray:
+    """(..., 9) coefficients as a payload holds them: in its precision, scales as s - 1; infinite where too large."""
+    shifted = np.array(coefficients, dtype=np.float64)
+    shifted[..., 6:] -= 1.0
+    with np.errstate(over="ignore"):
+        rounded = shifted.astype(DTYPES[precision])
+    return np.asarray(rounded + rounded.dtype.type(0))  # no -0: the same pose is the same bytes
+
+
 def ascend(times: FloatArray) -> bool:
     """Whether times are finite, and each after the one before."""
     return bool(np.isfinite(times).all() and (np.diff(times) > 0).all())

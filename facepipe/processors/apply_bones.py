@@ -10,11 +10,14 @@ import numpy as np
 from facepipe.errors import InputError
 from facepipe.parts import Animation, FloatArray, Recipe
 from facepipe.payload import PayloadContent
+from facepipe.processors.bone_limits import beyond_limits, within_limits
 from facepipe.reports import Report
 from facepipe.stage import Face
+from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
 
 MAX_POSES = 4096  # prims that one payload may make
+_SHOWN = 4  # names of a list
 _REST = np.array([0.0] * 6 + [1.0] * 3)
 
 
@@ -25,6 +28,7 @@ class ApplyBonesReport(Report):
     animations: tuple[str, ...]
     joints: int  # that move
     frames: int
+    beyond_limits: tuple[str, ...] = ()  # "joint:channel" where some frame is beyond the face's limits
     authored: tuple[str, ...] = ()
 
 
@@ -33,47 +37,67 @@ class ApplyBones:
     """Coefficients authored as a SkelAnimation: a pose, or a clip of frames with times.
 
     Frames without times become poses ``<name>_1``, ``<name>_2`` ... Joints that never leave rest are in none of them.
+    The face's skeleton plays the (first) animation: what opens the stage shows the rebuilt face.
 
     :param name: of the animation
+    :param clamp: bring coefficients into the face's limits; else what is beyond them is a warning
     """
 
     content: PayloadContent
     name: str
+    clamp: bool = False
 
     def __call__(self, face: Face, *, recipe: Recipe | None = None) -> ApplyBonesReport:
         """Author them.
 
         :param recipe: authored with the result; None leaves what the face has
-        :raises InputError: other joints or units than the face has, a name that is taken, too many poses, or scales
-            that SkelAnimation can't hold
+        :raises InputError: other joints or units than the face has, a name that is taken, too many poses, limits that
+            cross, or scales that SkelAnimation can't hold
         """
         check_fits(face, self.content)
-        parts = face.parts()
-        added = self._animations()
+        parts, beyond = face.parts(), beyond_limits(face, self.content)
+        content = within_limits(face, self.content) if self.clamp else self.content
+        if content.times is not None:
+            content = replace(content, times=on_frames(face, content.times))
+        added = _animations(content, self.name)
         taken = sorted({one.name for one in parts.animations} & {one.name for one in added})
         if taken:
             raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
         changed = replace(parts, animations=(*parts.animations, *added), recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        play(face, added[0].name)
         return ApplyBonesReport(
             animations=tuple(one.name for one in added),
             joints=len(added[0].joints),
-            frames=len(self.content.frames),
-            authored=author_changes(face, changed),
+            frames=len(content.frames),
+            beyond_limits=beyond,
+            authored=authored,
+            warnings=limit_warnings(beyond, clamped=self.clamp),
         )
 
-    def _animations(self) -> tuple[Animation, ...]:
-        content, frames = self.content, self.content.frames
-        moving = np.flatnonzero((frames != _REST).any(axis=(0, 2)))
-        moving = moving if moving.size else np.arange(len(content.joints))
-        joints, values = tuple(content.joints[i] for i in moving), frames[:, moving]
-        if content.times is not None or np.ndim(content.coefficients) == 2:
-            return (Animation(name=self.name, times=content.times, joints=joints, coefficients=values),)
-        if len(values) > MAX_POSES:
-            raise InputError(self.name, f"{len(values)} poses without times, expected at most {MAX_POSES}")
-        return tuple(
-            Animation(name=f"{self.name}_{number}", joints=joints, coefficients=pose[None])
-            for number, pose in enumerate(values, 1)
-        )
+
+def _animations(content: PayloadContent, name: str) -> tuple[Animation, ...]:
+    frames = content.frames
+    moving = np.flatnonzero((frames != _REST).any(axis=(0, 2)))
+    moving = moving if moving.size else np.arange(len(content.joints))
+    joints, values = tuple(content.joints[i] for i in moving), frames[:, moving]
+    if content.times is not None or np.ndim(content.coefficients) == 2:
+        return (Animation(name=name, times=content.times, joints=joints, coefficients=values),)
+    if len(values) > MAX_POSES:
+        raise InputError(name, f"{len(values)} poses without times, expected at most {MAX_POSES}")
+    return tuple(
+        Animation(name=f"{name}_{number}", joints=joints, coefficients=pose[None])
+        for number, pose in enumerate(values, 1)
+    )
+
+
+def limit_warnings(beyond: tuple[str, ...], *, clamped: bool) -> tuple[str, ...]:
+    """A line where coefficients are beyond limits."""
+    if not beyond:
+        return ()
+    some = ", ".join(one.rpartition("/")[2] for one in beyond[:_SHOWN]) + (" ..." if len(beyond) > _SHOWN else "")
+    done = "brought into" if clamped else "beyond"
+    return (f"{len(beyond)} channels {done} the limits of the face: {some}",)
 
 
 def check_fits(face: Face, content: PayloadContent) -> None:

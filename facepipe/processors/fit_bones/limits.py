@@ -17,8 +17,8 @@ scales factors (1 is rest), translations ``units``: ``stage``, ``mm``, ``cm`` or
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits
+from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.fit_bones.session import LEAST_SCALE
 from facepipe.reading import read_json_object
 from facepipe.rig import CHANNELS, rest_coefficients
@@ -53,7 +54,7 @@ class LimitRules:
     joints: tuple[tuple[str, Mapping[str, Range]], ...] = ()  # (pattern, channel or kind -> limits), later ones win
     lock: tuple[str, ...] = ()  # "pattern:channel"
     units: str = "stage"
-    where: str = "limits"  # for messages
+    where: str = field(default="limits", compare=False)  # for messages
 
     def __post_init__(self) -> None:
         if self.units not in _UNITS:
@@ -118,14 +119,31 @@ def read_limits(path: Path) -> LimitRules:
     joints = content.get("joints", {})
     if not isinstance(joints, dict):
         raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected an object of joints")
-    lock = content.get("lock", [])
+    return _rules(joints.items(), content.get("lock", []), content.get("units", "stage"), where)
+
+
+def limits_from_json(content: object, where: str) -> LimitRules:
+    """The rules that `LimitRules.to_json` gave.
+
+    :param where: for messages
+    :raises InputError: another structure, or no limits
+    """
+    if not isinstance(content, dict) or set(content) != set(_KEYS):
+        raise InputError(where, f"{str(content)[:40]}, expected an object of {', '.join(_KEYS)}")
+    joints = content["joints"]
+    pairs = isinstance(joints, list) and all(isinstance(one, list) and len(one) == 2 for one in joints)
+    if not pairs or not all(isinstance(pattern, str) for pattern, _ in joints):
+        raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected a list of [joint, channels]")
+    return _rules(joints, content["lock"], content["units"], where)
+
+
+def _rules(joints: Iterable[tuple[str, object]], lock: object, units: object, where: str) -> LimitRules:
     if not isinstance(lock, list) or not all(isinstance(one, str) for one in lock):
         raise InputError(f"{where} -> lock", f"{str(lock)[:40]}, expected a list of JOINT:CHANNEL")
-    units = content.get("units", "stage")
     if not isinstance(units, str):
         raise InputError(f"{where} -> units", f"{str(units)[:40]}, expected one of {', '.join(_UNITS)}")
     rules = []
-    for pattern, channels in joints.items():
+    for pattern, channels in joints:
         trail = f"{where} -> joints -> {pattern}"
         if not isinstance(channels, dict):
             raise InputError(trail, f"{str(channels)[:40]}, expected an object of channels")
@@ -172,13 +190,8 @@ def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
 def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatArray, FloatArray]:
     if base is None:
         return _none_below(len(joints)), np.full((len(joints), 9), np.inf)
-    lower, upper = np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
-    crossed = np.argwhere(lower > upper)
-    if len(crossed):
-        joint, channel = crossed[0]
-        what = f"lower limit {lower[joint, channel]:g} above the upper {upper[joint, channel]:g}"
-        raise InputError(f"bone limits -> {joints[joint]} -> {CHANNELS[channel]}", what)
-    return lower, upper
+    check_limits(joints, base)
+    return np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
 
 
 def _none_below(count: int) -> FloatArray:
