@@ -223,7 +223,7 @@ def _linear(fit: BoneFit, task: Task) -> float:
         start = time.perf_counter()
         pose = tree.pose(rest)
         generators = tree.generators(pose)
-        gradient = tree.gradient(generators, pose, moments.gradient(pose.skinning), fit.free)
+        gradient = tree.gradient(pose, moments.gradient(pose.skinning))[fit.free].ravel()
         normal = tree.normal_matrix(generators, pose, moments.pairs, fit.free)
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-3
         low, high = ((limit - rest)[fit.free].ravel() for limit in (fit.lower, fit.upper))

@@ -51,18 +51,6 @@ def matrix_coefficients(matrices: FloatArray) -> FloatArray:
     return np.concatenate([matrices[..., :3, 3], np.stack([rx, ry, rz], axis=-1), scale], axis=-1)
 
 
-def _rotation(angles: FloatArray) -> FloatArray:
-    """(..., 3, 3) matrices Rz Rx Ry of (..., 3) angles rx, ry, rz."""
-    cx, cy, cz = np.moveaxis(np.cos(angles), -1, 0)
-    sx, sy, sz = np.moveaxis(np.sin(angles), -1, 0)
-    rows = [
-        [cz * cy - sz * sx * sy, -sz * cx, cz * sy + sz * sx * cy],
-        [sz * cy + cz * sx * sy, cz * cx, sz * sy - cz * sx * cy],
-        [-cx * sy, sx, cx * cy],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def coefficient_derivatives(coefficients: FloatArray) -> FloatArray:
     """(..., 9, 4, 4) derivatives of `coefficient_matrices` by each of the (..., 9) coefficients."""
     coefficients = np.asarray(coefficients, dtype=np.float64)
@@ -71,16 +59,51 @@ def coefficient_derivatives(coefficients: FloatArray) -> FloatArray:
     whole = _rotation(angles)
     for axis in range(3):
         derivatives[..., axis, axis, 3] = 1.0
-        derivatives[..., 3 + axis, :3, :3] = _by_angle(angles, axis) * scales[..., None, :]
+        derivatives[..., 3 + axis, :3, :3] = _rotation(angles, (axis,)) * scales[..., None, :]
         derivatives[..., 6 + axis, :3, axis] = whole[..., :, axis]
     return derivatives
 
 
-def _by_angle(angles: FloatArray, axis: int) -> FloatArray:
-    """(..., 3, 3) derivative of the rotation by one angle.
+def coefficient_gradient(coefficients: FloatArray, by_matrix: FloatArray) -> FloatArray:
+    """(..., 9) derivatives by (..., 9) coefficients of what has (..., 4, 4) by their matrices."""
+    angles, scales = coefficients[..., 3:6], coefficients[..., 6:9]
+    linear = by_matrix[..., :3, :3]
+    turned = [(_rotation(angles, (axis,)) * linear).sum(axis=-2) for axis in range(3)]
+    by_angle = np.stack([(one * scales).sum(axis=-1) for one in turned], axis=-1)
+    by_scale = (_rotation(angles) * linear).sum(axis=-2)
+    return np.concatenate([by_matrix[..., :3, 3], by_angle, by_scale], axis=-1)
 
-    The rotation is ``N + C cos + S sin`` in that angle: a quarter turn on, it is N plus the derivative, and N is the
-    mean over any two opposite angles.
-    """
-    turn = np.eye(3)[axis] * np.pi
-    return _rotation(angles + turn / 2) - 0.5 * (_rotation(angles) + _rotation(angles + turn))
+
+def coefficient_curvatures(coefficients: FloatArray) -> FloatArray:
+    """(..., 9, 9, 4, 4) second derivatives of `coefficient_matrices`."""
+    coefficients = np.asarray(coefficients, dtype=np.float64)
+    curvatures = np.zeros((*coefficients.shape[:-1], 9, 9, 4, 4))
+    angles, scales = coefficients[..., 3:6], coefficients[..., 6:9]
+    for one in range(3):
+        turned = _rotation(angles, (one,))
+        for axis in range(3):
+            curvatures[..., 3 + one, 6 + axis, :3, axis] = turned[..., :, axis]
+            curvatures[..., 6 + axis, 3 + one, :3, axis] = turned[..., :, axis]
+        for other in range(one, 3):
+            both = _rotation(angles, (one, other)) * scales[..., None, :]
+            curvatures[..., 3 + one, 3 + other, :3, :3] = both
+            curvatures[..., 3 + other, 3 + one, :3, :3] = both
+    return curvatures
+
+
+def _rotation(angles: FloatArray, by: tuple[int, ...] = ()) -> FloatArray:
+    """(..., 3, 3) matrices Rz Rx Ry of (..., 3) angles rx, ry, rz, differentiated once `by` each of these angles."""
+    x, y, z = (_turn(angles[..., axis], axis, by.count(axis)) for axis in range(3))
+    return np.asarray(z @ x @ y)
+
+
+def _turn(angle: FloatArray, axis: int, order: int) -> FloatArray:
+    """(..., 3, 3) rotation about an axis, or its derivative of an order: the plane's part a quarter turn on."""
+    ahead = angle + order * (np.pi / 2)
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    matrices = np.zeros((*angle.shape, 3, 3))
+    matrices[..., axis, axis] = order == 0
+    matrices[..., one, one] = matrices[..., other, other] = np.cos(ahead)
+    matrices[..., other, one] = np.sin(ahead)
+    matrices[..., one, other] = -matrices[..., other, one]
+    return matrices

@@ -93,12 +93,20 @@ class Rig:
         return self.points + moved.reshape(-1, 3)
 
     def joint_worlds(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
-        """(j, 4, 4) world matrices of (j, 4, 4) local ones."""
-        worlds = np.empty((len(self.joints), 4, 4))
+        """(..., j, 4, 4) world matrices of (..., j, 4, 4) local ones."""
         root = self.parent_world if parent_world is None else np.asarray(parent_world, dtype=np.float64)
-        for i, parent in enumerate(self.parents):
-            worlds[i] = (root if parent < 0 else worlds[parent]) @ local[i]
-        return worlds
+        worlds = root @ local
+        for joints in self._generations[1:]:
+            worlds[..., joints, :, :] = worlds[..., self.parents[joints], :, :] @ local[..., joints, :, :]
+        return np.asarray(worlds)
+
+    @cached_property
+    def _generations(self) -> list[IntArray]:
+        """Joints by how many others are above them."""
+        above = np.zeros(len(self.joints), dtype=np.int64)
+        for joint, parent in enumerate(self.parents):
+            above[joint] = 0 if parent < 0 else above[parent] + 1
+        return [np.flatnonzero(above == depth) for depth in range(above.max(initial=0) + 1)]
 
     def skinning_matrices(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
         """(j + 1, 4, 4) matrices from bind-time skeleton space to world, the skeleton's own last."""

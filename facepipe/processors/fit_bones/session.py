@@ -16,8 +16,10 @@ FloatArray = npt.NDArray[np.floating]
 
 LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
-_ROUGH = 1e-5  # where the next solve goes on from the end of this one
+_ROUGH = 1e-3  # where the next solve goes on from the end of this one
+_STRAIGHT = 40  # steps: a fit that takes more may have lost its way
 _SPARSE_ROUNDS = 8
+LEAST_METRIC = 1e-12  # of the largest
 _STILL = 0.1  # strain, in thresholds, that counts as none
 
 
@@ -75,6 +77,11 @@ class BoneFit:
         self.free = np.flatnonzero(~self.weightless & (self.lower < self.upper).any(axis=1))
         self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
         self._rest = rest_coefficients(count)
+        at_rest = self.tree.pose(self._rest)
+        generators = self.tree.generators(at_rest)
+        self._normal = self.tree.normal_matrix(generators, at_rest, self._moments.pairs, self.free)
+        diagonal = np.diag(self._normal)
+        self._metric = np.sqrt(np.maximum(diagonal, LEAST_METRIC * diagonal.max(initial=np.finfo(np.float64).tiny)))
         self._at_rest = self.skin.evaluate(self.tree.pose(self._rest).skinning, self.tree.parent_world)
 
     def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
@@ -99,7 +106,7 @@ class BoneFit:
         if self.sparsity > 0:
             return self._sparse(target, start)
         found = self._solve(target, start, self.weights)
-        if found.largest > self.threshold:
+        if found.largest > self.threshold and found.steps > _STRAIGHT:
             halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
             found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
         return self._evened(found, target) if found.largest > self.threshold else found
@@ -155,7 +162,7 @@ class BoneFit:
         share = float(weights.sum()) / max(9 * len(self.free), 1)
         pull = share * stiffness * self._levers**2 if stiffness.any() else None
         threshold = 0.0 if exact else self.threshold
-        problem = Problem(target, weights, lower, upper, self.free, threshold, self.steps, settled, pull)
+        problem = Problem(target, weights, lower, upper, self.free, self._metric, threshold, self.steps, settled, pull)
         return fit(self.tree, self.skin, moments, problem, start)
 
     def _strain(self, coefficients: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.rig import Rig, coefficient_matrices
-from facepipe.rig.bone_coefficients import coefficient_derivatives
+from facepipe.rig.bone_coefficients import coefficient_curvatures, coefficient_derivatives, coefficient_gradient
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -16,11 +16,11 @@ IntArray = npt.NDArray[np.integer]
 
 @dataclass(frozen=True)
 class Pose:
-    """A pose of the tree."""
+    """A pose of the tree, or many."""
 
-    coefficients: FloatArray  # (m, 9)
-    worlds: FloatArray  # (m, 4, 4)
-    skinning: FloatArray  # (m, 4, 4) world times inverse bind
+    coefficients: FloatArray  # (..., m, 9)
+    worlds: FloatArray  # (..., m, 4, 4)
+    skinning: FloatArray  # (..., m, 4, 4) world times inverse bind
 
 
 class Tree:
@@ -37,7 +37,7 @@ class Tree:
         self.flat = bool((rig.parents < 0).all())  # no joint below another
 
     def pose(self, coefficients: FloatArray) -> Pose:
-        """The pose of (m, 9) coefficients."""
+        """The pose of (..., m, 9) coefficients."""
         worlds = self.rig.joint_worlds(self.rig.rest @ coefficient_matrices(coefficients), self.parent_world)
         return Pose(coefficients, worlds, worlds @ self.rig.inverse_bind)
 
@@ -46,16 +46,50 @@ class Tree:
 
         :raises numpy.linalg.LinAlgError: a joint with scale 0
         """
-        parents = self.rig.parents
-        above = np.where((parents >= 0)[:, None, None], pose.worlds[np.maximum(parents, 0)], self.parent_world)
-        change = (above @ self.rig.rest)[:, None] @ coefficient_derivatives(pose.coefficients)
+        change = self._above(pose)[:, None] @ coefficient_derivatives(pose.coefficients)
         return np.asarray(change @ np.linalg.inv(pose.worlds)[:, None])
 
-    def gradient(self, generators: FloatArray, pose: Pose, by_matrix: FloatArray, free: IntArray) -> FloatArray:
-        """(9 f,) derivatives by the coefficients of the `free` joints, of what has (m, 4, 3) by skinning matrices."""
-        own = np.einsum("dar,dba->drb", by_matrix, pose.skinning)
-        below = np.tensordot(self.below[free], own, (1, 0))
-        return np.asarray(np.einsum("jcrb,jrb->jc", generators[free][:, :, :3], below).ravel())
+    def gradient(self, pose: Pose, by_matrix: FloatArray) -> FloatArray:
+        """(..., m, 9) derivatives by the coefficients of what has (..., m, 4, 3) by the rows of skinning matrices."""
+        below = self._below(pose, by_matrix)
+        own = np.swapaxes(self._above(pose)[..., :3, :], -1, -2) @ below
+        own = own @ np.swapaxes(np.linalg.inv(pose.worlds), -1, -2)
+        return coefficient_gradient(pose.coefficients, own)
+
+    def _below(self, pose: Pose, by_matrix: FloatArray) -> FloatArray:
+        """(..., m, 3, 4) derivatives by a matrix left of all skinning matrices at or below each joint."""
+        own = np.swapaxes(by_matrix, -1, -2) @ np.swapaxes(pose.skinning, -1, -2)
+        if self.flat:
+            return np.asarray(own)
+        return np.asarray((self.below @ own.reshape(*own.shape[:-2], 12)).reshape(own.shape))
+
+    def _above(self, pose: Pose) -> FloatArray:
+        """(..., m, 4, 4) what comes before each joint's own matrix."""
+        parents = self.rig.parents
+        if self.flat:
+            return np.asarray(self.parent_world @ self.rig.rest)
+        worlds = pose.worlds[..., np.maximum(parents, 0), :, :]
+        return np.asarray(np.where((parents >= 0)[:, None, None], worlds, self.parent_world) @ self.rig.rest)
+
+    def curvature(self, generators: FloatArray, pose: Pose, by_matrix: FloatArray, free: IntArray) -> FloatArray:
+        """(9 f, 9 f) what the second derivatives of the skinning matrices add to the Gauss-Newton matrix.
+
+        A joint above another acts first: ``d2 world_d / d c_ja d c_kb = G_ja G_kb world_d``.
+        """
+        f, below = len(free), self._below(pose, by_matrix)[free]
+        matrix = np.zeros((f, 9, f, 9))
+        inverse = np.linalg.inv(pose.worlds[free])
+        by_own = np.swapaxes(self._above(pose)[free][:, :3], -1, -2) @ below @ np.swapaxes(inverse, -1, -2)
+        own = coefficient_curvatures(pose.coefficients[free]).reshape(f, 81, 16)
+        matrix[np.arange(f), :, np.arange(f)] = (own @ by_own.reshape(f, 16, 1)).reshape(f, 9, 9)
+        above = self.below[np.ix_(free, free)] - np.eye(f)
+        first, second = np.nonzero(above)
+        upper = generators[free][:, :, :3].reshape(f, 9, 12)
+        lower = np.swapaxes(generators[free] @ np.swapaxes(below, -1, -2)[:, None], -1, -2).reshape(f, 9, 12)
+        blocks = upper[first] @ np.swapaxes(lower[second], -1, -2)
+        matrix[first, :, second] = blocks
+        matrix[second, :, first] = np.swapaxes(blocks, -1, -2)
+        return matrix.reshape(9 * f, 9 * f)
 
     def normal_matrix(self, generators: FloatArray, pose: Pose, pairs: FloatArray, free: IntArray) -> FloatArray:
         """(9 f, 9 f) Gauss-Newton matrix over the coefficients of the `free` joints, of moments (4m, 4m)."""
