@@ -7,13 +7,17 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import unquote
 
 from facepipe import __version__
 from facepipe.digests import digest
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import Recipe
+from facepipe.reading import read_json_object
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage
 from facepipe.stage.read_skeleton import read_recipe
+
+_MOST_BYTES = 1 << 28  # of a glTF document
 
 
 class FileRecipe(NamedTuple):
@@ -89,11 +93,22 @@ def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[st
 
 
 def source_digest(path: Path) -> str:
-    """The digest of a file, of a face with every USD layer that it stands on.
+    """The digest of a file with what it stands on: USD layers, buffers of a glTF.
 
     :raises InputError: a file can't be read
     """
-    if path.suffix.lower() not in SUFFIXES:
-        return digest([path])
-    layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
-    return digest({one.resolve() for one in layers})
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
+        return digest({one.resolve() for one in layers})
+    return digest({path, *(_buffers(path) if suffix == ".gltf" else ())})
+
+
+def _buffers(path: Path) -> set[Path]:
+    """Files that the buffers of a glTF are in; none of one that is damaged."""
+    try:
+        buffers = read_json_object(path, _MOST_BYTES).get("buffers")
+    except InputError:
+        return set()
+    uris = [one.get("uri") for one in buffers if isinstance(one, dict)] if isinstance(buffers, list) else []
+    return {path.parent / unquote(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")}

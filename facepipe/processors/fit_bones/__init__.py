@@ -4,7 +4,7 @@ from facepipe.processors.fit_bones.fit_bones import FitBones
 from facepipe.processors.fit_bones.initial import initial_coefficients
 from facepipe.processors.fit_bones.limits import LimitRules, read_limits
 from facepipe.processors.fit_bones.options import FitBonesOptions
-from facepipe.processors.fit_bones.recipe import fit_bones_recipe
+from facepipe.processors.fit_bones.recipe import FitBonesRecipe, fit_bones_recipe, read_fit_bones_recipe
 from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.processors.fit_bones.targets import Target, read_targets
@@ -13,12 +13,14 @@ __all__ = [
     "BoneFit",
     "FitBones",
     "FitBonesOptions",
+    "FitBonesRecipe",
     "FitBonesReport",
     "LimitRules",
     "Target",
     "TargetReport",
     "fit_bones_recipe",
     "initial_coefficients",
+    "read_fit_bones_recipe",
     "read_limits",
     "read_targets",
 ]

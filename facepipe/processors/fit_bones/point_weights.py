@@ -13,7 +13,7 @@ from facepipe.parts import FaceParts, all_regions
 
 FloatArray = npt.NDArray[np.floating]
 
-_LARGEST = 1e12
+LARGEST_WEIGHT = 1e12
 
 
 def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence[str]) -> FloatArray:
@@ -28,8 +28,8 @@ def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence
     weights = np.ones(count)
     for name, factor in regions.items():
         where = f"region {name}"
-        if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= _LARGEST):
-            raise InputError(where, f"weight {factor}, expected a number from 0 to {_LARGEST:g}")
+        if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= LARGEST_WEIGHT):
+            raise InputError(where, f"weight {factor}, expected a number from 0 to {LARGEST_WEIGHT:g}")
         weights += _mask(known, name, where) * (factor - 1.0)
     weights = np.maximum(weights, 0.0)
     if mask:
