@@ -150,7 +150,9 @@ def test_flattened_results_stand_alone(folder: Path, capsys: Capsys) -> None:
 
 
 MISTAKES = {
-    "no target": (("rig.usda", "-o", "a.usda"), "the following arguments are required: --target"),
+    "nothing": ((), "RIG: none given, expected a face stage with joints (or --edit FITTED)"),
+    "no target": (("rig.usda", "-o", "a.usda"), "--target: none given, expected what to reach (or --edit FITTED)"),
+    "no output": (("rig.usda", "--target", "jawOpen"), "OUT: no output file, expected -o OUT"),
     "unknown target": (("rig.usda", "--target", "frown", "-o", "a.usda"), "target frown: no such blendshape"),
     "no rig": (("none.usda", "--target", "jawOpen", "-o", "a.usda"), "none.usda: no such file"),
     "unskinned rig": (("goal.usda", "--target", "goal.usda", "-o", "a.usda"), "goal.usda -> </Face>: has no joints"),

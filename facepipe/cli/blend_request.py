@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from facepipe.cli.parser import given_options, output_of, picture_of
+from facepipe.cli.parser import given_options, output_or_edited, picture_of
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
     sources = recipe.sources if recipe else tuple(arguments.sources)
     _check_sources(sources)
     extra = [path for path in (arguments.weights, arguments.match) if path is not None]
-    out = _output(arguments, [*sources, *extra])
+    out = output_or_edited(arguments, [*sources, *extra])
     check_suffix(out)
     inputs = [*sources, *extra, *([arguments.edit] if recipe else [])]
     picture = None if arguments.heatmap is None else picture_of(arguments.heatmap, arguments, inputs, out)
@@ -84,15 +84,6 @@ def _check_sources(sources: Sequence[Path]) -> None:
         for other in sources[:number]:
             if other == path or (other.exists() and path.exists() and other.samefile(path)):
                 raise InputError(path, "is a source twice, expected different faces")
-
-
-def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
-    edited: Path | None = arguments.edit
-    if edited is None or arguments.output is not None:
-        return output_of(arguments, [*inputs, *([edited] if edited else [])])
-    if not arguments.force:
-        raise InputError(edited, "would be written again, expected --force (or -o OUT)")
-    return output_of(argparse.Namespace(output=edited, force=True), inputs)
 
 
 def _recipe(arguments: argparse.Namespace) -> BlendRecipe | None:

@@ -9,24 +9,32 @@ Limits are those of the rig, and over them those of a file, where later joints w
 "r": [-0.5, 0.5]}, "jaw": {"rx": [0, 0.4], "tz": [null, 0]}}, "lock": ["root:*", "eye*:s"], "units": "cm"}. Channels are
 tx ty tz (units: stage, mm, cm or m) rx ry rz (radians) sx sy sz (factors), or t r s; null is no limit.
 
-OUT is an override layer over RIG. What bones can't reach is reported; --residual keeps it as a sparse blendshape, which
-the animation turns on. Exit code 1: done, but a target is missed by more than the threshold.
+OUT is an override layer over RIG and needs that file; hand on what --flatten writes. What bones can't reach is
+reported; --residual keeps it as a sparse blendshape, which the animation turns on. Exit code 1: done, but a target is
+missed by more than the threshold.
+
+The recipe stays on the result. --edit fits again from it with what the line changes: another RIG, other targets (all of
+them), limits, masks and options; a --region joins those there are (NAME=1 undoes one). Without -o that is in place
+(with --force), and anything else authored in that file is lost. Payload and picture are made where they are asked for.
 
 examples:
   facepipe fit-bones rig.usda --target smile.usda -o fitted.usda --residual
   facepipe fit-bones rig.usda --target shapes --limits limits.json --region mouth=2 --region neck=0 -o fitted.usda
   facepipe fit-bones rig.usda --target cache.usdc -o clip.usda --coefficients clip.fpb
+  facepipe fit-bones --edit fitted.usda --threshold-mm 0.5 --no-residual --force
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from facepipe.cli.fit_bones_request import Request, request_of
 from facepipe.cli.fit_bones_text import as_text
-from facepipe.cli.parser import add_options, add_output, check_input, given_options, output_of, pairs, picture_of
+from facepipe.cli.parser import add_options, check_input
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import FacepipeError, InputError
 
@@ -35,7 +43,8 @@ if TYPE_CHECKING:
 
     from PIL.Image import Image
 
-    from facepipe.parts import FaceParts, FloatArray
+    from facepipe.parts import FaceParts
+    from facepipe.payload import PayloadContent, Precision
     from facepipe.processors.fit_bones import FitBones, FitBonesReport, Target
     from facepipe.stage import Face
 
@@ -46,102 +55,63 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     from facepipe.processors.fit_bones import FitBonesOptions
 
-    add = parser.add_argument
-    add("rig", type=Path, metavar="RIG", help="face stage with joints and skin weights")
-    add("--target", action="append", required=True, metavar="T", help="what to reach; may be given again")
-    add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
-    add("--limits", type=Path, metavar="JSON", help="limits of joints and channels")
-    add("--region", action="append", default=[], metavar="NAME=WEIGHT", help="how much points of a region count")
-    add("--mask", action="append", default=[], metavar="NAME", help="only points of this region or point subset count")
-    add("--initial", metavar="ANIMATION|FPB", help="coefficients to start from (default rest)")
+    add, absent = parser.add_argument, argparse.SUPPRESS
+    add("rig", nargs="?", type=Path, metavar="RIG", help="face stage with joints and skin weights")
+    add("--target", action="append", default=[], metavar="T", help="what to reach; may be given again")
+    add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
+    add("--force", action="store_true", help="overwrite OUT, with --edit FITTED, and the files below")
+    add("--edit", type=Path, metavar="FITTED", help="fit again from the recipe of a result, with what else is given")
     add("--coefficients", type=Path, metavar="FPB", help="write the coefficients as a payload: .fpb")
     add("--precision", choices=("float16", "float32"), default="float32", help="of the payload (default float32)")
     add("--heatmap", type=Path, metavar="PNG", help="draw the targets that are missed most, coloured by distance")
     add("--flatten", action="store_true", help="write a standalone file")
     add("--json", action="store_true", help="print the report as JSON")
-    add_options(parser, FitBonesOptions, "how to fit")
+    group = parser.add_argument_group("how to fit (kept in the recipe; with --edit they change it)")
+    add = group.add_argument
+    add("--limits", type=Path, default=absent, metavar="JSON", help="limits over those of the rig (default none)")
+    text = "how much points of a region or point subset count, 0 or more (default 1); a flag for each"
+    add("--region", action="append", default=[], metavar="NAME=WEIGHT", help=text)
+    text = "only points of this region or point subset count (default all do); may be given again"
+    add("--mask", action="append", default=absent, metavar="NAME", help=text)
+    text = "start from the first frame of an animation of RIG or of a payload (default rest)"
+    add("--initial", default=absent, metavar="ANIMATION|FPB", help=text)
+    for name, nothing in (("limits", None), ("mask", []), ("initial", None)):
+        text = f"with --edit: without the --{name} of the recipe"
+        add(f"--no-{name}", dest=name, action="store_const", const=nothing, default=absent, help=text)
+    add_options(group, FitBonesOptions, sparse=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, author, report."""
     import facepipe
-    from facepipe.processors.fit_bones import read_targets
+    from facepipe.processors.fit_bones import initial_coefficients, read_targets
 
-    out, picture, payload = _outputs(arguments)
-    face = facepipe.open(arguments.rig)
-    fit = _fit(arguments, face)
-    targets = read_targets(face, arguments.target, lambda path: _load(path, face))
-    if payload is not None and len(targets) > 1 and any(target.times is not None for target in targets):
-        raise InputError(payload, "holds one clip or several poses, expected a single --target with times")
-    report, image = _author(face, fit, targets, arguments, out, picture is not None)
-    result = {"path": str(out), **json.loads(report.to_json())}
-    text = [as_text(out, report)]
-    if picture is not None and image is not None:
+    request = request_of(arguments)
+    warn(request.warnings)
+    face = facepipe.open(request.rig)
+    initial = None if request.initial is None else initial_coefficients(face, request.initial)
+    targets = read_targets(face, request.targets, lambda path: _load(path, face))
+    if request.payload is not None and len(targets) > 1 and any(target.times is not None for target in targets):
+        raise InputError(request.payload, "holds one clip or several poses, expected a single --target with times")
+    made = _author(face, replace(request.fit, initial=initial), targets, request, arguments.precision)
+    report = made.report
+    warn(report.warnings)
+    result = {"path": str(request.out), **json.loads(report.to_json())}
+    result["warnings"] = [*request.warnings, *report.warnings]
+    text = [as_text(request.out, report)]
+    if made.picture is not None and request.picture is not None:
         from facepipe.render import save_png
 
-        save_png(image, picture)
-        result["picture"] = str(picture)
-        text.append(str(picture))
-    if payload is not None:
-        result["coefficients"] = _write_payload(payload, out, report, arguments)
-        text.append(f"{payload}: {result['coefficients']['bytes']:,} bytes")
-    warn(report.warnings)
+        save_png(made.picture, request.picture)
+        result["picture"] = str(request.picture)
+        text.append(str(request.picture))
+    if made.payload is not None and request.payload is not None:
+        from facepipe.processors.bone_payload import write_payload
+
+        result["coefficients"] = json.loads(write_payload(request.payload, made.payload, face.rig()).to_json())
+        text.append(f"{request.payload}: {result['coefficients']['bytes']:,} bytes")
     emit(result, "\n".join(text), as_json=arguments.json)
     return 1 if report.missed else 0
-
-
-def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
-    """The paths to write, checked before any work: stage, picture, payload."""
-    from facepipe.processors.bone_payload import check_payload_suffix
-    from facepipe.processors.fit_bones.target_files import split_file
-    from facepipe.stage.files import check_suffix
-
-    files = [file for file, _ in map(split_file, arguments.target) if file is not None]
-    initial = [arguments.initial] if _is_file(arguments.initial) else []
-    inputs = [arguments.rig, *map(Path, files), *map(Path, initial)]
-    inputs += [arguments.limits] if arguments.limits else []
-    out = output_of(arguments, inputs)
-    check_suffix(out)
-    picture = None if arguments.heatmap is None else picture_of(arguments.heatmap, arguments, inputs, out)
-    if arguments.coefficients is None:
-        return out, picture, None
-    payload = output_of(argparse.Namespace(output=arguments.coefficients, force=arguments.force), inputs)
-    check_payload_suffix(payload)
-    return out, picture, payload
-
-
-def _is_file(initial: str | None) -> bool:
-    return initial is not None and Path(initial).suffix.lower() == ".fpb"
-
-
-def _fit(arguments: argparse.Namespace, face: Face) -> FitBones:
-    from facepipe.processors.fit_bones import FitBones, FitBonesOptions, LimitRules, read_limits
-
-    if arguments.limits is not None:
-        check_input(arguments.limits)
-    return FitBones(
-        limits=LimitRules() if arguments.limits is None else read_limits(arguments.limits),
-        regions=pairs(arguments.region, "--region"),
-        mask=tuple(arguments.mask),
-        initial=_initial(face, arguments.initial),
-        **given_options(arguments, FitBonesOptions),
-    )
-
-
-def _initial(face: Face, word: str | None) -> FloatArray | None:
-    from facepipe.payload import decode
-    from facepipe.processors.apply_bones import check_fits
-    from facepipe.processors.bone_payload import payload_bytes
-    from facepipe.processors.fit_bones import initial_coefficients
-
-    if word is None:
-        return None
-    if not _is_file(word):
-        return initial_coefficients(face, word)
-    content = decode(payload_bytes(Path(word)), face.skeleton.joints, word)
-    check_fits(face, content)
-    first: FloatArray = content.frames[0]
-    return first
 
 
 def _load(path: Path, face: Face) -> FaceParts:
@@ -155,21 +125,31 @@ def _load(path: Path, face: Face) -> FaceParts:
     return load("gltf", path).parts
 
 
-def _author(
-    face: Face, fit: FitBones, targets: Sequence[Target], arguments: argparse.Namespace, out: Path, drawn: bool
-) -> tuple[FitBonesReport, Image | None]:
-    """Fit and save; the picture is drawn before anything is saved."""
+class _Made(NamedTuple):
+    """What is on the saved stage, and what to write beside it."""
+
+    report: FitBonesReport
+    picture: Image | None
+    payload: PayloadContent | None
+
+
+def _author(face: Face, fit: FitBones, targets: Sequence[Target], request: Request, precision: Precision) -> _Made:
+    """Fit and save; picture and payload are made before anything is saved."""
     from facepipe.processors.fit_bones import fit_bones_recipe
     from facepipe.stage import Face
 
-    recipe = fit_bones_recipe(arguments.rig, arguments.target, out, fit, arguments.initial)
+    recipe = fit_bones_recipe(request.rig, request.targets, request.out, fit, request.initial)
     frames = sum(len(target.points) for target in targets)
-    with face.deriving(out, flatten=arguments.flatten) as derived, progress("fit", frames) as bar:
+    with face.deriving(request.out, flatten=request.flatten) as derived:
         try:
-            report = fit(derived, targets, recipe=recipe, done=bar.update)
+            with progress("fit", frames) as bar:
+                report = fit(derived, targets, recipe=recipe, done=bar.update)
         except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.rig) if error.where.startswith(("<", "/")) else error from None
-        return report, _draw(Face(derived.stage, derived.prim), targets, report) if drawn else None
+            raise error.under(request.rig) if error.where.startswith(("<", "/")) else error from None
+        result = Face(derived.stage, derived.prim)
+        image = None if request.picture is None else _draw(result, targets, report)
+        payload = None if request.payload is None else _payload(result, report, precision, request.payload)
+    return _Made(report, image, payload)
 
 
 def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport) -> Image:
@@ -191,15 +171,12 @@ def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport) -> Imag
     return images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images)))
 
 
-def _write_payload(path: Path, out: Path, report: FitBonesReport, arguments: argparse.Namespace) -> dict[str, object]:
-    """The coefficients on the saved stage: one clip, one pose, or one pose a target."""
+def _payload(face: Face, report: FitBonesReport, precision: Precision, where: Path) -> PayloadContent:
+    """The coefficients on the stage: one clip, one pose, or one pose a target."""
     import numpy as np
 
-    import facepipe
-    from facepipe.payload import PayloadContent
-    from facepipe.processors.bone_payload import write_payload
+    from facepipe.payload import PayloadContent, encode
 
-    face = facepipe.open(out)
     found = {one.name: one for one in face.animations}
     poses = [found[name] for name in report.targets]
     values = np.concatenate([one.coefficients for one in poses if one.coefficients is not None])
@@ -209,7 +186,10 @@ def _write_payload(path: Path, out: Path, report: FitBonesReport, arguments: arg
         coefficients=values[0] if single else values,
         times=poses[0].times if len(poses) == 1 else None,
         meters_per_unit=face.meters_per_unit,
-        precision=arguments.precision,
+        precision=precision,
     )
-    written: dict[str, object] = json.loads(write_payload(path, content, face.rig()).to_json())
-    return written
+    try:
+        encode(content)
+    except InputError as error:
+        raise error.under(where) from None
+    return content

@@ -28,11 +28,15 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_options(
-    parser: argparse.ArgumentParser, options: type, title: str | None = None, *, sparse: bool = False
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    options: type,
+    title: str | None = None,
+    *,
+    sparse: bool = False,
 ) -> None:
     """A flag for every field of a frozen option dataclass; flags already there are shared.
 
-    :param sparse: arguments hold only the flags that were given
+    :param sparse: arguments hold only the flags that were given, and what is on can be turned off
     """
     group = parser.add_argument_group(title) if title else parser
     hints = typing.get_type_hints(options)
@@ -43,6 +47,8 @@ def add_options(
         settings = _settings(field, hints[field.name])
         if sparse:
             settings["default"] = argparse.SUPPRESS
+            if settings.get("action") == "store_true":
+                settings["action"] = argparse.BooleanOptionalAction
         group.add_argument(flag, dest=field.name, **settings)
 
 
@@ -132,6 +138,21 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
     if output.exists():
         _check_not_needed(output, inputs)
     return output
+
+
+def output_or_edited(arguments: argparse.Namespace, inputs: Sequence[Path]) -> Path:
+    """The output path, where there is none the result that `--edit` names; checked before any work.
+
+    :raises InputError: as `output_of`
+    """
+    edited: Path | None = arguments.edit
+    if edited is None and arguments.output is None:
+        raise InputError("OUT", "no output file, expected -o OUT")
+    if edited is None or arguments.output is not None:
+        return output_of(arguments, [*inputs, *([edited] if edited else [])])
+    if not arguments.force:
+        raise InputError(edited, "would be written again, expected --force (or -o OUT)")
+    return output_of(argparse.Namespace(output=edited, force=True), inputs)
 
 
 def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path], out: Path | None = None) -> Path:
