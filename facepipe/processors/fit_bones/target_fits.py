@@ -11,6 +11,7 @@ import numpy.typing as npt
 from facepipe.errors import FitError, InputError
 from facepipe.names import unique_identifiers
 from facepipe.parts import Animation, Blendshape, FloatArray, all_regions
+from facepipe.processors.fit_bones.half_scales import with_half_scales
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.report import (
@@ -103,10 +104,17 @@ class TargetFits:
         return self._found(session, target, name, np.stack(frames), steps)
 
     def _found(self, session: BoneFit, target: Target, name: str, coefficients: FloatArray, steps: int) -> FoundTarget:
-        counts = session.weights > 0
-        posed = np.stack([self.rig.evaluate(coefficients=one) for one in coefficients])
-        off = self._off(posed, target)
-        residuals = self._residuals(target, name, coefficients, (off > self.options.threshold_mm) & counts)
+        counts, limited = session.weights > 0, coefficients
+        posed, off = self._posed(target, coefficients)
+        missed = np.flatnonzero(off[:, counts].max(axis=1) > self.options.threshold_mm)
+        if self.options.residual and len(missed):  # what a residual is added to is what SkelAnimation holds
+            coefficients = coefficients.copy()
+            for frame in missed:
+                coefficients[frame] = with_half_scales(self.rig, coefficients[frame], self.lower, self.upper)
+            posed, off = self._posed(target, coefficients)
+        corrected = (off > _STRICTER * self.options.threshold_mm) & counts
+        corrected[np.setdiff1d(np.arange(len(off)), missed)] = False
+        residuals = self._residuals(target, name, coefficients, corrected)
         shapes, weights = _tracks(residuals)
         end = self._off(np.stack([p if r is None else r.points for p, r in zip(posed, residuals, strict=True)]), target)
         known = np.ones(len(counts), bool) if target.known is None else target.known
@@ -118,7 +126,7 @@ class TargetFits:
             regions=by_region(off, all_regions(self.parts.meshes), known),
             reached=bool((end[:, counts] <= self.options.threshold_mm).all()),
             steps=steps,
-            at_limits=at_limits(coefficients, self.lower, self.upper, self.rig.joints, session.free),
+            at_limits=at_limits(limited, self.lower, self.upper, self.rig.joints, session.free),
             residual=_residual_report(shapes, end[:, counts]) if self.options.residual else None,
         )
         animation = Animation(
@@ -135,6 +143,11 @@ class TargetFits:
             report=report,
             warnings=(*target.notes, *self._warnings(name, report, residuals, coefficients)),
         )
+
+    def _posed(self, target: Target, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (T, n, 3), and how far off they are (T, n), in millimetres."""
+        posed = np.stack([self.rig.evaluate(coefficients=one) for one in coefficients])
+        return posed, self._off(posed, target)
 
     def _off(self, points: FloatArray, target: Target) -> FloatArray:
         """(T, n) distances in millimetres."""
