@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blend_line import content
-from bone_faces import clip, pose, save_obj, saved, sculpt, small
+from bone_faces import pose, save_obj, saved, sculpt, small
+from fit_line import Capsys, failed, run, save_sources
 from PIL import Image
 
 import facepipe
@@ -18,37 +18,12 @@ from facepipe.parts import BoneLimits
 from facepipe.processors.fit_bones import FitBones, fit_bones_recipe, read_limits, read_targets
 from facepipe.rig import build
 
-Capsys = pytest.CaptureFixture[str]
-
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder: rig.usda with a clip, a goal within its reach, limits."""
-    monkeypatch.chdir(tmp_path)
-    rig = build(small())
-    saved(replace(small(), animations=(clip(rig),)), Path("rig.usda"))
-    saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 1))), Path("goal.usda"))
-    Path("limits.json").write_text('{"joints": {"*": {"t": [-1, 1], "s": [0.5, 2]}}, "units": "stage"}')
+    monkeypatch.chdir(save_sources(tmp_path))
     return tmp_path
-
-
-def run(capsys: Capsys, *words: object) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    try:
-        code = main(["fit-bones", *map(str, words)])
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
-def failed(capsys: Capsys, *words: object) -> str:
-    """The one line of a command that must fail and change no file."""
-    before = content(Path.cwd())
-    code, out, err = run(capsys, *words)
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert content(Path.cwd()) == before
-    return err.removeprefix("facepipe: ")
 
 
 def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
