@@ -35,11 +35,18 @@ class FitBonesOptions:
     )
     regularise: float = field(
         default=0.0,
-        metadata={"help": "weight of the mean square strain of the bones beside the distances", "range": (0.0, 1e6)},
+        metadata={
+            "help": "weight of the mean square strain of the bones beside that of the distances: 0.1 to 1 calms bones "
+            "that points hardly hold",
+            "range": (0.0, 1e6),
+        },
     )
     sparsity: float = field(
         default=0.0,
-        metadata={"help": "weight of the mean strain: few bones move, the others stay at rest", "range": (0.0, 1e6)},
+        metadata={
+            "help": "weight of the mean strain: fewer channels move, the others stay exactly at rest; 1 to 20 for some",
+            "range": (0.0, 1e6),
+        },
     )
     residual: bool = field(
         default=False,
