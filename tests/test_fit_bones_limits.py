@@ -54,6 +54,29 @@ def test_later_rules_win_and_single_channels_win_over_their_kind(tmp_path: Path)
         assert (at(lower, "root/eyeRight", channel), at(upper, "root/eyeRight", channel)) == (0.5, 2)
 
 
+def test_a_star_stands_for_all_channels_in_their_units_and_narrower_names_win(tmp_path: Path) -> None:
+    """Whatever their order in the file: translations are millimetres on a stage in centimetres."""
+    ranges = {"*": [-2, 4], "r": [-0.5, 0.5], "tx": [0, 10], "s": [None, 3], "sz": [0.5, 2]}
+    for names in (list(ranges), list(ranges)[::-1]):
+        content = {"joints": {"jaw": {name: ranges[name] for name in names}}, "units": "mm"}
+        lower, upper = resolved(content, tmp_path)
+        fifth = float(np.nextafter(np.float32(-0.2), np.float32(0)))  # within -2 mm
+        assert [at(lower, "root/jaw", one) for one in CHANNELS] == [
+            0,
+            fifth,
+            fifth,
+            -0.5,
+            -0.5,
+            -0.5,
+            LEAST,
+            LEAST,
+            0.5,
+        ]
+        assert at(upper, "root/jaw", "tx") == 1
+        assert at(upper, "root/jaw", "ty") == pytest.approx(0.4, rel=1e-7)
+        assert [at(upper, "root/jaw", one) for one in CHANNELS[3:]] == [0.5, 0.5, 0.5, 3, 3, 2]
+
+
 def test_locks_keep_channels_at_rest_whatever_the_rules_say(tmp_path: Path) -> None:
     content = {"joints": {"*": {"s": [2, 3], "tx": [1, 2]}}, "lock": ["root:*", "eye*:s", "jaw:tx"]}
     lower, upper = resolved(content, tmp_path)

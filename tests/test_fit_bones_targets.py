@@ -22,13 +22,14 @@ from bone_faces import (
     small,
 )
 from faces import replace_mesh
+from pxr import Usd, UsdGeom
 
 import facepipe
 from facepipe import registry
 from facepipe.errors import FacepipeError, InputError
 from facepipe.importers import load, obj
 from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones import Target, read_targets
+from facepipe.processors.fit_bones import FitBones, Target, read_targets
 from facepipe.rig import build
 from facepipe.stage import Face
 
@@ -317,13 +318,73 @@ def test_nan_and_changing_counts_in_caches_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"</?.*Head.*NaN or infinity at time code 1|Head: points hold NaN .*code 1"):
         one(face, save_cache(small(), frames, tmp_path / "nan.usda"))
     file = save_cache(small(), frames[[0, 2]], tmp_path / "short.usda")
-    from pxr import Usd, UsdGeom
-
     stage = Usd.Stage.Open(str(file))
     UsdGeom.Mesh(stage.GetPrimAtPath("/Cache/Head")).GetPointsAttr().Set([(0, 0, 0)] * 35, 1)
     stage.GetRootLayer().Save()
     with pytest.raises(FacepipeError, match="35 points at a time sample, expected 36 as at the first"):
         one(face, file)
+
+
+def changed_cache(tmp_path: Path, change: Callable[[Usd.Stage], object]) -> Path:
+    """The face at rest over three samples, with `change` made to the stage."""
+    file = save_cache(small(), np.stack([build(small()).evaluate()] * 3), tmp_path / "t.usda")
+    stage = Usd.Stage.Open(str(file))
+    change(stage)
+    stage.GetRootLayer().Save()
+    return file
+
+
+def other_faces_later(stage: Usd.Stage) -> None:
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath("/Cache/Head")).GetFaceVertexIndicesAttr()
+    first = list(attribute.Get())
+    attribute.Clear()
+    attribute.Set(first, 0)
+    attribute.Set([first[1], first[0], *first[2:]], 1)
+
+
+def scaled(factor: float) -> Callable[[Usd.Stage], object]:
+    precision = UsdGeom.XformOp.PrecisionDouble
+    return lambda stage: UsdGeom.Xformable(stage.GetPrimAtPath("/Cache")).AddScaleOp(precision).Set((factor, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (other_faces_later, "/Cache/Head: faceVertexIndices change over time, expected the same faces throughout"),
+        (lambda stage: UsdGeom.SetStageMetersPerUnit(stage, 0.0), "t.usda: metersPerUnit 0, expected a length above 0"),
+        (lambda stage: UsdGeom.SetStageMetersPerUnit(stage, -1.0), "t.usda: metersPerUnit -1, expected a length"),
+        (lambda stage: UsdGeom.SetStageMetersPerUnit(stage, 1e300), "t.usda: metersPerUnit 1e[+]300, expected a"),
+        (lambda stage: UsdGeom.SetStageMetersPerUnit(stage, np.nan), "t.usda: metersPerUnit nan, expected a length"),
+        (scaled(1e300), "target t: a coordinate of 2.5e[+]300, expected at most 1e[+]12"),
+        (scaled(np.nan), "target t: NaN or infinity at frame 0"),
+        (lambda stage: UsdGeom.Mesh(stage.GetPrimAtPath("/Cache/Head")).GetPointsAttr().Clear(), "don't fit 0 points"),
+    ],
+)
+def test_caches_that_make_no_sense_are_refused(
+    change: Callable[[Usd.Stage], object], message: str, tmp_path: Path
+) -> None:
+    file = changed_cache(tmp_path, change)
+    with pytest.raises(FacepipeError, match=message):
+        one(rig_face(tmp_path), file)
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_targets_of_another_size_are_told(factor: float, tmp_path: Path) -> None:
+    """A sculpt in other units than it says; points that don't count have any size."""
+    face = rig_face(tmp_path)
+    wanted = posed(small())
+    goal = Target(name="t", points=factor * face.evaluate()[None])
+    report = FitBones(max_iterations=1, rounds=0)(face, [goal])
+    assert report.warnings[0] == f"t: is {factor:g} times as large as the face: are its units right?"
+    far = Target(name="t", points=1e6 * wanted[None])
+    with pytest.raises(InputError, match=r"target t: points .* times the face's size away, expected less than 1000"):
+        FitBones()(face, [far])
+    known = np.arange(45) < 36
+    mixed = Target(name="t", points=np.where(known[:, None], wanted, 1e9 * wanted)[None], known=known)
+    with pytest.raises(InputError, match="its stage has changed since it was read, expected a new Face of it"):
+        FitBones()(face, [goal])
+    report = FitBones(max_iterations=1, rounds=0)(Face(face.stage), [mixed])
+    assert not any("units" in line for line in report.warnings)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,8 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     :param primvars: more float values (n,) per point of all meshes in stage order, by primvar name; a mesh whose
         values are all NaN gets none
     :raises TopologyError: other meshes, joints, points or faces than the face has
-    :raises InputError: NaN, a name that USD can't hold, or a difference in a field that stays as it is
+    :raises InputError: NaN, a name that USD can't hold, a difference in a field that stays as it is, or a face that was
+        authored on since it was read
     """
     old, values = face.parts(), dict(primvars or {})
     _check(face, old, parts)
@@ -52,6 +53,8 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
     animations = _paths(face, UsdSkel.Animation)
     at, shared = face.stage.GetPrimAtPath, _shared_targets(face, meshes)  # prims of instances change
+    if len(animations) != len(old.animations):
+        raise InputError(face.where, "its stage has changed since it was read, expected a new Face of it")
     lines: list[str] = []
     for path, before, after in zip(meshes, old.meshes, parts.meshes, strict=True):
         lines += author_mesh_changes(at(path), before, after, at(skeleton), parts.skeleton.joints, shared)

@@ -27,6 +27,7 @@ from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
 from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, prims_below
+from facepipe.stage.units import check_units
 
 Read = TypeVar("Read")
 
@@ -314,10 +315,7 @@ def _check_metadata(face: Face) -> None:
     major = made_by.partition(".")[0]
     if major.isdecimal() and int(major) > int(__version__.partition(".")[0]):
         raise SchemaError(face.where, f"made by facepipe {made_by}, expected {__version__} or older")
-    if not (np.isfinite(face.meters_per_unit) and 1e-9 <= face.meters_per_unit <= 1e9):
-        raise SchemaError(face.where, f"metersPerUnit {face.meters_per_unit:g}, expected a length above 0")
-    if face.up_axis not in ("Y", "Z"):
-        raise SchemaError(face.where, f"upAxis '{face.up_axis}', expected Y or Z")
+    check_units(face.where, face.stage)
 
 
 def _unique_names(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:

@@ -12,12 +12,13 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import Animation, FloatArray, Mesh
+from facepipe.parts import Animation, FloatArray, IntArray, Mesh
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
 from facepipe.stage.orientation import is_left_handed, turned
 from facepipe.stage.read_skeleton import read_animation
 from facepipe.stage.traversal import prims_below
+from facepipe.stage.units import check_units
 from facepipe.stage.values import floats, ints, matrix
 
 MOST_SAMPLES = 100_000
@@ -48,10 +49,12 @@ def read_point_cache(path: str | os.PathLike[str]) -> PointCache:
     """The meshes of a USD file at all samples of their points and transforms; skins and blendshapes are left out.
 
     :raises InputError: no such file, no readable USD, too many samples, or NaN
-    :raises TopologyError: a mesh whose number of points changes, or whose faces don't fit its points
+    :raises SchemaError: units that are no length
+    :raises TopologyError: a mesh whose number of points or faces change, or whose faces don't fit its points
     """
     with usd_errors(path):
         stage = open_stage(path)
+        check_units(path, stage)
         try:
             return _read(stage)
         except (InputError, TopologyError) as error:
@@ -112,8 +115,9 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
     if any(len(points) != len(samples[0]) for points in samples):
         other = next(points for points in samples if len(points) != len(samples[0]))
         raise TopologyError(where, f"{len(other)} points at a time sample, expected {len(samples[0])} as at the first")
-    counts = ints(mesh.GetFaceVertexCountsAttr().Get(times[0]))
-    indices = ints(mesh.GetFaceVertexIndicesAttr().Get(times[0]))
+    counts, indices = (
+        _still(attribute, where) for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+    )
     if counts.sum() != len(indices) or (indices.size and not 0 <= indices.min() <= indices.max() < len(samples[0])):
         raise TopologyError(where, f"faces that don't fit {len(samples[0])} points")
     points = np.stack(samples)
@@ -129,3 +133,14 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
         worlds=worlds,
         has_default=bool(mesh.GetPointsAttr().Get()),
     )
+
+
+def _still(attribute: Usd.Attribute, where: str) -> IntArray:
+    """The numbers of an attribute that may have time samples but doesn't change.
+
+    :raises TopologyError: it does
+    """
+    samples = [ints(attribute.Get(time)) for time in attribute.GetTimeSamples()] or [ints(attribute.Get())]
+    if any(not np.array_equal(one, samples[0]) for one in samples):
+        raise TopologyError(where, f"{attribute.GetName()} change over time, expected the same faces throughout")
+    return samples[0]

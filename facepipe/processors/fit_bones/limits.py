@@ -9,10 +9,10 @@
       "units": "stage"
     }
 
-Names of joints are patterns of their paths or last names; later ones win. Channels are single (``tx``) or of a kind
-(``t``, ``r``, ``s``; a single one wins). ``null`` is no limit; scales without stay above 0.01. Rotations are radians,
-scales factors (1 is rest), translations ``units``: ``stage``, ``mm``, ``cm`` or ``m``. ``lock`` keeps channels, or
-``*`` all of them, at rest.
+Names of joints are patterns of their paths or last names; later ones win. Channels are single (``tx``), of a kind
+(``t``, ``r``, ``s``), or ``*`` all; the narrower name wins. ``null`` is no limit; scales without stay above 0.01.
+Rotations are radians, scales factors (1 is rest), translations ``units``: ``stage``, ``mm``, ``cm`` or ``m``. ``lock``
+keeps channels, or ``*`` all of them, at rest.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ Range = tuple[float | None, float | None]
 _MOST_BYTES = 1 << 24
 _KEYS = ("joints", "lock", "units")
 _UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
-_KINDS = ("t", "r", "s")
 _LARGEST = 1e9  # of a limit: in any unit it stays finite in float32
 
 
@@ -83,15 +82,12 @@ class LimitRules:
         scale = 1.0 if meters is None else meters / meters_per_unit
         for pattern, channels in self.joints:
             rows = _matching(f"{self.where} -> joints -> {pattern}", pattern, joints)
-            # a single channel after the kinds
-            for channel in sorted(channels, key=len):
-                factor = scale if channel.startswith("t") else 1.0
-                columns = _channels("", channel)
-                low, high = _rounded_inwards(channels[channel], factor)
-                at = np.ix_(rows, columns)
-                lower[at], upper[at] = low, high
-                if channels[channel][0] is None:
-                    lower[at] = np.minimum(_none_below(len(rows))[:, columns], high)
+            for name in sorted(channels, key=lambda one: -len(_channels("", one))):  # * first, single channels last
+                for column in _channels("", name):
+                    low, high = _rounded_inwards(channels[name], scale if column < 3 else 1.0)
+                    lower[rows, column], upper[rows, column] = low, high
+                    if channels[name][0] is None:
+                        lower[rows, column] = min(_none_below(1)[0, column], high)
         rest = rest_coefficients(len(joints))
         for word in self.lock:
             pattern, _, channel = word.rpartition(":")

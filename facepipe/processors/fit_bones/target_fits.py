@@ -25,6 +25,7 @@ from facepipe.processors.fit_bones.report import (
 from facepipe.processors.fit_bones.residual import Residual, corrective
 from facepipe.processors.fit_bones.rig_checks import check_rig, local_shear, rest_shear
 from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones.target_checks import check_targets, size_warning
 from facepipe.processors.fit_bones.targets import Target
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.stage import Face
@@ -61,7 +62,8 @@ class TargetFits:
         self.lower, self.upper = limits.resolve(self.rig.joints, face.meters_per_unit, self.parts.bone_limits)
         self.weights = weights
         self.initial = np.clip(_initial(initial, self.rig), self.lower, self.upper)
-        _check_targets(targets, len(self.rig.points))
+        self.rest = self.rig.evaluate()
+        check_targets(targets, self.rest, weights)
         taken = [one.name for one in self.parts.animations]
         self.names = unique_identifiers([*taken, *(target.name for target in targets)])[len(taken) :]
         self.shape_names = list(face.shapes)
@@ -73,8 +75,6 @@ class TargetFits:
         key = b"" if known is None else np.packbits(known).tobytes()
         if key not in self._sessions:
             weights = self.weights if known is None else self.weights * known
-            if not weights.any():
-                raise InputError(self.rig.name, "the target knows no point that counts")
             self._sessions[key] = BoneFit(
                 self.rig,
                 lower=self.lower,
@@ -141,7 +141,11 @@ class TargetFits:
             animation=animation,
             shapes=shapes,
             report=report,
-            warnings=(*target.notes, *self._warnings(name, report, residuals, coefficients)),
+            warnings=(
+                *target.notes,
+                *size_warning(target, name, self.rest, self.weights),
+                *self._warnings(name, report, residuals, coefficients),
+            ),
         )
 
     def _posed(self, target: Target, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -208,14 +212,6 @@ def _initial(given: FloatArray | None, rig: Rig) -> FloatArray:
     if initial.shape != rest.shape or not np.isfinite(initial).all():
         raise InputError("initial", f"coefficients {initial.shape}, expected {rest.shape} finite numbers")
     return initial
-
-
-def _check_targets(targets: Sequence[Target], points: int) -> None:
-    if not targets:
-        raise InputError("targets", "none given, expected at least one")
-    for target in targets:
-        if target.points.shape[1] != points:
-            raise InputError(f"target {target.name}", f"{target.points.shape[1]:,} points, expected {points:,}")
 
 
 def _tracks(residuals: Sequence[Residual | None]) -> tuple[tuple[tuple[Blendshape | None, ...], ...], FloatArray]:

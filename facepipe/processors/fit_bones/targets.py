@@ -18,6 +18,7 @@ from facepipe.stage import Face
 FloatArray = npt.NDArray[np.floating]
 
 ALL_SHAPES = "shapes"
+_LARGEST = 1e12  # stage units: squares add up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,9 @@ class Target:
         if bad.size:
             frame = "" if frames == 1 else f" at frame {bad[0]}"
             raise InputError(f"target {self.name}", f"NaN or infinity{frame}, expected finite points")
+        largest = float(np.abs(self.points).max(initial=0.0))
+        if largest > _LARGEST:
+            raise InputError(f"target {self.name}", f"a coordinate of {largest:g}, expected at most {_LARGEST:g}")
 
 
 def read_targets(face: Face, words: Sequence[str], load: Loader | None = None) -> tuple[Target, ...]:
