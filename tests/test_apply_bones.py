@@ -104,6 +104,18 @@ def test_clips_keep_their_frames_through_float32_seconds(rate: float, tmp_path: 
     np.testing.assert_allclose(found[3], codes[3], rtol=1e-7)
 
 
+def test_points_that_float32_can_not_hold_are_refused(tmp_path: Path, capsys: Capsys) -> None:
+    save_parts(tiny_face(), tmp_path / "face.usda")
+    values = moved(facepipe.open(tmp_path / "face.usda"), 2)
+    values.coefficients[1, :, 6:] = 1e25
+    payload = sent(values, tmp_path / "p.fpb")
+    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz") == 2
+    err = capsys.readouterr().err
+    assert "</Tiny> -> frame 1: points too large for float32, expected smaller coefficients" in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.glob("*out*"))
+
+
 # --- limits
 
 

@@ -259,6 +259,23 @@ def test_residuals_of_poses_with_shear_scale_and_loose_meshes(tmp_path: Path) ->
     check_sparse(face, "goal", goal, 0.5)
 
 
+def test_points_that_follow_no_joint_are_told_where_a_residual_can_not_move_them() -> None:
+    skin = small().meshes[0].skin
+    assert skin is not None
+    weights = np.array(skin.joint_weights)
+    weights[:10] = 0.0
+    head_mesh = replace_mesh(small().meshes[0], skin=replace(skin, joint_weights=weights))
+    parts = replace(small(), meshes=(head_mesh, small().meshes[1]))
+    locked = LimitRules(lock=("*:*",))
+    goal = target(build(small()).evaluate())  # the other points are there already
+    face, report = fitted(parts, FitBones(residual=True, limits=locked), goal)
+    one = report.targets["goal"]
+    assert "goal: 10 points are squashed flat by their bones, the residual can't move them" in report.warnings
+    assert (one.reached, face.shapes) == (False, Face.from_parts(parts).shapes)
+    assert one.residual is not None
+    assert one.residual.shapes == 0
+
+
 def test_clips_get_a_residual_for_each_frame_that_needs_one() -> None:
     rig, rng = rig_of("small"), np.random.default_rng(1)
     frames = np.stack([rig.evaluate(coefficients=pose(rig, 1, share)) for share in (0.0, 0.5, 1.0)])

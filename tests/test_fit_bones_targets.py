@@ -269,6 +269,7 @@ def test_triangles_of_another_topology_are_refused(tmp_path: Path) -> None:
         ("frown", "target frown: no such blendshape, animation or file type, expected jawOpen"),
         ("jawOpen=x", "target jawOpen=x: expected SHAPE=WEIGHT with a finite number"),
         ("jawOpen=nan", "target jawOpen=nan: expected SHAPE=WEIGHT"),
+        ("jawOpen=1e308", "target jawOpen=1e308: expected SHAPE=WEIGHT with a finite number of at most 1e+06"),
         ("frown=1", "target frown=1: no such blendshape"),
         ("none.usda", "none.usda: no such file"),
         ("none.obj", "none.obj"),
@@ -308,6 +309,50 @@ def test_joints_of_a_clip_that_the_face_lacks(tmp_path: Path) -> None:
     file.write_text(text)
     with pytest.raises(InputError, match=r"clip.usda -> talk: 'root/jaw/tongue' is no joint of the skeleton"):
         one(rig_face(tmp_path), f"{file}:talk")
+
+
+ROOT = {
+    "joints": 'uniform token[] joints = ["root"]',
+    "translations": "float3[] translations = [(0, 0, 0)]",
+    "rotations": "quatf[] rotations = [(1, 0, 0, 0)]",
+    "scales": "half3[] scales = [(1, 1, 1)]",
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"translations": "float3[] translations = [(nan, 0, 0)]"}, "/A -> translations: NaN or infinity"),
+        ({"scales": "half3[] scales = [(inf, 1, 1)]"}, "/A -> scales: NaN or infinity"),
+        ({"rotations": "quatf[] rotations = [(0, 0, 0, 0)]"}, "A -> root: a rotation quaternion of length 0"),
+        ({"joints": 'uniform token[] joints = ["nose"]'}, "A: 'nose' is no joint of the skeleton"),
+        ({"joints": 'uniform token[] joints = ["root", "root"]'}, "1 values at a time sample, expected 2"),
+        (
+            {
+                "joints": 'uniform token[] joints = ["root", "root"]',
+                "translations": "float3[] translations = [(0, 0, 0), (1, 1, 1)]",
+                "rotations": "",
+                "scales": "",
+            },
+            "/A: 'root' twice, expected each joint and shape once",
+        ),
+        (
+            {"translations": "float3[] translations.timeSamples = {1: [(0, 0, 0)], 2: []}"},
+            "/A.translations: 0 values at a time sample, expected 1",
+        ),
+        (
+            {"more": 'uniform token[] blendShapes = ["frown"]\nfloat[] blendShapeWeights = [1]'},
+            "no shape 'frown', expected one of jawOpen",
+        ),
+    ],
+)
+def test_clips_that_make_no_sense_are_refused(change: dict[str, str], message: str, tmp_path: Path) -> None:
+    lines = "\n".join({**ROOT, **change}.values())
+    (tmp_path / "clip.usda").write_text(f'#usda 1.0\ndef SkelAnimation "A"\n{{\n{lines}\n}}\n')
+    with pytest.raises(FacepipeError) as refusal:
+        one(rig_face(tmp_path), f"{tmp_path / 'clip.usda'}:A")
+    assert str(refusal.value).startswith(str(tmp_path / "clip.usda"))
+    assert message in str(refusal.value)
 
 
 def test_nan_and_changing_counts_in_caches_are_refused(tmp_path: Path) -> None:

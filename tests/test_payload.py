@@ -270,6 +270,7 @@ def test_no_header_makes_a_reader_allocate_more_than_its_file_can_fill(
         ({"times": np.zeros(1)}, "times"),
         ({"coefficients": np.tile(REST, (2, 11, 1)), "times": np.zeros(3)}, "expected one per frame"),
         ({"coefficients": np.tile(REST, (2, 11, 1)), "times": np.array([1.0, 1.0 + 1e-9])}, "times don't ascend"),
+        ({"coefficients": np.tile(REST, (2, 11, 1)), "times": np.array([1.0, 1e300])}, "times don't ascend"),
         ({"coefficients": np.broadcast_to(REST, (MAX_VALUES // 99 + 1, 11, 9))}, "expected at most"),
     ],
 )

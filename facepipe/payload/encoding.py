@@ -82,7 +82,9 @@ def _check(content: PayloadContent) -> None:
     if content.times is not None:
         if len(shape) != 3 or np.shape(content.times) != shape[:1]:
             raise InputError("bone coefficients", f"times {np.shape(content.times)}, expected one per frame")
-        if not ascend(np.asarray(content.times).astype("<f4")):
+        with np.errstate(over="ignore"):
+            seconds = np.asarray(content.times).astype("<f4")
+        if not ascend(seconds):
             raise InputError("bone coefficients", "times don't ascend, expected different float32 seconds in order")
 
 

@@ -114,11 +114,15 @@ def posed_points(face: Face, content: PayloadContent, done: Callable[[], object]
     """(n, 3) or (T, n, 3) float32 world points, in stage units.
 
     :param done: called after every frame
-    :raises InputError: other joints or units than the face has
+    :raises InputError: other joints or units than the face has, or points that float32 can't hold
     """
     check_fits(face, content)
     points = np.empty((len(content.frames), len(face.rig().points), 3), np.float32)
-    for own, coefficients in zip(points, content.frames, strict=True):
-        own[:] = face.evaluate(coefficients=coefficients)
+    for number, (own, coefficients) in enumerate(zip(points, content.frames, strict=True)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            own[:] = face.evaluate(coefficients=coefficients)
+        if not np.isfinite(own).all():
+            what = "points too large for float32, expected smaller coefficients"
+            raise InputError(f"{face.where} -> frame {number}", what)
         done()
     return points if np.ndim(content.coefficients) == 3 else points[0]

@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
+from facepipe.finite import require_finite
 from facepipe.parts import Animation, FloatArray, IntArray, Mesh
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
@@ -64,14 +65,24 @@ def read_point_cache(path: str | os.PathLike[str]) -> PointCache:
 def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]:
     """The SkelAnimations of a USD file, whether it has a face or not.
 
-    :raises InputError, TopologyError: no such file, no readable USD, or arrays that don't fit each other
+    :raises InputError, TopologyError: no such file, no readable USD, NaN, a joint or shape twice, or arrays that don't
+        fit each other
     """
     with usd_errors(path):
         stage = open_stage(path)
         try:
-            return tuple(read_animation(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
+            return tuple(_loose(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
         except (InputError, TopologyError) as error:
             raise error.under(path) from None
+
+
+def _loose(prim: Usd.Prim) -> Animation:
+    animation = read_animation(prim)
+    require_finite(animation, str(prim.GetPath()))
+    for name in (*animation.joints, *animation.shapes):
+        if (*animation.joints, *animation.shapes).count(name) > 1:
+            raise InputError(str(prim.GetPath()), f"'{name}' twice, expected each joint and shape once")
+    return animation
 
 
 def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:

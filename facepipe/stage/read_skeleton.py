@@ -82,8 +82,9 @@ def read_animation(prim: Usd.Prim) -> Animation:
             return None
         read = [attribute.Get(time) for time in times]
         rows = [quaternions(one) if quaternion else floats(one, width) for one in read]
-        if any(len(row) != count for row in rows):
-            raise TopologyError(attribute.GetPath(), f"{len(rows[0])} values at a time sample, expected {count}")
+        other = next((len(row) for row in rows if len(row) != count), None)
+        if other is not None:
+            raise TopologyError(attribute.GetPath(), f"{other} values at a time sample, expected {count}")
         return np.stack(rows) if count else None
 
     weights = samples(attributes[3], len(shapes), 1)

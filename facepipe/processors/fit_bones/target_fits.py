@@ -216,9 +216,10 @@ def _initial(given: FloatArray | None, rig: Rig) -> FloatArray:
 
 def _tracks(residuals: Sequence[Residual | None]) -> tuple[tuple[tuple[Blendshape | None, ...], ...], FloatArray]:
     """The shapes of all frames, and their weights (T, shapes): 1 at the frame that each is for."""
-    shapes = tuple(one.shapes for one in residuals if one is not None)
+    own = {frame: one.shapes for frame, one in enumerate(residuals) if one is not None}
+    made = {frame: meshes for frame, meshes in own.items() if any(shape is not None for shape in meshes)}
+    shapes, frames = tuple(made.values()), list(made)
     weights = np.zeros((len(residuals), len(shapes)))
-    frames = [frame for frame, one in enumerate(residuals) if one is not None]
     weights[frames, np.arange(len(shapes))] = 1.0
     return shapes, weights
 

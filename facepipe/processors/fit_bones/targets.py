@@ -18,6 +18,7 @@ from facepipe.stage import Face
 FloatArray = npt.NDArray[np.floating]
 
 ALL_SHAPES = "shapes"
+_LARGEST_WEIGHT = 1e6
 _LARGEST = 1e12  # stage units: squares add up
 
 
@@ -120,6 +121,6 @@ def _weight(word: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise InputError(f"target {word}", "expected SHAPE=WEIGHT with a finite number")
+    if not abs(value) <= _LARGEST_WEIGHT:  # NaN too
+        raise InputError(f"target {word}", f"expected SHAPE=WEIGHT with a finite number of at most {_LARGEST_WEIGHT:g}")
     return value
