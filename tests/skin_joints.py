@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from import_data import shared
 
 from facepipe.importers import ict, makehuman
-from facepipe.parts import FaceParts, Skeleton
-from facepipe.processors.skin import JointSet, JointSpec
+from facepipe.parts import FaceParts, Mesh, Skeleton
+from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport
 from facepipe.processors.skin.eyeballs import eyeballs_of
 from facepipe.processors.skin.surface import surface_of
 from facepipe.sample import make
 from facepipe.stage import Face
+
+Array = np.ndarray[Any, Any]
 
 # joint -> landmarks of multipie68 whose middle it stands at
 KINDS = ("sample", "ict", "makehuman")
@@ -87,3 +92,35 @@ def without_joints(parts: FaceParts) -> FaceParts:
 def weights_of(face: Face) -> np.ndarray:
     """(n, j) dense weights of all points."""
     return np.asarray(face.rig().influences.toarray()[:, : len(face.skeleton.joints)])
+
+
+TWO = JointSet(
+    joints=(JointSpec(path="a", position=(0, 0, 0)), JointSpec(path="a/b", position=(0, -40, 60))), unit="mm"
+)
+
+
+def changed(parts: FaceParts, change: Callable[[Mesh], Mesh], name: str = "Head") -> FaceParts:
+    """The face with one mesh changed."""
+    return replace(parts, meshes=tuple(change(mesh) if mesh.name == name else mesh for mesh in parts.meshes))
+
+
+@cache
+def bare() -> FaceParts:
+    """The sample without joints and shapes."""
+    parts = without_joints(head("sample"))
+    return replace(parts, meshes=tuple(replace(mesh, blendshapes=(), normals=None) for mesh in parts.meshes))
+
+
+def skinned(parts: FaceParts, skin: SkinFace) -> tuple[Face, Array, SkinReport]:
+    """Face, weights and report; what must hold of any weights, without a word on stderr."""
+    face = Face.from_parts(parts)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        report = skin(face)
+    face = Face(face.stage)
+    weights = weights_of(face)
+    assert np.isfinite(weights).all()
+    assert weights.min() >= 0
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-6)
+    assert (weights > 0).sum(axis=1).max() <= 4
+    return face, weights, report

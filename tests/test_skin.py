@@ -264,7 +264,7 @@ def with_joint(**fields: object) -> dict[str, Any]:
 
 
 BAD_FILES = {
-    "[]": "expected an object",
+    "[]": "expected a JSON object",
     "{": "is not JSON",
     '{"joints": {"a": {"position": [0,0,0]}, "a": {"position": [0,0,0]}}}': "'a' twice",
     '{"joints": {"a": {"position": [0, 0, NaN]}}}': "expected 3 finite numbers",

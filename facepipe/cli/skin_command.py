@@ -9,13 +9,18 @@ never cross from lip to lip or lid to lid.
 
 --from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
 which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips.
---optimise then refines the weights, so that the joints alone come nearer to the blendshapes that FACE has.
+--optimise then refines the weights, so that the joints alone come nearer to the blendshapes that FACE has: RMS and max
+distance of the moved points, before and after, with the best rigid motion of each joint. Joints stay where they are, and
+only weights are authored. For bone coefficients of each shape, within limits and with scale, fit the result:
+facepipe fit-bones OUT --target shapes -o FITTED.
 
-OUT is an override layer over FACE.
+A face that has the same joints keeps their order; where they stand may change, what its animations do relative to rest
+does not. OUT is an override layer over FACE.
 
 examples:
   facepipe skin head.usdc --joints joints.json -o skinned.usdc --picture weights.png
   facepipe skin ict.usdc --from makehuman.usdc -o rigged.usdc --optimise
+  facepipe fit-bones rigged.usdc --target shapes -o fitted.usdc
 """
 
 from __future__ import annotations
@@ -27,12 +32,11 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError
+from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from facepipe.parts import Recipe
     from facepipe.processors.skin import SkinOptions, SkinReport
     from facepipe.stage import Face
 
@@ -50,18 +54,20 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the weights on the face, a colour a joint")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
     parser.add_argument("--json", action="store_true", help="print what was authored as JSON")
-    add_options(parser, SkinOptions, "weights")
+    add_options(parser, SkinOptions, "weights", sparse=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, skin, author the layer."""
     import facepipe
-    from facepipe.processors.skin import SkinFace, SkinOptions, read_joints
+    from facepipe.processors.skin import SkinFace, SkinOptions, read_joints, skin_recipe
     from facepipe.stage import Face
-    from facepipe.stage.author_skeleton import author_recipe
+    from facepipe.stage.files import check_suffix
 
     inputs = [arguments.face, arguments.joints or arguments.source]
     out = output_of(arguments, inputs)
+    check_suffix(out)
+    _check_flags(arguments)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
     options: SkinOptions = options_from(arguments, SkinOptions)
     skin = SkinFace(
@@ -70,13 +76,14 @@ def run(arguments: argparse.Namespace) -> int:
         optimise=arguments.optimise,
         options=options,
     )
+    way = {"joints": arguments.joints, "source": arguments.source}
+    recipe = skin_recipe(arguments.face, out, **way, optimise=arguments.optimise, options=options)
     with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
         try:
             with progress("optimise", options.iterations if arguments.optimise else 0) as bar:
-                report = skin(face, bar.update)
+                report = skin(face, bar.update, recipe=recipe)
         except FacepipeError as error:  # the layer being made has no file yet: name its source
             raise error.under(arguments.face) if error.where.startswith("<") else error from None
-        author_recipe(face.prim, _recipe(inputs, arguments, options, out))
         image = _draw(Face(face.stage, face.prim)) if picture else None
     if image is not None and picture is not None:
         from facepipe.render import save_png
@@ -86,6 +93,15 @@ def run(arguments: argparse.Namespace) -> int:
     result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
     emit(result, _text(out, picture, report), as_json=arguments.json)
     return 0
+
+
+def _check_flags(arguments: argparse.Namespace) -> None:
+    """:raises InputError: an option of another way to skin"""
+    needs = {"sharpness": "joints", "smoothing": "source", "iterations": "optimise", "evenness": "optimise"}
+    flags = {"joints": "--joints", "source": "--from", "optimise": "--optimise"}
+    for name, needed in needs.items():
+        if hasattr(arguments, name) and not getattr(arguments, needed):
+            raise InputError(f"--{name}", f"given without {flags[needed]}, expected both or neither")
 
 
 def _draw(face: Face) -> Image:
@@ -111,24 +127,9 @@ def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
         fit = report.fit
         misses = f"RMS {fit.rms_before_mm:.3f} -> {fit.rms_after_mm:.3f} mm, max {fit.max_before_mm:.1f} -> "
         lines.append(f"{fit.shapes} shapes by rigid joints alone: {misses}{fit.max_after_mm:.1f} mm")
+        lines.append(f"bone coefficients of each shape: facepipe fit-bones {out} --target shapes -o FITTED")
     lines += [f"{mesh}: held by {joint}" for mesh, joint in report.rigid.items()]
     if report.weightless:
         some = ", ".join(joint.rpartition("/")[2] for joint in report.weightless[:8])
         lines.append(f"{len(report.weightless)} joints move no point: {some}{' ...' * (len(report.weightless) > 8)}")
     return "\n".join([*lines, *([str(picture)] if picture else [])])
-
-
-def _recipe(sources: list[Path], arguments: argparse.Namespace, options: SkinOptions, out: Path) -> Recipe:
-    from facepipe import __version__
-    from facepipe.digests import digest
-    from facepipe.options import to_json
-    from facepipe.parts import Recipe
-    from facepipe.stage.files import relative_path
-
-    return Recipe(
-        verb="skin",
-        sources=tuple(relative_path(str(source), out.parent) for source in sources),
-        digests=tuple(digest([source]) for source in sources),
-        options={"from": arguments.joints is None, "optimise": arguments.optimise, **to_json(options)},
-        version=__version__,
-    )

@@ -16,6 +16,7 @@ IntArray = npt.NDArray[np.integer]
 
 SMALLEST_COTANGENT = 0.05  # obtuse and flat triangles: weights stay positive, so that a face keeps one solution
 LARGEST_COTANGENT = 20.0
+_FLATTEST = 1e-15  # tangent of the smallest angle told from 0
 
 
 def incidence(edges: IntArray, point_count: int) -> Any:
@@ -41,7 +42,9 @@ def cotangent_weights(points: FloatArray, triangles: IntArray) -> tuple[IntArray
     for apex in range(3):
         a, b = corners[:, (apex + 1) % 3] - corners[:, apex], corners[:, (apex + 2) % 3] - corners[:, apex]
         doubled_area = np.linalg.norm(np.cross(a, b), axis=1)
-        cotangents.append(0.5 * (a * b).sum(axis=1) / np.maximum(doubled_area, np.finfo(np.float64).tiny))
+        along = (a * b).sum(axis=1)
+        least = np.maximum(_FLATTEST * np.abs(along), np.finfo(np.float64).tiny)  # a sum of cotangents stays finite
+        cotangents.append(0.5 * along / np.maximum(doubled_area, least))
         pairs.append(triangles[:, [(apex + 1) % 3, (apex + 2) % 3]])
     ends = np.sort(np.concatenate(pairs), axis=1)
     edges, place = np.unique(ends, axis=0, return_inverse=True)

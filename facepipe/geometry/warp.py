@@ -66,7 +66,7 @@ def fit_warp(source: FloatArray, target: FloatArray, smoothing: float = 0.0) -> 
     """The warp of least bending that takes `source` (l, 3) to `target` (l, 3).
 
     :param smoothing: a length, 0 or more: landmarks are missed by about as much where that saves bending
-    :raises InputError: fewer than 4 landmarks, two at one place, or shapes that don't fit
+    :raises InputError: fewer than 4 landmarks, all at one place, or two without smoothing; shapes that don't fit
     """
     similarity = fit_similarity(source, target)
     centres = similarity.apply(source)
@@ -74,7 +74,8 @@ def fit_warp(source: FloatArray, target: FloatArray, smoothing: float = 0.0) -> 
     if count < 4:
         raise InputError("landmarks", f"{count}, expected at least 4")
     away = np.linalg.norm(centres[:, None] - centres, axis=2)
-    if np.where(np.eye(count) > 0, np.inf, away).min() <= 1e-9 * away.max():
+    least = 1e-9 * float(away.max())  # smoothing keeps landmarks apart that lie on one another, such as closed lips'
+    if smoothing <= least and np.where(np.eye(count) > 0, np.inf, away).min() <= least:
         raise InputError("landmarks", "two at one place, expected different ones")
     system = np.zeros((count + 1, count + 1))
     system[:count, :count] = away - smoothing * np.eye(count)  # the distance is negative definite where sums are 0

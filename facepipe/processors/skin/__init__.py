@@ -2,7 +2,18 @@
 
 from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
 from facepipe.processors.skin.options import SkinOptions
+from facepipe.processors.skin.recipe import SkinRecipe, read_skin_recipe, skin_recipe
 from facepipe.processors.skin.report import SkinReport
 from facepipe.processors.skin.skin_face import SkinFace
 
-__all__ = ["JointSet", "JointSpec", "SkinFace", "SkinOptions", "SkinReport", "read_joints"]
+__all__ = [
+    "JointSet",
+    "JointSpec",
+    "SkinFace",
+    "SkinOptions",
+    "SkinRecipe",
+    "SkinReport",
+    "read_joints",
+    "read_skin_recipe",
+    "skin_recipe",
+]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from facepipe.errors import FacepipeError, InputError
@@ -22,6 +24,10 @@ _MISSED = 0.5  # mm: landmarks are set by hand, and missed by about as much wher
 _SHARP = 1e-3  # mm: weights of points that lie on the other face are smoothed no more than this
 _TRUSTED = 1.0  # mm: from there on weights are smoothed over the whole length, and more as places are farther off
 _LONGEST = 4.0  # times the length
+_STRANGE, _UNLIKE = (
+    0.3,
+    0.5,
+)  # of landmarks' spread: heads lie 0.08 to 0.2 apart, mirrored ones 0.7
 
 
 def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str, smoothing: float) -> Skinning:
@@ -37,7 +43,7 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     for one in (surface, other):
         if one.landmarks is None:
             raise InputError(one.where, "no 68 landmarks of multipie68, expected them on both faces")
-    weights = _weights(source, other)
+    weights, warnings = _weights(source, other)
     pairs = _paired(surface, other)
     warp = _warp(surface, other, pairs)
     warped = warp.apply(other.points)
@@ -48,59 +54,95 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     local = surface.part_triangles(inside, even=True)
     found[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
     landmarks = np.linalg.norm(warped[other.landmarks] - surface.points[surface.landmarks], axis=1)
-    away = places.distances
     report = TransferReport(
         source=where,
         landmarks_mm=float(landmarks.max()),
-        surface_mm={
-            "mean": float(away.mean()),
-            "rms": float(np.sqrt((away**2).mean())),
-            "p95": float(np.percentile(away, 95)),
-            "max": float(away.max()),
-        },
+        surface_mm=_summary(places.distances),
         eyeballs=len(pairs),
         parts=origin,
     )
-    return Skinning(skeleton=_skeleton(parts, source, warp), weights=normalised(found), transfer=report)
+    warnings = (*warnings, *_shape_warnings(surface, other, warp))
+    return Skinning(
+        skeleton=_skeleton(parts, source, warp), weights=normalised(found), transfer=report, warnings=warnings
+    )
 
 
-def _weights(source: FaceParts, surface: Surface) -> FloatArray:
-    """(m, j) of the sewn points; points of meshes without skin go with the first root."""
-    rig = build(source)
+def _summary(away: FloatArray) -> dict[str, float]:
+    rms, p95 = np.sqrt((away**2).mean()), np.percentile(away, 95)
+    return {"mean": float(away.mean()), "rms": float(rms), "p95": float(p95), "max": float(away.max())}
+
+
+def _weights(source: FaceParts, surface: Surface) -> tuple[FloatArray, tuple[str, ...]]:
+    """(m, j) of the sewn points, and warnings; points without, as of meshes without skin, go with the first root."""
+    try:
+        rig = build(source)
+    except FacepipeError as error:
+        raise error.under(surface.where) from None
     table = np.asarray(rig.influences.toarray())[np.unique(surface.group, return_index=True)[1]]
-    weights = table[:, :-1]
-    weights[:, int(np.flatnonzero(rig.parents < 0)[0])] += table[:, -1]
-    return normalised(weights)
+    weights, bare = np.maximum(table[:, :-1], 0.0), table[:, -1] > 0
+    warnings = []
+    negative, none = int((table < 0).any(axis=1).sum()), (weights.sum(axis=1) <= 0) & ~bare
+    if negative:
+        warnings.append(f"{surface.where}: {negative} points have weights below 0, which count as 0")
+    if none.any():
+        warnings.append(f"{surface.where}: {int(none.sum())} points have no weights, and go with the root")
+    weights[none | bare, int(np.flatnonzero(rig.parents < 0)[0])] = 1.0
+    return normalised(weights), tuple(warnings)
 
 
 def _paired(target: Surface, source: Surface) -> list[tuple[Eyeball, Eyeball]]:
     """Eyeballs of both faces by the eye that their landmarks draw around them."""
     pairs = []
+    balls = [eyeballs_of(one) for one in (target, source)]
     for eye in (slice(36, 42), slice(42, 48)):
-        own, other = (_of_eye(one, eye) for one in (target, source))
+        own, other = (_of_eye(one, found, eye) for one, found in zip((target, source), balls, strict=True))
         if own is not None and other is not None:
             pairs.append((own, other))
     return pairs
 
 
-def _of_eye(surface: Surface, eye: slice) -> Eyeball | None:
+def _of_eye(surface: Surface, balls: Sequence[Eyeball], eye: slice) -> Eyeball | None:
     assert surface.landmarks is not None
     lids = surface.points[surface.landmarks[eye]]
     width = float(np.linalg.norm(lids[0] - lids[3]))
-    near = [(float(np.linalg.norm(ball.centre - lids.mean(axis=0))), i) for i, ball in enumerate(eyeballs_of(surface))]
+    near = [(float(np.linalg.norm(ball.centre - lids.mean(axis=0))), i) for i, ball in enumerate(balls)]
     near = [one for one in near if one[0] <= width]
-    return eyeballs_of(surface)[min(near)[1]] if near else None
+    return balls[min(near)[1]] if near else None
 
 
 def _warp(target: Surface, source: Surface, pairs: list[tuple[Eyeball, Eyeball]]) -> Warp:
     assert target.landmarks is not None
     assert source.landmarks is not None
+    for one in (target, source):
+        if not np.ptp(one.points[one.landmarks], axis=0).any():
+            raise InputError(one.where, "all landmarks at one place, expected 68 of multipie68")
     to = [target.points[target.landmarks], *(own.centre[None] for own, _ in pairs)]
     start = [source.points[source.landmarks], *(other.centre[None] for _, other in pairs)]
     try:
-        return fit_warp(np.concatenate(start), np.concatenate(to), _MISSED)
+        warp = fit_warp(np.concatenate(start), np.concatenate(to), _MISSED)
     except FacepipeError as error:
         raise error.under(source.where) from None
+    if (unlike := _unlikeness(target, source, warp)) > _UNLIKE:
+        what = f"landmarks lie {unlike:.0%} of their spread from those of {source.where}, scaled and turned onto them"
+        raise InputError(target.where, f"{what}: expected multipie68 on both, from the face's right to its left")
+    return warp
+
+
+def _unlikeness(target: Surface, source: Surface, warp: Warp) -> float:
+    """RMS distance of the landmarks, scaled and turned onto one another, over their RMS distance from the middle."""
+    assert target.landmarks is not None
+    assert source.landmarks is not None
+    own = target.points[target.landmarks]
+    away = warp.similarity.apply(source.points[source.landmarks]) - own
+    return float(np.sqrt((away**2).sum() / ((own - own.mean(axis=0)) ** 2).sum()))
+
+
+def _shape_warnings(target: Surface, source: Surface, warp: Warp) -> tuple[str, ...]:
+    unlike = _unlikeness(target, source, warp)
+    if unlike <= _STRANGE:
+        return ()
+    what = f"landmarks lie {unlike:.0%} of their spread from those of {source.where}, scaled and turned onto them"
+    return (f"{what}: look at the weights",)
 
 
 def _skeleton(parts: FaceParts, source: FaceParts, warp: Warp) -> Skeleton:

@@ -17,7 +17,8 @@ Names are paths, parents anywhere in the file. A joint has, beside its position 
 - ``radius``: no weight further from it, along the surface.
 - ``regions``: weight in these only: regions of the face, or a side of its mouth or eyes (``mouth_upper``,
   ``mouth_lower``, ``eye_left_upper``, ``eye_left_lower``, ``eye_right_upper``, ``eye_right_lower``).
-- ``surface``: whether it moves the face itself. Without it: yes, unless it is in an eyeball, which it turns.
+- ``surface``: whether it moves the face itself. Without it: yes, unless it is in an eyeball and has no regions. An
+  eyeball goes with the joint nearest to its centre, one that does not move the face before others.
 
 ``parts`` gives loose parts whole to a joint, by mesh names or globs; ``upper`` and ``lower`` part them by the mouth.
 ``unit`` of positions and radii is ``stage`` (the face's own), ``mm``, ``cm`` or ``m``.
@@ -25,7 +26,6 @@ Names are paths, parents anywhere in the file. A joint has, beside its position 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,13 +34,14 @@ from typing import Any
 
 from facepipe.errors import InputError
 from facepipe.names import identifier
-from facepipe.reading import read_bytes
+from facepipe.reading import read_json_object
 
-MOST_JOINTS = 4096
+MOST_JOINTS = 1024
 _MOST_BYTES = 1 << 24
 _UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
 _FIELDS = ("position", "rotation", "radius", "regions", "surface")
 _LARGEST = 1e9
+_LONGEST_PATH = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,25 +73,27 @@ class JointSet:
         if not 1 <= len(paths) <= MOST_JOINTS:
             raise InputError(self.where, f"{len(paths)} joints, expected 1 to {MOST_JOINTS}")
         if self.unit not in _UNITS:
-            raise InputError(f"{self.where} -> unit", f"'{self.unit}', expected one of {', '.join(_UNITS)}")
-        for path in paths:
-            self._check_path(path, paths)
+            raise InputError(f"{self.where} -> unit", f"'{self.unit[:40]}', expected one of {', '.join(_UNITS)}")
+        known = set(paths)
+        for number, path in enumerate(paths):
+            self._check_path(path, known, twice=path in paths[:number])
         for glob, names in self.parts.items():
             for name in names:
-                if name not in paths:
-                    raise InputError(f"{self.where} -> parts -> {glob}", f"no joint '{name}', expected one of the file")
+                if name not in known:
+                    trail = f"{self.where} -> parts -> {_shown(glob)}"
+                    raise InputError(trail, f"no joint '{_shown(name)}', expected one of the file")
         order = sorted(self.joints, key=lambda joint: joint.path.count("/"))
         object.__setattr__(self, "joints", tuple(order))
 
-    def _check_path(self, path: str, paths: list[str]) -> None:
-        where = f"{self.where} -> {ascii(path)[1:-1][:80]}"
-        if paths.count(path) > 1:
+    def _check_path(self, path: str, paths: set[str], *, twice: bool) -> None:
+        where = f"{self.where} -> {_shown(path)}"
+        if twice:
             raise InputError(where, "twice, expected each joint once")
-        if any(identifier(part) != part for part in path.split("/")):
+        if len(path) > _LONGEST_PATH or any(identifier(part) != part for part in path.split("/")):
             raise InputError(where, "expected names of ASCII letters, digits and underscores, joined by /")
         parent = path.rpartition("/")[0]
         if parent and parent not in paths:
-            raise InputError(where, f"no parent '{parent}', expected it among the joints")
+            raise InputError(where, f"no parent '{parent[:80]}', expected it among the joints")
 
     def scale(self, meters_per_unit: float) -> float:
         """Stage units in one unit of the file."""
@@ -103,36 +106,24 @@ def read_joints(path: Path) -> JointSet:
 
     :raises InputError: not such JSON
     """
-    try:
-        content = json.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"), object_pairs_hook=_object)
-    except _TwiceError as error:
-        raise InputError(path, f"'{ascii(str(error))[1:-1]}' twice, expected each name once") from None
-    except (ValueError, RecursionError) as error:  # bad UTF-8 too
-        raise InputError(path, f"is not JSON ({error})") from None
-    if not isinstance(content, dict) or not isinstance(content.get("joints"), dict):
-        raise InputError(path, 'expected an object {"joints": {"name": {"position": [x, y, z]}}}')
+    content = read_json_object(path, _MOST_BYTES)
     unknown = [key for key in content if key not in ("unit", "joints", "parts")]
     if unknown:
         raise InputError(path, f"'{ascii(unknown[0])[1:-1][:60]}' is unknown, expected unit, joints, parts")
-    joints = [_joint(f"{path} -> {ascii(name)[1:-1][:80]}", name, one) for name, one in content["joints"].items()]
+    joints, unit = content.get("joints"), content.get("unit", "stage")
+    if not isinstance(joints, dict):
+        raise InputError(path, 'expected an object {"joints": {"name": {"position": [x, y, z]}}}')
     return JointSet(
-        joints=tuple(joints),
+        joints=tuple(_joint(f"{path} -> {_shown(name)}", name, one) for name, one in joints.items()),
         parts=_parts(f"{path} -> parts", content.get("parts", {})),
-        unit=str(content.get("unit", "stage")),
+        unit=unit if isinstance(unit, str) else str(unit)[:40],
         where=str(path),
     )
 
 
-class _TwiceError(Exception):
-    """A key that an object has twice."""
-
-
-def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise _TwiceError(next(name for name in names if names.count(name) > 1))
-    return found
+def _shown(name: str) -> str:
+    """A name as messages show it, whatever is in it."""
+    return ascii(name)[1:-1][:80]
 
 
 def _joint(where: str, path: str, content: object) -> JointSpec:
@@ -181,5 +172,5 @@ def _parts(where: str, content: object) -> dict[str, tuple[str, str]]:
         elif isinstance(value, dict) and sorted(value) == ["lower", "upper"]:
             found[glob] = (str(value["upper"]), str(value["lower"]))
         else:
-            raise InputError(f"{where} -> {glob[:60]}", 'expected a joint, or {"upper": joint, "lower": joint}')
+            raise InputError(f"{where} -> {_shown(glob)}", 'expected a joint, or {"upper": joint, "lower": joint}')
     return found

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.geometry.closest_points import closest_places, place_shares
@@ -14,6 +15,8 @@ from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.eyeballs import Eyeball
 from facepipe.processors.skin.slits import Slit
 from facepipe.processors.skin.surface import Surface
+
+BoolArray = npt.NDArray[np.bool_]
 
 _NEAREST = 1.0  # mm: parts that touch the face are smoothed over this length, others over their distance from it
 _SMALL = 0.65  # of the mouth's width: parts up to this size lie above or below the mouth whole
@@ -37,14 +40,27 @@ def following(surface: Surface, weights: FloatArray) -> FloatArray:
     return whole
 
 
-def joints_in(eyeballs: Sequence[Eyeball], positions: FloatArray) -> dict[int, int]:
-    """Eyeball -> the joint (of positions (j, 3), mm) nearest to its centre, where one is in it."""
+def joints_in(eyeballs: Sequence[Eyeball], positions: FloatArray, apart: BoolArray) -> dict[int, int]:
+    """Eyeball -> the joint (of positions (j, 3), mm) nearest to its centre, where one is in it.
+
+    :param apart: (j,) joints that turn an eyeball only where no other one does, such as those of lids
+    """
     found = {}
-    for number, ball in enumerate(eyeballs):
-        away = np.linalg.norm(positions - ball.centre, axis=1) if len(positions) else np.zeros(0)
-        if len(away) and away.min() <= _IN_BALL * ball.radius:
-            found[number] = int(away.argmin())
+    for number, inside in enumerate(_inside(eyeballs, positions)):
+        if inside.any():
+            own = inside & ~apart if (inside & ~apart).any() else inside
+            away = np.linalg.norm(positions - eyeballs[number].centre, axis=1)
+            found[number] = int(np.where(own, away, np.inf).argmin())
     return found
+
+
+def in_eyeballs(eyeballs: Sequence[Eyeball], positions: FloatArray) -> BoolArray:
+    """(j,) whether a joint (of positions (j, 3), mm) is in an eyeball."""
+    return np.asarray(np.any([np.zeros(len(positions), bool), *_inside(eyeballs, positions)], axis=0))
+
+
+def _inside(eyeballs: Sequence[Eyeball], positions: FloatArray) -> list[BoolArray]:
+    return [np.linalg.norm(positions - ball.centre, axis=1) <= _IN_BALL * ball.radius for ball in eyeballs]
 
 
 def hold(weights: FloatArray, points: IntArray, joint: int) -> None:
@@ -62,7 +78,7 @@ def hold_parts(
 ) -> tuple[str, ...]:
     """Give the loose parts that `parts` names to its joints; the names of the meshes.
 
-    :raises InputError: a glob that matches no mesh, or a part to be parted on a face without landmarks
+    :raises InputError: a glob that matches no loose part, or parts above and below on a face without landmarks
     """
     done = []
     for glob, (above, below) in parts.items():
@@ -71,9 +87,13 @@ def hold_parts(
             some = ", ".join(surface.mesh_names[:6])
             raise InputError(f"{surface.where} -> parts", f"'{glob[:60]}' matches no mesh, expected some of {some}")
         if above != below and mouth is None:
-            raise InputError(f"{surface.where} -> parts -> {glob}", "no multipie68 landmarks that part it, expected 68")
+            trail = f"{surface.where} -> parts -> {glob[:60]}"
+            raise InputError(trail, "no multipie68 landmarks that part it, expected 68")
         numbers = [surface.mesh_names.index(name) for name in names]
         points = surface.loose[np.isin(surface.mesh[surface.loose], numbers)]
+        if not len(points):
+            what = f"'{glob[:60]}' matches no loose part, expected one: joints move the rest of the face along it"
+            raise InputError(f"{surface.where} -> parts", what)
         if above == below or mouth is None:
             hold(weights, points, joints.index(above))
         else:

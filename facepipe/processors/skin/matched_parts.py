@@ -49,9 +49,10 @@ def matched_parts(
     parts = _parts(source, taken)
     rigid = {number for number in parts if number != source.main and _is_rigid(weights[source.component == number])}
     rest = []
-    for number in np.unique(target.component[target.loose[~done[target.loose]]]):
-        points = np.flatnonzero(target.component == number)
-        chosen = _rigid_part(target, points, warped, parts, rigid)
+    loose = _pieces(target, target.loose[~np.isin(target.component[target.loose], target.component[done])])
+    means = _mean_distances([target.points[points] for points in loose], warped, parts)
+    for points, mean in zip(loose, means, strict=True):
+        chosen = _rigid_part(target.points[points], mean, rigid)
         if chosen is None:
             rest.append(points)
             continue
@@ -63,11 +64,21 @@ def matched_parts(
     return found, {name: tuple(sorted(names)) for name, names in sorted(origin.items())}
 
 
+def _pieces(surface: Surface, points: IntArray) -> list[IntArray]:
+    """The points, component by component."""
+    numbers = surface.component[points]
+    order = np.argsort(numbers, kind="stable")
+    return np.split(points[order], np.flatnonzero(np.diff(numbers[order])) + 1) if len(points) else []
+
+
 def _parts(source: Surface, taken: IntArray) -> dict[int, IntArray]:
     """Component -> its triangles, of those that are no eyeball."""
     component = source.component[source.triangles[:, 0]]
-    numbers = set(np.unique(component).tolist()) - set(source.component[taken].tolist())
-    return {int(number): source.triangles[component == number] for number in sorted(numbers)}
+    order = np.argsort(component, kind="stable")
+    pieces = np.split(source.triangles[order], np.flatnonzero(np.diff(component[order])) + 1)
+    eyes = set(source.component[taken].tolist())
+    found = {int(source.component[piece[0, 0]]): piece for piece in pieces}
+    return {number: piece for number, piece in found.items() if number not in eyes}
 
 
 def _is_rigid(weights: FloatArray) -> bool:
@@ -80,13 +91,12 @@ def _whole(weights: FloatArray) -> FloatArray:
     return np.where(mean == mean.max(), 1.0, 0.0) if mean.max() >= _RIGID else mean
 
 
-def _rigid_part(
-    target: Surface, points: IntArray, warped: FloatArray, parts: Mapping[int, IntArray], rigid: set[int]
-) -> int | None:
-    """The rigid part of the source that a part of the target goes with."""
-    at = target.points[points]
+def _rigid_part(at: FloatArray, mean: Mapping[int, float], rigid: set[int]) -> int | None:
+    """The rigid part of the source that a part of the target with points at (k, 3) goes with.
+
+    :param mean: part of the source -> mean distance from it
+    """
     small = np.ptp(at, axis=0).max() <= _SMALL
-    mean = {number: float(nearest(at, warped, parts[number]).distances.mean()) for number in _around(at, warped, parts)}
     among = [number for number in mean if number in rigid]
     if not among:
         return None
@@ -95,11 +105,23 @@ def _rigid_part(
     return best if mean[best] <= min(reach, _NEAR) else None
 
 
-def _around(at: FloatArray, warped: FloatArray, parts: Mapping[int, IntArray]) -> list[int]:
-    """Parts whose boxes come within reach."""
-    low, high = at.min(axis=0) - _NEAR, at.max(axis=0) + _NEAR
-    boxes = {number: warped[np.unique(triangles)] for number, triangles in parts.items()}
-    return [n for n, box in boxes.items() if (box.min(axis=0) <= high).all() and (box.max(axis=0) >= low).all()]
+def _mean_distances(
+    pieces: Sequence[FloatArray], warped: FloatArray, parts: Mapping[int, IntArray]
+) -> list[dict[int, float]]:
+    """For each of the pieces (k, 3), of every part whose box comes within its reach, the mean distance from it."""
+    found: list[dict[int, float]] = [{} for _ in pieces]
+    low = np.array([at.min(axis=0) for at in pieces]).reshape(-1, 3) - _NEAR
+    high = np.array([at.max(axis=0) for at in pieces]).reshape(-1, 3) + _NEAR
+    for number, triangles in parts.items():
+        box = warped[triangles.ravel()]
+        near = np.flatnonzero(((box.min(axis=0) <= high) & (box.max(axis=0) >= low)).all(axis=1)).tolist()
+        if not near:
+            continue
+        away = nearest(np.concatenate([pieces[i] for i in near]), warped, triangles).distances
+        ends = np.cumsum([len(pieces[i]) for i in near])[:-1]
+        for i, own in zip(near, np.split(away, ends), strict=True):
+            found[i][number] = float(own.mean())
+    return found
 
 
 def _follow(

@@ -9,24 +9,25 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.geometry.heat_weights import fewest
-from facepipe.parts import FaceParts, FloatArray, all_regions
+from facepipe.parts import FaceParts, FloatArray, Recipe, all_regions
 from facepipe.processors.skin.eyeballs import eyeballs_of
 from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import joint_weights
 from facepipe.processors.skin.joints_file import JointSet, JointSpec
-from facepipe.processors.skin.loose_parts import following, hold, hold_parts, joints_in
+from facepipe.processors.skin.loose_parts import following, hold, hold_parts, in_eyeballs, joints_in
 from facepipe.processors.skin.optimise import optimised
 from facepipe.processors.skin.options import SkinOptions
+from facepipe.processors.skin.placement import check_near, joint_warnings, size_warnings
 from facepipe.processors.skin.report import FitReport, SkinReport, steps
 from facepipe.processors.skin.skeletons import skeleton_of
-from facepipe.processors.skin.skinning import Skinning, check_joints, skinned
+from facepipe.processors.skin.skinning import Skinning, arranged, check_joints, skinned
 from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
+_LEAST = 1e-6  # mm: a radius below counts as this
 _BLUR = 0.15  # of a slit's width, at the border between its two sides
-_FARTHEST = 20.0  # sizes of the face that a joint may be away from it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,24 +51,36 @@ class SkinFace:
         if (self.joints is None) == (self.source is None):
             raise InputError("skin", "joints and a source face, or neither, expected one of them")
 
-    def __call__(self, face: Face, step: Callable[[], object] = lambda: None) -> SkinReport:
+    def __call__(
+        self, face: Face, step: Callable[[], object] = lambda: None, *, recipe: Recipe | None = None
+    ) -> SkinReport:
         """Author them.
 
+        Joints that the face has keep their order; its animations keep what they do relative to rest.
+
         :param step: called after every round of `optimise`
+        :param recipe: authored with the result; None leaves what the face has
         :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface;
             a source without skeleton, or landmarks missing; nothing to optimise for
         """
         parts = face.parts()
         surface = surface_of(parts, face.where)
-        made = self._made(parts, surface)
-        check_joints(surface, parts, made.skeleton.joints)
+        check_joints(surface, parts, self._joints())
+        made = arranged(self._made(parts, surface), parts.skeleton.joints)
         fit: FitReport | None = None
         if self.optimise:
             weights, fit = optimised(parts, surface, made.weights, self.options, step)
         else:
             weights = fewest(made.weights, self.options.influences)
-        author_changes(face, skinned(parts, surface, made.skeleton, weights))
-        return replace(_report(surface, made, weights), fit=fit)
+        result = skinned(parts, surface, made.skeleton, weights)
+        author_changes(face, replace(result, recipe=recipe or parts.recipe))
+        report = _report(surface, made, weights)
+        return replace(report, fit=fit, warnings=(*size_warnings(surface), *report.warnings))
+
+    def _joints(self) -> tuple[str, ...]:
+        if self.joints is not None:
+            return tuple(joint.path for joint in self.joints.joints)
+        return () if self.source is None else self.source.skeleton.joints
 
     def _made(self, parts: FaceParts, surface: Surface) -> Skinning:
         if self.joints is not None:
@@ -81,16 +94,18 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     scale = joints.scale(parts.meters_per_unit)
     positions = np.array([joint.position for joint in joints.joints]) * scale
     millimetres = positions * parts.meters_per_unit * 1000.0
-    _check_near(surface, joints, millimetres)
+    check_near(surface, joints, millimetres)
     slits = slits_of(surface)
     eyeballs = eyeballs_of(surface)
-    turned = joints_in(eyeballs, millimetres)
-    moves = np.array([_moves(joint, i in turned.values()) for i, joint in enumerate(joints.joints)])
+    apart = [joint.surface is True or bool(joint.regions) for joint in joints.joints]  # of the face for sure
+    turned = joints_in(eyeballs, millimetres, np.array(apart))
+    held = in_eyeballs(eyeballs, millimetres)
+    moves = np.array([_moves(joint, one) for joint, one in zip(joints.joints, held, strict=True)])
     if not moves.any():
-        raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs or `surface`")
+        raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs, or `surface`")
     chosen = [joint for joint, one in zip(joints.joints, moves, strict=True) if one]
     to_mm = scale * parts.meters_per_unit * 1000.0
-    radii = np.array([np.inf if joint.radius is None else joint.radius * to_mm for joint in chosen])
+    radii = np.array([np.inf if joint.radius is None else max(joint.radius * to_mm, _LEAST) for joint in chosen])
     masks = [_mask(parts, surface, slits, joint, joints.where) for joint in chosen]
     own = joint_weights(surface, chosen, millimetres[moves], radii, masks, slits, options.sharpness)
     weights = np.zeros((len(surface.points), len(moves)))
@@ -102,25 +117,16 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     hold_parts(surface, weights, joints.parts, paths, mouth)
     rotations = np.array([joint.rotation for joint in joints.joints])
     warning = "no multipie68 landmarks: joints beside lips and lids may move the other one round the corner"
+    warnings = (*joint_warnings(surface, joints, millimetres), *(() if slits else (warning,)))
     return Skinning(
         skeleton=skeleton_of(parts.skeleton, paths, positions, rotations),
         weights=weights,
-        warnings=() if slits else (warning,),
+        warnings=warnings,
     )
 
 
 def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
-    return joint.surface if joint.surface is not None else not in_eyeball
-
-
-def _check_near(surface: Surface, joints: JointSet, positions: FloatArray) -> None:
-    middle = surface.points.mean(axis=0)
-    size = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
-    for joint, position in zip(joints.joints, positions, strict=True):
-        away = float(np.linalg.norm(position - middle))
-        if away > _FARTHEST * size:
-            what = f"{away:.4g} mm from the face, expected at most {_FARTHEST * size:.4g} (positions are in the unit"
-            raise InputError(f"{joints.where} -> {joint.path}", f"{what} '{joints.unit}')")
+    return joint.surface if joint.surface is not None else bool(joint.regions) or not in_eyeball
 
 
 def _mask(

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from facepipe.errors import InputError
+import numpy as np
+
+from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.heat_weights import influences
-from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin
+from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton, Skin
 from facepipe.processors.skin.report import TransferReport
 from facepipe.processors.skin.surface import Surface
+from facepipe.rig.animation import local_transforms
 from facepipe.rig.build import mesh_spaces
+from facepipe.rig.trs import decompose
+from facepipe.stage.differences import same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,14 +29,30 @@ class Skinning:
 
 
 def check_joints(surface: Surface, parts: FaceParts, joints: tuple[str, ...]) -> None:
-    """:raises InputError: the face has other joints"""
+    """:raises InputError: the face has other joints; their order doesn't count"""
     old = parts.skeleton.joints
-    if old and old != joints:
-        raise InputError(surface.where, f"has {len(old)} joints, expected a face without, or with the same ones")
+    if old and set(old) != set(joints):
+        one = next(name for name in (*old, *joints) if (name in old) != (name in joints))
+        what = f"has {len(old)} joints, expected a face without, or with the same ones"
+        raise InputError(surface.where, f"{what} ('{one[:80]}' is on one side alone)")
+
+
+def arranged(made: Skinning, joints: Sequence[str]) -> Skinning:
+    """The same with its joints in the order of those that the face has; as it is where that has none."""
+    old = made.skeleton
+    if not joints or old.joints == tuple(joints):
+        return made
+    order = [old.joints.index(joint) for joint in joints]
+    binds, rests = old.bind_transforms[order], old.rest_transforms[order]
+    skeleton = replace(old, joints=tuple(joints), bind_transforms=binds, rest_transforms=rests)
+    return replace(made, skeleton=skeleton, weights=made.weights[:, order])
 
 
 def skinned(parts: FaceParts, surface: Surface, skeleton: Skeleton, weights: FloatArray) -> FaceParts:
-    """The face with the skeleton and the weights (m, j), whose rows have few influences each."""
+    """The face with the skeleton and the weights (m, j), whose rows have few influences each.
+
+    Its animations keep what they do relative to rest.
+    """
     meshes, start = [], 0
     for mesh, space in zip(parts.meshes, mesh_spaces(parts), strict=True):
         rows = weights[surface.group[start : start + len(mesh.points)]]
@@ -39,4 +61,21 @@ def skinned(parts: FaceParts, surface: Surface, skeleton: Skeleton, weights: Flo
         skin = Skin(joint_indices=indices, joint_weights=values, geom_bind_transform=space)
         meshes.append(replace(mesh, skin=skin))
         start += len(mesh.points)
-    return replace(parts, meshes=tuple(meshes), skeleton=skeleton)
+    animations = tuple(_carried(one, parts.skeleton, skeleton) for one in parts.animations)
+    return replace(parts, meshes=tuple(meshes), skeleton=skeleton, animations=animations)
+
+
+def _carried(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:
+    """The animation, its joint transforms relative to the rest of `new` as they were to that of `old`."""
+    if not animation.joints or same(old.rest_transforms, new.rest_transforms):
+        return animation
+    if animation.coefficients is not None:
+        return replace(animation, translations=None, rotations=None, scales=None)
+    local = local_transforms(old, animation)
+    rows = [new.joints.index(joint) for joint in animation.joints]
+    try:
+        undone = np.linalg.inv(np.asarray(old.rest_transforms, np.float64)[rows])
+    except np.linalg.LinAlgError:
+        raise TopologyError(f"{old.name} -> restTransforms", "singular, expected invertible ones") from None
+    trs = decompose(new.rest_transforms[rows] @ undone @ local)
+    return replace(animation, translations=trs.translation, rotations=trs.rotation, scales=trs.scale)

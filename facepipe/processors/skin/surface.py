@@ -10,7 +10,7 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
-from facepipe.geometry.polygons import components, edges, point_normals, point_triangles
+from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles
 from facepipe.geometry.seams import welded_points
 from facepipe.parts import FaceParts, FloatArray, IntArray
 from facepipe.rig.build import mesh_spaces
@@ -32,7 +32,7 @@ class Surface:
     mesh: IntArray  # (m,) number of the mesh of each
     mesh_names: tuple[str, ...]
     component: IntArray  # (m,)
-    main: int  # component that the landmarks lie on, or that has most points
+    main: int  # component that the landmarks lie on, or that has most points of triangles
     landmarks: IntArray | None  # (68,) sewn points of multipie68
 
     @cached_property
@@ -71,7 +71,7 @@ class Surface:
 def surface_of(parts: FaceParts, where: str) -> Surface:
     """The surface of a face, as it was bound.
 
-    :raises InputError: no triangle
+    :raises InputError: no triangle, or none with an area on its main part
     """
     to_world = np.asarray(parts.skeleton.transform, np.float64)
     millimetres = parts.meters_per_unit * 1000.0
@@ -108,7 +108,7 @@ def _sewn(
     border: Any,
     mesh: IntArray,
 ) -> Surface:
-    group = welded_points(points, border, _SAME * float(np.ptp(points, axis=0).max()))
+    group = welded_points(points, border, _SAME * float(np.ptp(points[triangles.ravel()], axis=0).max()))
     first = np.unique(group, return_index=True)[1]
     triangles, pairs = group[triangles], np.sort(group[pairs], axis=1)
     faces = np.where(faces >= 0, group[faces], -1)
@@ -116,8 +116,8 @@ def _sewn(
     pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
     component = components(len(first), pairs)
     landmarks = _landmarks(parts, group)
-    counted = component if landmarks is None else component[landmarks]
-    return Surface(
+    counted = component[np.unique(triangles[proper]) if landmarks is None else landmarks]
+    made = Surface(
         where=where,
         points=points[first],
         triangles=triangles[proper],
@@ -127,9 +127,12 @@ def _sewn(
         mesh=mesh[first],
         mesh_names=tuple(one.name for one in parts.meshes),
         component=component,
-        main=int(np.bincount(counted).argmax()),
+        main=int(np.bincount(counted, minlength=1).argmax()),
         landmarks=landmarks,
     )
+    if not point_areas(made.points, made.triangles)[made.inside].any():
+        raise InputError(where, "no triangle with an area on its main part, expected a surface to put weights on")
+    return made
 
 
 def _landmarks(parts: FaceParts, group: IntArray) -> IntArray | None:
