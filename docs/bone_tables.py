@@ -43,7 +43,7 @@ class Reach:
     name: str
     before: FloatArray
     even: FloatArray  # bones, as the command fits them
-    bones: FloatArray  # by least squares alone: `--rounds 0`
+    bones: FloatArray  # by least squares alone, as residuals are added to them
     whole: FloatArray  # bones and residual
     points: FloatArray  # (k,) that the residuals hold
 
@@ -159,7 +159,7 @@ def mm(off: FloatArray) -> str:
 def reach_table(rows: Sequence[Reach]) -> str:
     """Markdown: a row a set of targets."""
     lines = [
-        "| targets | rest | bones | bones, `--rounds 0` | bones + residual | points in it (that move) |",
+        "| targets | rest | bones | bones, least squares | bones + residual | points in it (that move) |",
         "|---|---|---|---|---|---|",
     ]
     for one in rows:
