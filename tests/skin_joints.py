@@ -89,6 +89,22 @@ def without_joints(parts: FaceParts) -> FaceParts:
     return replace(parts, meshes=meshes, skeleton=Skeleton(), animations=(), sliders=(), bone_limits=None)
 
 
+def retopologised(parts: FaceParts) -> FaceParts:
+    """The same face but for one polygon of its last mesh: on another topology."""
+    *others, last = parts.meshes
+    count = int(last.face_vertex_counts[-1])
+    indices = last.face_vertex_indices[:-count]
+    rest = Mesh(
+        name=last.name,
+        points=last.points,
+        face_vertex_counts=last.face_vertex_counts[:-1],
+        face_vertex_indices=indices,
+        transform=last.transform,
+        skin=last.skin,
+    )
+    return replace(parts, meshes=(*others, rest))
+
+
 def weights_of(face: Face) -> np.ndarray:
     """(n, j) dense weights of all points."""
     return np.asarray(face.rig().influences.toarray()[:, : len(face.skeleton.joints)])

@@ -8,7 +8,8 @@ parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m.
 never cross from lip to lip or lid to lid.
 
 --from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
-which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips.
+which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips;
+on one topology, of the same points.
 --optimise then refines the weights, so that the joints alone come nearer to the blendshapes that FACE has: RMS and max
 distance of the moved points, before and after, with the best rigid motion of each joint. Joints stay where they are, and
 only weights are authored. For bone coefficients of each shape, within limits and with scale, fit the result:
@@ -122,7 +123,9 @@ def _text(out: Path, picture: Path | None, report: SkinReport) -> str:
     lines += [f"weights change by {report.largest_step_per_mm:.3f} a mm at most"]
     if report.transfer is not None:
         away = report.transfer.surface_mm
-        lines.append(f"from {report.transfer.source}: {away['mean']:.2f} mm from its surface, p95 {away['p95']:.2f}")
+        what = "of one topology, points lie" if report.transfer.same_topology else "points lie"
+        what += f" {away['mean']:.2f} mm from {'their own' if report.transfer.same_topology else 'its surface'}"
+        lines.append(f"from {report.transfer.source}: {what}, p95 {away['p95']:.2f}")
     if report.fit is not None:
         fit = report.fit
         misses = f"RMS {fit.rms_before_mm:.3f} -> {fit.rms_after_mm:.3f} mm, max {fit.max_before_mm:.1f} -> "

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
-from facepipe.parts import FaceParts, FloatArray, Skeleton
+from facepipe.parts import FaceParts, FloatArray, IntArray, Skeleton
+from facepipe.processors.same_topology import in_order
 from facepipe.processors.skin.correspondence import main_places
 from facepipe.processors.skin.eyeballs import Eyeball, eyeballs_of
 from facepipe.processors.skin.matched_parts import matched_parts
@@ -33,31 +34,34 @@ _STRANGE, _UNLIKE = (
 def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str, smoothing: float) -> Skinning:
     """Skeleton and weights of `source`, on the surface of `parts`.
 
+    On one topology points take the weights of their own; on others, those of places that the warp lays on them.
+
     :param where: what messages call the source
     :param smoothing: mm
     :raises InputError: no joints or weights on the source, no landmarks on either
     """
     if not source.skeleton.joints or not any(mesh.skin for mesh in source.meshes):
         raise InputError(where, "no joints with skin weights, expected a skinned face")
-    other = surface_of(source, where)
+    twin = _twin(parts, source)
+    other = surface_of(source if twin is None else twin, where)
     for one in (surface, other):
         if one.landmarks is None:
             raise InputError(one.where, "no 68 landmarks of multipie68, expected them on both faces")
-    weights, warnings = _weights(source, other)
     pairs = _paired(surface, other)
     warp = _warp(surface, other, pairs)
-    warped = warp.apply(other.points)
-    places = main_places(surface, slits_of(surface), other, slits_of(other), warped)
-    found, origin = matched_parts(surface, other, warped, weights, pairs)
-    lengths = np.clip(places.distances / _TRUSTED, _SHARP, _LONGEST) * max(smoothing, _SHARP)
-    inside = surface.inside
-    local = surface.part_triangles(inside, even=True)
-    found[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
-    landmarks = np.linalg.norm(warped[other.landmarks] - surface.points[surface.landmarks], axis=1)
+    if twin is None:
+        weights, warnings = _weights(source, other.group, where)
+        found, origin, away = _by_place(surface, other, warp, weights, pairs, smoothing)
+    else:
+        found, warnings = _weights(twin, surface.group, where)
+        origin = {name: (name,) for name in sorted(surface.mesh_names)}
+        away = np.linalg.norm(warp.apply(_points_of(other, surface)) - surface.points, axis=1)[surface.inside]
+    landmarks = np.linalg.norm(warp.apply(other.points[other.landmarks]) - surface.points[surface.landmarks], axis=1)
     report = TransferReport(
         source=where,
+        same_topology=twin is not None,
         landmarks_mm=float(landmarks.max()),
-        surface_mm=_summary(places.distances),
+        surface_mm=_summary(away),
         eyeballs=len(pairs),
         parts=origin,
     )
@@ -67,25 +71,57 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     )
 
 
+def _twin(parts: FaceParts, source: FaceParts) -> FaceParts | None:
+    """The source with the meshes of the face, where it is on one topology with it."""
+    try:
+        return in_order(parts, parts.name, source, source.name)
+    except TopologyError:
+        return None
+
+
+def _points_of(other: Surface, surface: Surface) -> FloatArray:
+    """(m, 3) the points of the other face that are those of this one, on one topology."""
+    return other.points[other.group[np.unique(surface.group, return_index=True)[1]]]
+
+
+def _by_place(
+    surface: Surface,
+    other: Surface,
+    warp: Warp,
+    weights: FloatArray,
+    pairs: list[tuple[Eyeball, Eyeball]],
+    smoothing: float,
+) -> tuple[FloatArray, Mapping[str, tuple[str, ...]], FloatArray]:
+    """Weights (m, j), which meshes gave them to which, and how far the main part is from the other's (i,) mm."""
+    warped = warp.apply(other.points)
+    places = main_places(surface, slits_of(surface), other, slits_of(other), warped)
+    found, origin = matched_parts(surface, other, warped, weights, pairs)
+    lengths = np.clip(places.distances / _TRUSTED, _SHARP, _LONGEST) * max(smoothing, _SHARP)
+    inside = surface.inside
+    local = surface.part_triangles(inside, even=True)
+    found[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
+    return found, origin, places.distances
+
+
 def _summary(away: FloatArray) -> dict[str, float]:
     rms, p95 = np.sqrt((away**2).mean()), np.percentile(away, 95)
     return {"mean": float(away.mean()), "rms": float(rms), "p95": float(p95), "max": float(away.max())}
 
 
-def _weights(source: FaceParts, surface: Surface) -> tuple[FloatArray, tuple[str, ...]]:
-    """(m, j) of the sewn points, and warnings; points without, as of meshes without skin, go with the first root."""
+def _weights(source: FaceParts, group: IntArray, where: str) -> tuple[FloatArray, tuple[str, ...]]:
+    """(m, j) of points sewn by `group` (n,), and warnings; those without, as in meshes without skin: the first root."""
     try:
         rig = build(source)
     except FacepipeError as error:
-        raise error.under(surface.where) from None
-    table = np.asarray(rig.influences.toarray())[np.unique(surface.group, return_index=True)[1]]
+        raise error.under(where) from None
+    table = np.asarray(rig.influences.toarray())[np.unique(group, return_index=True)[1]]
     weights, bare = np.maximum(table[:, :-1], 0.0), table[:, -1] > 0
     warnings = []
     negative, none = int((table < 0).any(axis=1).sum()), (weights.sum(axis=1) <= 0) & ~bare
     if negative:
-        warnings.append(f"{surface.where}: {negative} points have weights below 0, which count as 0")
+        warnings.append(f"{where}: {negative} points have weights below 0, which count as 0")
     if none.any():
-        warnings.append(f"{surface.where}: {int(none.sum())} points have no weights, and go with the root")
+        warnings.append(f"{where}: {int(none.sum())} points have no weights, and go with the root")
     weights[none | bare, int(np.flatnonzero(rig.parents < 0)[0])] = 1.0
     return normalised(weights), tuple(warnings)
 

@@ -29,8 +29,11 @@ class TransferReport:
     """How the skeleton came over."""
 
     source: str
+    same_topology: bool  # every point has the weights of its own
     landmarks_mm: float  # largest distance of a warped landmark from this face's
-    surface_mm: Mapping[str, float]  # mean, RMS, p95 and max distance of the main part from the warped source
+    surface_mm: Mapping[
+        str, float
+    ]  # mean, RMS, p95, max: main part from the warped source, of one topology from the points
     eyeballs: int  # paired, and used as landmarks
     parts: Mapping[str, tuple[str, ...]]  # mesh of loose parts -> meshes of the source that they took weights from
 
