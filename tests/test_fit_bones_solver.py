@@ -239,7 +239,7 @@ def test_limits_that_exclude_the_truth_end_at_the_constrained_optimum(seed: int)
 
 
 def test_evening_lowers_the_largest_distance() -> None:
-    rig, rng = head(), np.random.default_rng(6)
+    rig, rng = head(), np.random.default_rng(8)
     joints = face_joints(rig)
     lower, upper = limits(len(rig.joints), joints)
     target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.05))
@@ -247,7 +247,7 @@ def test_evening_lowers_the_largest_distance() -> None:
     plain, even = (
         BoneFit(rig, lower=lower, upper=upper, threshold=0.01 / MM, rounds=rounds).fit(target) for rounds in (0, 8)
     )
-    assert even.largest < 0.8 * plain.largest
+    assert even.largest < 0.75 * plain.largest
 
 
 def test_limits_that_exclude_rest_are_kept_from_the_start() -> None:

@@ -65,13 +65,20 @@ def coefficient_derivatives(coefficients: FloatArray) -> FloatArray:
 
 
 def coefficient_gradient(coefficients: FloatArray, by_matrix: FloatArray) -> FloatArray:
-    """(..., 9) derivatives by (..., 9) coefficients of what has (..., 4, 4) by their matrices."""
-    angles, scales = coefficients[..., 3:6], coefficients[..., 6:9]
-    linear = by_matrix[..., :3, :3]
-    turned = [(_rotation(angles, (axis,)) * linear).sum(axis=-2) for axis in range(3)]
-    by_angle = np.stack([(one * scales).sum(axis=-1) for one in turned], axis=-1)
-    by_scale = (_rotation(angles) * linear).sum(axis=-2)
-    return np.concatenate([by_matrix[..., :3, 3], by_angle, by_scale], axis=-1)
+    """(..., 9) derivatives by (..., 9) coefficients of what has (..., 4, 4) by their matrices.
+
+    Each angle turns the rotated axes about one axis: z the world's, x the one z left, y the joint's own in the end.
+    """
+    angles, linear = coefficients[..., 3:6], by_matrix[..., :3, :3]
+    rotation = _rotation(angles)
+    moments = linear @ np.swapaxes(rotation * coefficients[..., None, 6:9], -1, -2)
+    torque = np.stack(
+        [moments[..., (i + 2) % 3, (i + 1) % 3] - moments[..., (i + 1) % 3, (i + 2) % 3] for i in range(3)]
+    )
+    by_x = np.cos(angles[..., 2]) * torque[0] + np.sin(angles[..., 2]) * torque[1]
+    by_y = (np.moveaxis(rotation[..., 1], -1, 0) * torque).sum(axis=0)
+    by_angle = np.stack([by_x, by_y, torque[2]], axis=-1)
+    return np.concatenate([by_matrix[..., :3, 3], by_angle, (rotation * linear).sum(axis=-2)], axis=-1)
 
 
 def coefficient_curvatures(coefficients: FloatArray) -> FloatArray:

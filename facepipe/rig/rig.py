@@ -96,12 +96,12 @@ class Rig:
         """(..., j, 4, 4) world matrices of (..., j, 4, 4) local ones."""
         root = self.parent_world if parent_world is None else np.asarray(parent_world, dtype=np.float64)
         worlds = root @ local
-        for joints in self._generations[1:]:
+        for joints in self.generations[1:]:
             worlds[..., joints, :, :] = worlds[..., self.parents[joints], :, :] @ local[..., joints, :, :]
         return np.asarray(worlds)
 
     @cached_property
-    def _generations(self) -> list[IntArray]:
+    def generations(self) -> list[IntArray]:
         """Joints by how many others are above them."""
         above = np.zeros(len(self.joints), dtype=np.int64)
         for joint, parent in enumerate(self.parents):

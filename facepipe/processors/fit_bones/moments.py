@@ -53,17 +53,22 @@ class SkinnedPoints:
 
 
 class Moments:
-    """``Q`` (4m, 4m) and ``T`` (4m, 3)."""
+    """``Q`` (4m, 4m) and ``T`` (..., 4m, 3), of one target or many."""
 
     def __init__(self, pairs: FloatArray, goal: FloatArray) -> None:
         self.pairs, self.goal = pairs, goal
 
+    def applied(self, rows: FloatArray) -> FloatArray:
+        """``Q`` times (..., 4m, 3)."""
+        many = np.moveaxis(rows, -2, 0)
+        return np.moveaxis((self.pairs @ many.reshape(len(many), -1)).reshape(many.shape), 0, -2)
+
     def gradient(self, matrices: FloatArray) -> FloatArray:
-        """(m, 4, 3) derivatives of half the weighted squared distance by the skinning matrices' rows."""
-        count = len(matrices)
-        return np.asarray((self.pairs @ stacked(matrices) - self.goal).reshape(count, 4, 3))
+        """(m, 4, 3) derivatives of half the weighted squared distance by (m, 4, 4) skinning matrices' rows."""
+        return np.asarray((self.applied(stacked(matrices)) - self.goal).reshape(-1, 4, 3))
 
 
 def stacked(matrices: FloatArray) -> Any:
-    """(4m, 3) of (m, 4, 4) skinning matrices: what A is multiplied with."""
-    return np.ascontiguousarray(matrices[:, :3].transpose(0, 2, 1)).reshape(-1, 3)
+    """(..., 4m, 3) of (..., m, 4, 4) skinning matrices: what A is multiplied with."""
+    rows = np.swapaxes(matrices[..., :3, :], -1, -2)
+    return np.ascontiguousarray(rows).reshape(*matrices.shape[:-3], -1, 3)

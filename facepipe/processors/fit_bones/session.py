@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.processors.fit_bones.moments import SkinnedPoints
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
+from facepipe.processors.fit_bones.symmetry import Symmetry, symmetry
+from facepipe.processors.fit_bones.together import Shared, fit_together, inverse
 from facepipe.processors.fit_bones.tree import Tree
+from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.threads import one_thread
 
@@ -18,13 +23,15 @@ LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one
 _STRAIGHT = 40  # steps: a fit that takes more may have lost its way
+_NEAR = 1e-2  # slope: an optimum is so near that what leads there matters little
+_MANY = 64  # targets at a time
+_LEAST_METRIC = 1e-6  # of the largest
 _SPARSE_ROUNDS = 8
-LEAST_METRIC = 1e-12  # of the largest
 _STILL = 0.1  # strain, in thresholds, that counts as none
 
 
 class BoneFit:
-    """The rig with its limits and point weights; fits that follow each other start where the last one ended.
+    """The rig with its limits and point weights, prepared for any number of targets.
 
     :param rig: m joints, n points
     :param lower: (m, 9) limits of the bone coefficients; None: none but `LEAST_SCALE`, so that no joint is mirrored
@@ -36,8 +43,10 @@ class BoneFit:
     :param regularise: weight of the mean square strain beside the mean square distance. Strain is how far coefficients
         are from rest in stage units: translations as they are, angles and scales by a tenth of the face's size
     :param sparsity: weight of the mean strain, in thresholds: few coefficients move, the others stay exactly at rest
+    :param symmetric: the joints of one side move as the mirror image of the other's
     :param parent_world: (4, 4) what the root joints hang under; default the skeleton's place
-    :raises InputError: a negative weight, a lower limit above its upper one, arrays that don't fit, or negative weights
+    :raises InputError: a negative weight, a lower limit above its upper one, arrays that don't fit, negative weights,
+        or a symmetric fit of joints that are no mirror images
     """
 
     def __init__(
@@ -52,18 +61,11 @@ class BoneFit:
         rounds: int = 2,
         regularise: float = 0.0,
         sparsity: float = 0.0,
+        symmetric: bool = False,
         parent_world: FloatArray | None = None,
     ) -> None:
-        count = len(rig.joints)
         self.rig, self.threshold, self.steps, self.rounds = rig, threshold, steps, rounds
-        self.lower = _limits(rig, lower, -np.inf)
-        self.lower[:, 6:] = np.where(np.isinf(self.lower[:, 6:]), LEAST_SCALE, self.lower[:, 6:])
-        self.upper = _limits(rig, upper, np.inf)
-        crossed = np.argwhere(self.lower > self.upper)
-        if len(crossed):
-            joint, channel = crossed[0]
-            what = f"lower limit {self.lower[joint, channel]:g} above the upper {self.upper[joint, channel]:g}"
-            raise InputError(f"{rig.name} -> {rig.joints[joint]} -> channel {channel}", what)
+        self.lower, self.upper = _limits(rig, lower, upper)
         self.weights = np.ones(len(rig.points)) if weights is None else np.asarray(weights, dtype=np.float64)
         if self.weights.shape != (len(rig.points),) or not (np.isfinite(self.weights) & (self.weights >= 0)).all():
             raise InputError(rig.name, f"point weights {self.weights.shape}, expected {len(rig.points)} of 0 or more")
@@ -74,53 +76,72 @@ class BoneFit:
         self.tree = Tree(rig, parent_world)
         self.skin = SkinnedPoints(rig)
         self.weightless = self._weightless()
-        self.free = np.flatnonzero(~self.weightless & (self.lower < self.upper).any(axis=1))
+        self.symmetry: Symmetry | None = symmetry(rig, ~self.weightless) if symmetric else None
+        self.variables = Variables(self.lower, self.upper, ~self.weightless, self.symmetry)
+        self.free = self.variables.joints  # numbers of those that may move
         self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
-        self._rest = rest_coefficients(count)
-        at_rest = self.tree.pose(self._rest)
-        generators = self.tree.generators(at_rest)
-        self._normal = self.tree.normal_matrix(generators, at_rest, self._moments.pairs, self.free)
-        diagonal = np.diag(self._normal)
-        self._metric = np.sqrt(np.maximum(diagonal, LEAST_METRIC * diagonal.max(initial=np.finfo(np.float64).tiny)))
+        self._rest = rest_coefficients(len(rig.joints))
         self._at_rest = self.skin.evaluate(self.tree.pose(self._rest).skinning, self.tree.parent_world)
+        self._metric = _metric(self._normal(self.variables))
+        self._inverse: FloatArray | None = None
 
     def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
+        """The fit of one target (n, 3), as `fit_all` makes it."""
+        return self.fit_all([np.asarray(target, dtype=np.float64)], start)[0]
+
+    def fit_all(self, targets: Sequence[FloatArray], start: FloatArray | None = None) -> list[Fitted]:
         """The coefficients that bring the rig to (n, 3) world points: those that leave the smallest largest distance.
 
-        Least squares from `start`; where they end too far off, again by way of the points halfway between rest and
-        target, which leads round most local minima; then rounds of evening.
+        Least squares from `start`, for all targets at once as far as that leads; where they end too far off after a
+        long way, again by way of the points halfway between rest and target, which leads round most local minima; then
+        rounds of evening.
 
         :param start: (m, 9) coefficients to start from, brought into the limits; default rest
         :raises InputError: targets or coefficients of other shapes, or not finite
+        :raises numpy.linalg.LinAlgError: limits that let a joint's scale be 0, and a fit where it is
         """
-        target = np.asarray(target, dtype=np.float64)
-        if target.shape != self.rig.points.shape or not np.isfinite(target).all():
-            raise InputError(self.rig.name, f"target {target.shape}, expected {self.rig.points.shape} finite numbers")
+        for target in targets:
+            if target.shape != self.rig.points.shape or not np.isfinite(target).all():
+                what = f"target {target.shape}, expected {self.rig.points.shape} finite numbers"
+                raise InputError(self.rig.name, what)
         start = self._rest if start is None else np.asarray(start, dtype=np.float64)
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
+        start = np.clip(start, self.lower, self.upper)
         with one_thread():
-            return self._fitted(target, start)
+            if self.sparsity > 0:
+                return [self._sparse(target, start) for target in targets]
+            some = (targets[first : first + _MANY] for first in range(0, len(targets), _MANY))
+            found = [one for own in some for one in self._fitted(np.stack(own), start)]
+        if any((one.coefficients[:, 6:] == 0.0).any() for one in found):
+            raise np.linalg.LinAlgError("a joint of scale 0")
+        return found
 
-    def _fitted(self, target: FloatArray, start: FloatArray) -> Fitted:
-        if self.sparsity > 0:
-            return self._sparse(target, start)
-        found = self._solve(target, start, self.weights)
-        if found.largest > self.threshold and found.steps > _STRAIGHT:
-            halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
-            found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
+    def _fitted(self, targets: FloatArray, start: FloatArray) -> list[Fitted]:
+        """The fits of (K, n, 3)."""
+        ends = fit_together(self._shared(), targets, start, min(self.steps, _STRAIGHT), self.threshold)
+        return [self._finished(target, start, shared) for target, shared in zip(targets, ends, strict=True)]
+
+    def _finished(self, target: FloatArray, start: FloatArray, shared: Fitted) -> Fitted:
+        """The fit of one target, by damped steps of its own where those it `shared` did not end at an optimum."""
+        found = shared
+        if shared.largest > self.threshold and shared.slope > SETTLED:
+            found = self._solve(target, shared.coefficients if shared.slope < _NEAR else start, self.weights)
+            if found.largest > self.threshold and found.steps > _STRAIGHT:
+                halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
+                found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
         return self._evened(found, target) if found.largest > self.threshold else found
 
     def _evened(self, found: Fitted, target: FloatArray) -> Fitted:
         """Rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
 
         Source: Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times
-        distances, round by round.
+        distances, round by round; here their squares, which takes fewer rounds.
         """
         weights, latest = self.weights, found
         for _ in range(self.rounds):
             apart = np.linalg.norm(latest.points - target, axis=1) / latest.largest
-            weights = weights * (apart + _LEAST_WEIGHT)
+            weights = weights * (apart**2 + _LEAST_WEIGHT)
             weights = weights * (self.weights.sum() / weights.sum())
             latest = self._solve(target, latest.coefficients, weights, settled=_ROUGH)
             found = _nearer(found, latest)
@@ -134,11 +155,13 @@ class BoneFit:
         for _ in range(_SPARSE_ROUNDS):
             strain = np.abs(self._strain(found.coefficients))
             springs = self.sparsity * self.threshold / (strain + _STILL * self.threshold)
-            found = self._solve(target, found.coefficients, self.weights, springs=springs, exact=True)
+            found = self._solve(target, found.coefficients, self.weights, springs=springs, threshold=0.0)
         still = np.abs(self._strain(found.coefficients)) < _STILL * self.threshold
         still &= (self.lower <= self._rest) & (self._rest <= self.upper)
         lower, upper = np.where(still, self._rest, self.lower), np.where(still, self._rest, self.upper)
-        return self._solve(target, found.coefficients, self.weights, box=(lower, upper))
+        fewer = Variables(lower, upper, ~self.weightless, self.symmetry)
+        start = np.where(still, self._rest, found.coefficients)
+        return self._solve(target, start, self.weights, variables=fewer)
 
     def _solve(
         self,
@@ -147,8 +170,8 @@ class BoneFit:
         weights: FloatArray,
         *,
         springs: FloatArray | float = 0.0,
-        box: tuple[FloatArray, FloatArray] | None = None,
-        exact: bool = False,
+        variables: Variables | None = None,
+        threshold: float | None = None,
         settled: float = SETTLED,
     ) -> Fitted:
         """One descent; `springs` (m, 9) are weights of each squared strain beside that of the mean square distance."""
@@ -157,13 +180,40 @@ class BoneFit:
             moments = self.skin.retargeted(self._moments, target, weights, world)
         else:
             moments = self.skin.moments(target, weights, world)
-        lower, upper = box or (self.lower, self.upper)
-        stiffness = np.broadcast_to(self.regularise + np.asarray(springs), lower.shape)
-        share = float(weights.sum()) / max(9 * len(self.free), 1)
-        pull = share * stiffness * self._levers**2 if stiffness.any() else None
-        threshold = 0.0 if exact else self.threshold
-        problem = Problem(target, weights, lower, upper, self.free, self._metric, threshold, self.steps, settled, pull)
+        own = variables or self.variables
+        metric = self._metric if variables is None else _metric(self._normal(own))
+        least, pull = self.threshold if threshold is None else threshold, self._pull(springs)
+        problem = Problem(target, weights, own, metric, least, self.steps, settled, pull)
         return fit(self.tree, self.skin, moments, problem, start)
+
+    def _shared(self) -> Shared:
+        """What the fits of many targets share."""
+        if self._inverse is None:
+            self._inverse = inverse(self._normal(self.variables), self._metric)
+        return Shared(
+            tree=self.tree,
+            skin=self.skin,
+            weights=self.weights,
+            pairs=self._moments.pairs,
+            variables=self.variables,
+            inverse=self._inverse,
+            metric=self._metric,
+            pull=self._pull(0.0),
+        )
+
+    def _normal(self, variables: Variables) -> FloatArray:
+        """(v, v) normal matrix at rest."""
+        pose, pull = self.tree.pose(self._rest), self._pull(0.0)
+        own = self.tree.normal_matrix(self.tree.generators(pose), pose, self._moments.pairs, variables.joints)
+        if pull is not None:
+            own[np.diag_indices_from(own)] += pull[variables.joints].ravel()
+        return variables.matrix(own)
+
+    def _pull(self, springs: FloatArray | float) -> FloatArray | None:
+        """(m, 9) weights of half the squared strains; None where there are none."""
+        stiffness = np.broadcast_to(self.regularise + np.asarray(springs), self._rest.shape)
+        share = float(self.weights.sum()) / max(9 * int((~self.weightless).sum()), 1)
+        return share * stiffness * self._levers**2 if stiffness.any() else None
 
     def _strain(self, coefficients: FloatArray) -> FloatArray:
         """(m, 9) how far coefficients are from rest, in stage units."""
@@ -178,13 +228,30 @@ class BoneFit:
         return np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) <= 0
 
 
+def _metric(normal: FloatArray) -> FloatArray:
+    """(v,) root of the diagonal; unknowns that move nothing count as if they moved a little."""
+    diagonal = np.diag(normal)
+    least = _LEAST_METRIC**2 * diagonal.max(initial=0.0)
+    return np.asarray(np.sqrt(np.maximum(diagonal, max(float(least), np.finfo(np.float64).tiny))))
+
+
 def _nearer(one: Fitted, other: Fitted) -> Fitted:
     return other if other.largest < one.largest else one
 
 
-def _limits(rig: Rig, given: FloatArray | None, default: float) -> FloatArray:
-    shape = (len(rig.joints), 9)
-    limits = np.full(shape, default) if given is None else np.array(given, dtype=np.float64)
-    if limits.shape != shape or np.isnan(limits).any():
-        raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
-    return limits
+def _limits(rig: Rig, lower: FloatArray | None, upper: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(m, 9) lower and upper limits, each below the other."""
+    shape, found = (len(rig.joints), 9), []
+    for given, default in ((lower, -np.inf), (upper, np.inf)):
+        limits = np.full(shape, default) if given is None else np.array(given, dtype=np.float64)
+        if limits.shape != shape or np.isnan(limits).any():
+            raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
+        found.append(limits)
+    low, high = found
+    low[:, 6:] = np.where(np.isinf(low[:, 6:]), LEAST_SCALE, low[:, 6:])
+    crossed = np.argwhere(low > high)
+    if len(crossed):
+        joint, channel = crossed[0]
+        what = f"lower limit {low[joint, channel]:g} above the upper {high[joint, channel]:g}"
+        raise InputError(f"{rig.name} -> {rig.joints[joint]} -> channel {channel}", what)
+    return low, high

@@ -16,10 +16,10 @@ import numpy.typing as npt
 from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
 from facepipe.processors.fit_bones.tree import Tree
+from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _START = 1e-3  # damping, relative to the diagonal of the normal matrix
 _LEAST = 1e-12
@@ -28,7 +28,7 @@ _KEPT = 0.5  # of the slope: what a step may leave of it for the model to stay
 _SLOW = 0.2  # fall of the objective, relative: below it a model takes in the curvature
 _FLAT = 1e-9  # of the largest diagonal element: damping of coefficients that move nothing
 _ROUNDING = 1e-13  # of the objective: differences that mean nothing
-SETTLED = 1e-8  # cosine between what is left and what the coefficients can still do about it
+SETTLED = 1e-7  # cosine between what is left and what the coefficients can still do about it
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,8 @@ class Problem:
 
     target: FloatArray  # (n, 3) world points
     weights: FloatArray  # (n,) of points, 0 or more
-    lower: FloatArray  # (m, 9)
-    upper: FloatArray  # (m, 9)
-    free: IntArray  # (f,) joints that may move
-    metric: FloatArray  # (9 f,) root of the normal matrix's diagonal at rest: how far a coefficient moves the points
+    variables: Variables  # v of them
+    metric: FloatArray  # (v,) root of the normal matrix's diagonal at rest: how far an unknown moves the points
     threshold: float  # largest distance that is good enough, in stage units
     steps: int  # at most
     settled: float = SETTLED
@@ -55,17 +53,17 @@ class Fitted:
     points: FloatArray  # (n, 3)
     largest: float  # distance of a point with weight, stage units
     steps: int
-    slope: float  # largest cosine between what is left and what a coefficient still does: 0 at a constrained optimum
+    slope: float  # largest cosine between what is left and what an unknown still does: 0 at a constrained optimum
 
 
 def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, start: FloatArray) -> Fitted:
-    """Least squares from `start` (m, 9), which is brought into the limits first.
+    """Least squares from `start` (m, 9), what may move of it brought into the limits first.
 
     Models leave the curvature out, which makes them convex, as long as the objective falls fast without (Fletcher and
     Xu, "Hybrid methods for nonlinear least squares", IMA J. Numer. Anal. 1987).
     """
     setting = _Setting(tree, skin, moments, problem)
-    state = _State(setting, np.clip(start, problem.lower, problem.upper))
+    state = _State(setting, problem.variables.reduced(start), start)
     damping, before, taken, exact = _START, np.inf, 0, False
     model: _Model | None = None
     while taken < problem.steps and state.largest > problem.threshold and state.slope > problem.settled:
@@ -90,15 +88,17 @@ class _Model:
 
     def __init__(self, state: _State, damping: float, exact: bool) -> None:
         problem, tree, pose = state.setting.problem, state.setting.tree, state.pose
-        generators = tree.generators(pose)
-        self.hessian = tree.normal_matrix(generators, pose, state.setting.moments.pairs, problem.free)
+        generators, joints = tree.generators(pose), problem.variables.joints
+        hessian = tree.normal_matrix(generators, pose, state.setting.moments.pairs, joints)
         if problem.pull is not None:
-            self.hessian[np.diag_indices_from(self.hessian)] += problem.pull[problem.free].ravel()
+            hessian[np.diag_indices_from(hessian)] += problem.pull[joints].ravel()
+        self.hessian = problem.variables.matrix(hessian)
         diagonal = np.diag(self.hessian).copy()
         largest = max(float(diagonal.max(initial=0.0)), np.finfo(np.float64).tiny)
         self._floor = np.maximum(diagonal, _FLAT * largest)
         if exact:
-            self.hessian += tree.curvature(generators, pose, state.by_matrix, problem.free)
+            curvature = tree.curvature(generators, pose, state.by_matrix, joints)
+            self.hessian = self.hessian + problem.variables.matrix(curvature)
         self.damp(damping)
 
     def damp(self, damping: float) -> None:
@@ -109,7 +109,7 @@ class _Model:
         self.damped = BoxedQuadratic(damped)
 
     def minimiser(self, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
-        """(9 f,) the step to the minimum inside a box; None where the quadratic has none."""
+        """(v,) the step to the minimum inside a box; None where the quadratic has none."""
         try:
             return self.damped.minimise(gradient, low, high).x
         except np.linalg.LinAlgError:
@@ -121,8 +121,8 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
 
     A model of an earlier pose is tried once.
     """
-    problem, pose, growth = state.setting.problem, state.pose, 2.0
-    low, high = ((bound - pose.coefficients)[problem.free].ravel() for bound in (problem.lower, problem.upper))
+    variables, growth = state.setting.problem.variables, 2.0
+    low, high = variables.lower - state.x, variables.upper - state.x
     while model.damping < _MOST:
         step = model.minimiser(state.gradient, low, high)
         if step is not None:
@@ -152,9 +152,9 @@ class _Setting:
 class _State:
     """A pose and how far it is from the target."""
 
-    def __init__(self, setting: _Setting, coefficients: FloatArray) -> None:
-        tree, problem, self.setting = setting.tree, setting.problem, setting
-        self.pose = tree.pose(coefficients)
+    def __init__(self, setting: _Setting, x: FloatArray, others: FloatArray) -> None:
+        tree, problem, self.setting, self.x = setting.tree, setting.problem, setting, x
+        self.pose = tree.pose(problem.variables.expanded(x, others))
         self.points = setting.skin.evaluate(self.pose.skinning, tree.parent_world)
         squares = ((self.points - problem.target) ** 2).sum(axis=1)
         self.objective = 0.5 * float(problem.weights @ squares)
@@ -169,22 +169,20 @@ class _State:
 
     @cached_property
     def gradient(self) -> FloatArray:
-        """(9 f,) derivatives by the free joints' coefficients."""
+        """(v,) derivatives by the unknowns."""
         by_coefficient = self.setting.tree.gradient(self.pose, self.by_matrix)
         if self.setting.problem.pull is not None:
             by_coefficient += self.setting.problem.pull * self._strain()
-        return np.asarray(by_coefficient[self.setting.problem.free].ravel())
+        return self.setting.problem.variables.gradient(by_coefficient)
 
     @cached_property
     def slope(self) -> float:
-        """The largest cosine between what is left and what a coefficient does, of those a limit does not hold."""
-        problem = self.setting.problem
-        own = self.pose.coefficients[problem.free].ravel()
-        held = ((own <= problem.lower[problem.free].ravel()) & (self.gradient > 0)) | (
-            (own >= problem.upper[problem.free].ravel()) & (self.gradient < 0)
-        )
-        largest = float(np.abs(self.gradient / problem.metric)[~held].max(initial=0.0))
-        return largest / float(np.sqrt(2.0 * self.objective)) if largest else 0.0
+        """The largest cosine between what is left and what an unknown does, of those a limit does not hold."""
+        variables, metric = self.setting.problem.variables, self.setting.problem.metric
+        held = (self.x <= variables.lower) & (self.gradient > 0)
+        held |= (self.x >= variables.upper) & (self.gradient < 0)
+        largest = float(np.abs(self.gradient / metric)[~held].max(initial=0.0))
+        return largest / float(np.sqrt(2.0 * max(self.objective, np.finfo(np.float64).tiny)))
 
     def better_than(self, other: _State) -> bool:
         """Lower; or flatter, where rounding hides which is lower."""
@@ -197,7 +195,6 @@ class _State:
         return self.pose.coefficients - rest_coefficients(len(self.pose.coefficients))
 
     def moved(self, change: FloatArray) -> _State:
-        """The state after a change (9 f,) of the free joints' coefficients."""
-        problem, coefficients = self.setting.problem, self.pose.coefficients.copy()
-        coefficients[problem.free] += change.reshape(-1, 9)
-        return _State(self.setting, np.clip(coefficients, problem.lower, problem.upper))
+        """The state after a change (v,) of the unknowns."""
+        variables = self.setting.problem.variables
+        return _State(self.setting, np.clip(self.x + change, variables.lower, variables.upper), self.pose.coefficients)

@@ -19,6 +19,7 @@ class Pose:
     """A pose of the tree, or many."""
 
     coefficients: FloatArray  # (..., m, 9)
+    local: FloatArray  # (..., m, 4, 4)
     worlds: FloatArray  # (..., m, 4, 4)
     skinning: FloatArray  # (..., m, 4, 4) world times inverse bind
 
@@ -38,8 +39,9 @@ class Tree:
 
     def pose(self, coefficients: FloatArray) -> Pose:
         """The pose of (..., m, 9) coefficients."""
-        worlds = self.rig.joint_worlds(self.rig.rest @ coefficient_matrices(coefficients), self.parent_world)
-        return Pose(coefficients, worlds, worlds @ self.rig.inverse_bind)
+        local = self.rig.rest @ coefficient_matrices(coefficients)
+        worlds = self.rig.joint_worlds(local, self.parent_world)
+        return Pose(coefficients, local, worlds, worlds @ self.rig.inverse_bind)
 
     def generators(self, pose: Pose) -> FloatArray:
         """(m, 9, 4, 4) G with ``d world_d / d c_ja = G_ja world_d`` for every joint d at or below joint j.
@@ -51,17 +53,12 @@ class Tree:
 
     def gradient(self, pose: Pose, by_matrix: FloatArray) -> FloatArray:
         """(..., m, 9) derivatives by the coefficients of what has (..., m, 4, 3) by the rows of skinning matrices."""
-        below = self._below(pose, by_matrix)
-        own = np.swapaxes(self._above(pose)[..., :3, :], -1, -2) @ below
-        own = own @ np.swapaxes(np.linalg.inv(pose.worlds), -1, -2)
+        by_world = np.swapaxes(by_matrix, -1, -2) @ np.swapaxes(self.rig.inverse_bind, -1, -2)
+        for joints in self.rig.generations[:0:-1]:  # the deepest first
+            passed = by_world[..., joints, :, :] @ np.swapaxes(pose.local[..., joints, :, :], -1, -2)
+            np.add.at(np.moveaxis(by_world, -3, 0), self.rig.parents[joints], np.moveaxis(passed, -3, 0))
+        own = np.swapaxes(self._above(pose)[..., :3, :], -1, -2) @ by_world
         return coefficient_gradient(pose.coefficients, own)
-
-    def _below(self, pose: Pose, by_matrix: FloatArray) -> FloatArray:
-        """(..., m, 3, 4) derivatives by a matrix left of all skinning matrices at or below each joint."""
-        own = np.swapaxes(by_matrix, -1, -2) @ np.swapaxes(pose.skinning, -1, -2)
-        if self.flat:
-            return np.asarray(own)
-        return np.asarray((self.below @ own.reshape(*own.shape[:-2], 12)).reshape(own.shape))
 
     def _above(self, pose: Pose) -> FloatArray:
         """(..., m, 4, 4) what comes before each joint's own matrix."""
@@ -76,7 +73,9 @@ class Tree:
 
         A joint above another acts first: ``d2 world_d / d c_ja d c_kb = G_ja G_kb world_d``.
         """
-        f, below = len(free), self._below(pose, by_matrix)[free]
+        f = len(free)
+        moved = np.swapaxes(by_matrix, -1, -2) @ np.swapaxes(pose.skinning, -1, -2)
+        below = np.tensordot(self.below[free], moved, (1, 0))  # (f, 3, 4) by a matrix left of all at or below a joint
         matrix = np.zeros((f, 9, f, 9))
         inverse = np.linalg.inv(pose.worlds[free])
         by_own = np.swapaxes(self._above(pose)[free][:, :3], -1, -2) @ below @ np.swapaxes(inverse, -1, -2)

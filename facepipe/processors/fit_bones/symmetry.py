@@ -1,0 +1,117 @@
+"""Mirrored joints: which coefficients of the left side are those of the right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.rig import CHANNELS, Rig, rest_coefficients
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+_SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))  # anywhere in a name
+_LETTERS = re.compile(r"(?<![A-Za-z0-9])([lLrR])(?![A-Za-z0-9])|(?<=[_.\-])([lLrR])(?=\d)")  # as words of their own
+_OPPOSITE = str.maketrans("lLrR", "rRlL")
+_OBLIQUE = 0.1  # how far a mirrored axis of a joint at rest may be off, as a sine
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """The ties of 9m coefficients, flat: each is its sign times that of its leader, which may be itself."""
+
+    joints: tuple[str, ...]
+    leaders: IntArray  # (9 m,)
+    signs: FloatArray  # (9 m,) 1 or -1
+    still: BoolArray  # (9 m,) coefficients of joints in the middle that mirroring would turn round: they rest
+    single: tuple[str, ...]  # joints of one side without a partner: not tied
+
+    def limits(self, lower: FloatArray, upper: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 9) limits that tied coefficients share, where the joints of both are `free` (m,).
+
+        :raises InputError: limits that have nothing in common, or that exclude rest where a joint must keep it
+        """
+        low, high, rest = lower.ravel().copy(), upper.ravel().copy(), rest_coefficients(len(lower)).ravel()
+        follower = np.flatnonzero(self.leaders != np.arange(len(low)))
+        leader, turned = self.leaders[follower], self.signs[follower] < 0
+        mirrored = (np.where(turned, -high[follower], low[follower]), np.where(turned, -low[follower], high[follower]))
+        low[leader], high[leader] = np.maximum(low[leader], mirrored[0]), np.minimum(high[leader], mirrored[1])
+        self._check(low > high, "limits that are no mirror images: no value is inside both")
+        low[follower] = np.where(turned, -high[leader], low[leader])
+        high[follower] = np.where(turned, -low[leader], high[leader])
+        held = self.still & np.repeat(free, 9)
+        self._check(held & ((low > rest) | (high < rest)), "limits without 0, which a symmetric fit keeps it at")
+        low[held] = high[held] = rest[held]
+        return low.reshape(lower.shape), high.reshape(upper.shape)
+
+    def _check(self, wrong: BoolArray, what: str) -> None:
+        if wrong.any():
+            joint, channel = divmod(int(np.argmax(wrong)), 9)
+            raise InputError(f"limits -> {self.joints[joint]} -> {CHANNELS[channel]}", what)
+
+
+def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
+    """The ties of joints by their names (``left`` and ``right``, or ``L`` and ``R`` as a word of its own).
+
+    A joint's matrix at rest and its partner's, mirrored across x, must be the same up to the signs of axes.
+
+    :param tied: (m,) joints that count
+    :raises InputError: no joint has a partner, or the axes of two are no mirror images
+    """
+    count = len(rig.joints)
+    leaders, signs, still = np.arange(9 * count), np.ones(9 * count), np.zeros(9 * count, dtype=np.bool_)
+    names = [joint.rpartition("/")[2] for joint in rig.joints]
+    axes = rig.joint_worlds(rig.rest)[:, :3, :3]
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    partners, single = _partners(names), []
+    for joint in np.flatnonzero(tied):
+        other = partners[joint]
+        if other is None or not tied[other]:
+            single.append(rig.joints[joint])
+            continue
+        if other < joint:
+            continue  # the other way round
+        flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", names[other])
+        own = slice(9 * other, 9 * other + 9)
+        if other == joint:
+            still[own] = flips < 0
+        else:
+            leaders[own], signs[own] = 9 * joint + np.arange(9), flips
+    if (leaders == np.arange(9 * count)).all():
+        raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
+    return Symmetry(rig.joints, leaders, signs, still, tuple(single))
+
+
+def _partners(names: Sequence[str]) -> list[int | None]:
+    """The joint on the other side, itself for one in the middle; None for one of a side whose partner is not there."""
+    places = {name: number for number, name in enumerate(names)}
+    return [places.get(mirrored_name(name)) for name in names]
+
+
+def mirrored_name(name: str) -> str:
+    """The name on the other side; the same for one in the middle.
+
+    >>> [mirrored_name(name) for name in ("eye_L", "browInnerLeft", "r_lip.02", "jaw")]
+    ['eye_R', 'browInnerRight', 'l_lip.02', 'jaw']
+    """
+    for one, other in _SIDES:
+        if one in name or other in name:
+            return other.join(part.replace(other, one) for part in name.split(one))
+    return _LETTERS.sub(lambda found: found[0].translate(_OPPOSITE), name)
+
+
+def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:
+    """(9,) signs of the coefficients of a joint with axes (3, 3), seen as those of its partner."""
+    turned = one.T @ (np.array([-1.0, 1.0, 1.0])[:, None] * other)
+    if np.abs(turned - np.diag(np.diag(turned))).max() > _OBLIQUE:
+        raise InputError(
+            where, f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
+        )
+    axes = np.sign(np.diag(turned))
+    return np.concatenate([axes, -axes, np.ones(3)])  # mirroring turns rotations about what it keeps

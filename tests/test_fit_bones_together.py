@@ -1,0 +1,81 @@
+"""Fits of many targets at once against fits of each alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_fit_bones_solver import MM, face_joints, head, jacobian, limits, random_pose
+
+from facepipe.processors.fit_bones import session
+from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones.solver import SETTLED
+from facepipe.processors.fit_bones.together import fit_together
+from facepipe.rig import rest_coefficients
+
+
+def out_of_reach(count: int, reach: float, seed: int = 0) -> list[np.ndarray]:
+    """Targets near poses of MakeHuman's face joints, but on none."""
+    rig, rng = head(), np.random.default_rng(seed)
+    joints, rest = face_joints(rig), rest_coefficients(len(rig.joints))
+    targets = []
+    for number in range(count):
+        pose = rest + reach * (random_pose(rng, len(rest), joints) - rest)
+        targets.append(rig.evaluate(coefficients=pose) + 0.01 * np.sin((number + 3.0) * rig.points))
+    return targets
+
+
+def fit_of(reach: float, **settings: object) -> BoneFit:
+    rig = head()
+    lower, upper = limits(len(rig.joints), face_joints(rig))
+    rest = rest_coefficients(len(rig.joints))
+    box = {"lower": rest + reach * (lower - rest), "upper": rest + reach * (upper - rest)}
+    return BoneFit(rig, **box, threshold=1e-3 / MM, rounds=0, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("settings", [{}, {"regularise": 1e-2}, {"weights": np.linspace(0.0, 2.0, 5082)}])
+def test_targets_fitted_at_once_end_where_each_alone_does(settings: dict[str, object]) -> None:
+    targets, fit = out_of_reach(3, 0.2), fit_of(1.0, **settings)
+    for one, target in zip(fit.fit_all(targets), targets, strict=True):
+        alone = fit.fit(target)
+        assert one.slope <= SETTLED
+        np.testing.assert_allclose(one.coefficients, alone.coefficients, atol=1e-5)
+        np.testing.assert_allclose(one.points, fit.rig.evaluate(coefficients=one.coefficients), atol=1e-12)
+
+
+@pytest.mark.parametrize("reach", [1.0, 0.3, 0.05])
+def test_fits_end_at_optima_inside_the_limits(reach: float) -> None:
+    """By the Jacobian, where limits hold none, some and most of the coefficients."""
+    targets, fit = out_of_reach(4, 0.2, seed=1), fit_of(reach)
+    for found, target in zip(fit.fit_all(targets), targets, strict=True):
+        own = found.coefficients
+        assert ((own >= fit.lower) & (own <= fit.upper)).all()
+        columns = (fit.free[:, None] * 9 + np.arange(9)).ravel()
+        J = jacobian(fit.tree, own)[:, columns]
+        gradient, left = J.T @ (found.points - target).ravel(), np.linalg.norm(found.points - target)
+        x, low, high = (array.ravel()[columns] for array in (own, fit.lower, fit.upper))
+        held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+        assert np.abs(gradient / (left * np.maximum(np.linalg.norm(J, axis=0), 1e-6)))[~held].max() <= 1e-6
+
+
+def test_shared_steps_reach_an_optimum_by_themselves() -> None:
+    fit, points = fit_of(1.0, regularise=0.1), head().points
+    targets = [points + 1e-4 * np.sin((number + 3.0) * points) for number in range(4)]
+    ends = fit_together(fit._shared(), np.stack(targets), rest_coefficients(len(fit.rig.joints)), 60, 1e-9)
+    assert [end.slope <= SETTLED for end in ends] == [True] * 4
+
+
+def test_targets_in_reach_are_reached() -> None:
+    rig, rng = head(), np.random.default_rng(2)
+    poses = [random_pose(rng, len(rig.joints), face_joints(rig)) for _ in range(3)]
+    fit = fit_of(1.0)
+    for found in fit.fit_all([rig.evaluate(coefficients=pose) for pose in poses]):
+        assert found.largest <= fit.threshold
+
+
+def test_what_is_fitted_beside_a_target_changes_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_MANY", 2)
+    one, two, three = *out_of_reach(1, 0.05, seed=3), *out_of_reach(2, 0.05, seed=4)
+    fit = fit_of(1.0)
+    alone = [fit.fit(target) for target in (two, one, three)]
+    for found, own in zip(fit.fit_all([two, one, three]), alone, strict=True):
+        np.testing.assert_allclose(found.coefficients, own.coefficients, atol=1e-5)
