@@ -1,18 +1,19 @@
 """Give a face a skeleton and skin weights: from joint positions, or from another face's skeleton.
 
 --joints holds where joints are, in the world: {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw":
-{"position": [0, 20, 15], "regions": ["mouth_lower"]}}, "parts": {"Teeth*": {"upper": "head", "lower": "head/jaw"}}}.
+{"position": [0, 0, 20], "surface": false}, "head/jaw/chin": {"position": [0, -72, 100], "regions": ["mouth_lower"]}},
+"parts": {"Teeth*": {"upper": "head", "lower": "head/jaw"}}}.
 A joint may have "rotation" (quaternion x y z w relative to its parent's axes), "radius" (no weight beyond, along the
-surface), "regions" (of the face, or mouth_upper, mouth_lower, eye_left_upper ...) and "surface" (false: it moves loose
-parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the surface and
+surface), "regions" (of the face, or mouth_upper, mouth_lower, eye_left_upper ...) and "surface" (false: a pivot, which
+moves loose parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the surface and
 never cross from lip to lip or lid to lid.
 
 --from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
 which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips;
 on one topology, of the same points.
 --optimise then refines the weights, so that the joints alone come nearer to the blendshapes that FACE has: RMS and max
-distance of the moved points, before and after, with the best rigid motion of each joint. Joints stay where they are, and
-only weights are authored. For bone coefficients of each shape, within limits and with scale, fit the result:
+distance of the moved points, before and after, with the best rigid motion of each joint. Joints stay where they are,
+and only weights are authored. For bone coefficients of each shape, within limits and with scale, fit the result:
 facepipe fit-bones OUT --target shapes -o FITTED.
 
 A face that has the same joints keeps their order; where they stand may change, what its animations do relative to rest

@@ -4,7 +4,8 @@
       "unit": "mm",
       "joints": {
         "head": {"position": [0, 60, 20]},
-        "head/jaw": {"position": [0, 20, 15], "regions": ["mouth_lower"]},
+        "head/jaw": {"position": [0, 0, 20], "surface": false},
+        "head/jaw/chin": {"position": [0, -72, 100], "regions": ["mouth_lower"]},
         "head/jaw/lip": {"position": [0, -32, 98], "radius": 30},
         "head/eyeLeft": {"position": [32, 30, 65], "rotation": [0, 0, 0, 1]}
       },
@@ -17,7 +18,7 @@ Names are paths, parents anywhere in the file. A joint has, beside its position 
 - ``radius``: no weight further from it, along the surface.
 - ``regions``: weight in these only: regions of the face, or a side of its mouth or eyes (``mouth_upper``,
   ``mouth_lower``, ``eye_left_upper``, ``eye_left_lower``, ``eye_right_upper``, ``eye_right_lower``).
-- ``surface``: whether it moves the face itself. Without it: yes, unless it is in an eyeball and has no regions. An
+- ``surface``: whether it moves the face itself: false for pivots deep inside. Without it: yes, unless it is in an eyeball and has no regions. An
   eyeball goes with the joint nearest to its centre, one that does not move the face before others.
 
 ``parts`` gives loose parts whole to a joint, by mesh names or globs; ``upper`` and ``lower`` part them by the mouth.
