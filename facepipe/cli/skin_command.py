@@ -5,8 +5,8 @@
 "parts": {"Teeth*": {"upper": "head", "lower": "head/jaw"}}}.
 A joint may have "rotation" (quaternion x y z w relative to its parent's axes), "radius" (no weight beyond, along the
 surface), "regions" (of the face, or mouth_upper, mouth_lower, eye_left_upper ...) and "surface" (false: a pivot, which
-moves loose parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the surface and
-never cross from lip to lip or lid to lid.
+moves loose parts only). "parts" gives meshes whole to joints; units are stage, mm, cm or m. Weights fall off along the
+surface and never cross from lip to lip or lid to lid.
 
 --from takes the skeleton and weights of another face, whatever its topology: a smooth warp by the landmarks multipie68,
 which both need, lays it over FACE; joints move along, points take the weights of the nearest places, lips from lips;
