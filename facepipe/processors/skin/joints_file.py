@@ -18,8 +18,9 @@ Names are paths, parents anywhere in the file. A joint has, beside its position 
 - ``radius``: no weight further from it, along the surface.
 - ``regions``: weight in these only: regions of the face, or a side of its mouth or eyes (``mouth_upper``,
   ``mouth_lower``, ``eye_left_upper``, ``eye_left_lower``, ``eye_right_upper``, ``eye_right_lower``).
-- ``surface``: whether it moves the face itself: false for pivots deep inside. Without it: yes, unless it is in an eyeball
-  and has no regions. An eyeball goes with the joint nearest to its centre, one that does not move the face before others.
+- ``surface``: whether it moves the face itself: false for pivots deep inside. Without it: yes, unless it is in an
+  eyeball and has no regions. An eyeball goes with the joint nearest to its centre, one that does not move the face
+  before others.
 
 ``parts`` gives loose parts whole to a joint, by mesh names or globs; ``upper`` and ``lower`` part them by the mouth.
 ``unit`` of positions and radii is ``stage`` (the face's own), ``mm``, ``cm`` or ``m``.
