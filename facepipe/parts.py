@@ -153,9 +153,18 @@ class Animation:
     shape_weights: FloatArray | None = None  # (T, shapes)
 
 
+# At least two knots (slider value, amount): values strictly ascending, amounts never turning back (monotone). Straight
+# lines between them, constant beyond the ends.
+Curve = tuple[tuple[float, float], ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Slider:
-    """A user control that adds ``gain * (value - default)`` to bone coefficient channels and shape weights."""
+    """A user control that adds to bone coefficient channels and shape weights.
+
+    An entry of `channels` or `shapes` adds ``gain * (value - default)``, or ``gain * curve(value)`` where it has a
+    curve. The value is clamped to minimum..maximum first.
+    """
 
     name: str
     group: str = ""
@@ -165,6 +174,9 @@ class Slider:
     value: float | None = None  # current setting; None: the default
     channels: tuple[tuple[str, str, float], ...] = ()  # (joint path, tx ty tz rx ry rz sx sy sz, gain)
     shapes: tuple[tuple[str, float], ...] = ()  # (blendshape name, gain)
+    channel_curves: tuple[Curve | None, ...] = ()  # empty, or one per channel; None: straight
+    shape_curves: tuple[Curve | None, ...] = ()  # empty, or one per shape; None: straight
+    mirror: str | None = None  # the slider of the other side, whose mirror this one is
 
 
 @dataclass(frozen=True, kw_only=True)

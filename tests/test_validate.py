@@ -340,6 +340,25 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "slider value out of range": (value(SLIDER + "value", -1.0), {"SliderValue"}),
     "slider of unknown joint": (value(SLIDER + "joints", ["root/nose"]), {"SliderTargets"}),
     "slider of unknown channel": (value(SLIDER + "channels", ["qx"]), {"SliderTargets"}),
+    "curve of a slider with one amount": (
+        lambda stage: [
+            value(SLIDER + "channelKnots", [2])(stage),
+            value(SLIDER + "knotValues", [0.0, 1.0])(stage),
+            value(SLIDER + "knotAmounts", [0.0])(stage),
+        ][0],
+        {"SliderCurves"},
+    ),
+    "knots of a slider's curve that descend": (
+        lambda stage: [
+            value(SLIDER + "channelKnots", [2])(stage),
+            value(SLIDER + "knotValues", [1.0, 0.0])(stage),
+            value(SLIDER + "knotAmounts", [0.0, 1.0])(stage),
+        ][0],
+        {"SliderCurves"},
+    ),
+    "curves of fewer channels than a slider has": (value(SLIDER + "channelKnots", [0, 0]), {"SliderCurves"}),
+    "slider whose mirror is unknown": (value(SLIDER + "mirror", "shut"), {"SliderMirrors"}),
+    "slider that is its own mirror": (value(SLIDER + "mirror", "open"), {"SliderMirrors"}),
     "recipe that is no JSON": (value("/Tiny.facepipe:recipe:options", "{"), {"RecipeOptions"}),
     "recipe without digest": (value("/Tiny.facepipe:recipe:digests", []), {"RecipeDigests"}),
 }

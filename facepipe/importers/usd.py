@@ -24,6 +24,7 @@ from facepipe.parts import (
     Texture,
     TextureInput,
 )
+from facepipe.rig.sliders import kept, with_mutual_mirrors
 
 _WEIGHT_SUM_TOLERANCE = 1e-5
 
@@ -157,18 +158,16 @@ def _kept_sliders(
     """The sliders with only the joints and shapes that the face has; those that move nothing are left out."""
     result = []
     for slider in sliders:
-        channels = tuple(
-            (new_names[joint], channel, gain) for joint, channel, gain in slider.channels if joint in new_names
-        )
-        driven = tuple((shape, gain) for shape, gain in slider.shapes if shape in shapes)
-        lost = len(slider.channels) + len(slider.shapes) - len(channels) - len(driven)
-        if lost and not channels and not driven:
+        own = kept(slider, new_names.__contains__, shapes.__contains__)
+        lost = len(slider.channels) + len(slider.shapes) - len(own.channels) - len(own.shapes)
+        if lost and not own.channels and not own.shapes:
             warnings.append(f"slider {slider.name}: left out, the face has nothing that it moves")
             continue
         if lost:
             warnings.append(f"slider {slider.name}: {lost} of its channels and shapes left out, which the face lacks")
-        result.append(replace(slider, channels=channels, shapes=driven))
-    return tuple(result)
+        channels = tuple((new_names[joint], channel, gain) for joint, channel, gain in own.channels)
+        result.append(replace(own, channels=channels))
+    return with_mutual_mirrors(result)
 
 
 def _check_transforms(source: Path, parts: FaceParts) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.parts import Slider
+from facepipe.parts import Curve, Slider
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
@@ -19,27 +20,138 @@ def slide(
 ) -> tuple[FloatArray, dict[str, float]]:
     """Bone coefficients (j, 9) and shape weights that slider values stand for.
 
-    Each slider adds ``gain * (value - default)`` to its channels and shapes; values are clamped to the slider's
-    range. Sliders that are not in `values` keep their authored value.
+    Each slider adds ``gain * (value - default)`` to its channels and shapes, or ``gain * curve(value)`` to those with a
+    curve; values are clamped to the slider's range. Sliders that are not in `values` keep their authored value. The sum
+    is clamped to nothing.
 
-    :raises InputError: a value for no slider, a value that is not finite, or a slider of an unknown joint or channel
+    :raises InputError: a value for no slider, a value that is not finite, a slider of an unknown joint or channel, or a
+        damaged curve
     """
     coefficients = rest_coefficients(len(joints))
     weights: dict[str, float] = {}
     joint_index = {joint: i for i, joint in enumerate(joints)}
     settings = dict(values or {})
     for slider in sliders:
+        _check_curves(slider)
         own = slider.default if slider.value is None else slider.value
-        amount = _clamped(slider, settings.pop(slider.name, own)) - slider.default
-        for joint, channel, gain in slider.channels:
+        value = _clamped(slider, settings.pop(slider.name, own))
+        for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
                 raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")
+            amount = response(curve, value, slider.default)
             coefficients[joint_index[joint], CHANNELS.index(channel)] += gain * amount
-        for shape, gain in slider.shapes:
-            weights[shape] = weights.get(shape, 0.0) + gain * amount
+        for (shape, gain), curve in shape_entries(slider):
+            weights[shape] = weights.get(shape, 0.0) + gain * response(curve, value, slider.default)
     if settings:
         raise InputError("sliders", f"no slider '{next(iter(settings))}'")
     return coefficients, weights
+
+
+def response(curve: Curve | None, value: float, default: float) -> float:
+    """What the gain of an entry is multiplied by at a slider value that is in range."""
+    if curve is None:
+        return value - default
+    return float(np.interp(value, *np.array(curve, dtype=np.float64).T))
+
+
+def channel_entries(slider: Slider) -> Iterator[tuple[tuple[str, str, float], Curve | None]]:
+    """The channels of a slider with their curves."""
+    return zip(slider.channels, slider.channel_curves or (None,) * len(slider.channels), strict=True)
+
+
+def shape_entries(slider: Slider) -> Iterator[tuple[tuple[str, float], Curve | None]]:
+    """The shapes of a slider with their curves."""
+    return zip(slider.shapes, slider.shape_curves or (None,) * len(slider.shapes), strict=True)
+
+
+def with_entries(
+    slider: Slider,
+    channels: Sequence[tuple[tuple[str, str, float], Curve | None]],
+    shapes: Sequence[tuple[tuple[str, float], Curve | None]],
+) -> Slider:
+    """A slider with other entries, each with its curve; no lists of curves where there are none."""
+    channel_curves, shape_curves = (tuple(curve for _, curve in entries) for entries in (channels, shapes))
+    return replace(
+        slider,
+        channels=tuple(entry for entry, _ in channels),
+        shapes=tuple(entry for entry, _ in shapes),
+        channel_curves=channel_curves if any(channel_curves) else (),
+        shape_curves=shape_curves if any(shape_curves) else (),
+    )
+
+
+def kept(slider: Slider, joint: Callable[[str], bool], shape: Callable[[str], bool]) -> Slider:
+    """A slider with only the channels and shapes whose names pass."""
+    return with_entries(
+        slider,
+        [one for one in channel_entries(slider) if joint(one[0][0])],
+        [one for one in shape_entries(slider) if shape(one[0][0])],
+    )
+
+
+def with_mutual_mirrors(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
+    """The sliders without the mirrors that are not there or that name another."""
+    return tuple(one if mirror_fault(one, sliders) is None else replace(one, mirror=None) for one in sliders)
+
+
+def curve_fault(curve: Curve) -> str | None:
+    """What is wrong with a curve in float32, which files hold: what was found and expected; None where it is whole."""
+    if len(curve) < 2 or any(len(knot) != 2 for knot in curve):
+        return f"a curve of {len(curve)} knots, expected 2 or more of a value and an amount each"
+    with np.errstate(over="ignore"):  # beyond float32 is infinity
+        values, amounts = np.array(curve, dtype=np.float32).T
+    if not (np.isfinite(values).all() and np.isfinite(amounts).all()):
+        return "a curve with NaN or infinity, expected finite knots"
+    if (values[1:] <= values[:-1]).any():
+        late = int(np.argmax(values[1:] <= values[:-1]))
+        return f"knot values {values[late]:g}, {values[late + 1]:g} of a curve, expected them strictly ascending"
+    if (amounts[1:] > amounts[:-1]).any() and (amounts[1:] < amounts[:-1]).any():
+        return "a curve that rises and falls, expected a monotone one"
+    return None
+
+
+def curves_fault(slider: Slider) -> str | None:
+    """What is wrong with the curves of a slider; None where they are whole."""
+    for what, entries, curves in (
+        ("channels", slider.channels, slider.channel_curves),
+        ("shapes", slider.shapes, slider.shape_curves),
+    ):
+        if curves and len(curves) != len(entries):
+            return f"{len(curves)} curves of {what}, expected none or {len(entries)}"
+        for curve in curves:
+            fault = None if curve is None else curve_fault(curve)
+            if fault:
+                return fault
+    return None
+
+
+def mirror_fault(slider: Slider, sliders: Sequence[Slider]) -> str | None:
+    """What is wrong with the mirror of a slider among those of its face; None where it has none, or a mutual one."""
+    if slider.mirror is None:
+        return None
+    other = next((one for one in sliders if one.name == slider.mirror), None)
+    if other is None or other.name == slider.name:
+        return f"mirror '{slider.mirror}', expected the name of another slider"
+    if other.mirror != slider.name:
+        return f"mirror '{slider.mirror}', whose own is '{other.mirror or ''}', expected them to name each other"
+    return None
+
+
+def sliders_fault(sliders: Sequence[Slider]) -> tuple[str, str] | None:
+    """The first slider with damaged curves or a mirror that is not mutual, and what is wrong; None for none."""
+    by_name = {one.name: one for one in sliders}
+    for slider in sliders:
+        twin = by_name.get(slider.mirror or "")
+        fault = curves_fault(slider) or mirror_fault(slider, (twin,) if twin else ())
+        if fault:
+            return slider.name, fault
+    return None
+
+
+def _check_curves(slider: Slider) -> None:
+    fault = curves_fault(slider)
+    if fault:
+        raise InputError(f"slider {slider.name}", fault)
 
 
 def _clamped(slider: Slider, value: float) -> float:

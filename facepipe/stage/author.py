@@ -15,7 +15,7 @@ from facepipe.parts import FaceParts
 from facepipe.stage.author_animations import author_animation, author_time_range
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
-from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider
+from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider, check_sliders
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.textures import TextureFolder, texture_home
 
@@ -64,6 +64,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
         if value:
             prim.GetAttribute(name).Set(value)
     _author_below(stage, root, parts, textures or {})
+    check_sliders(parts.name, parts.sliders)
     for slider in parts.sliders:
         author_slider(prim, slider)
     if parts.recipe:

@@ -21,6 +21,7 @@ from facepipe.stage.author_rig_changes import (
     author_text_changes,
     check_skeleton_change,
 )
+from facepipe.stage.author_skeleton import check_sliders
 from facepipe.stage.differences import same
 from facepipe.stage.face import Face
 from facepipe.stage.opinions import editable, put
@@ -77,6 +78,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
     for before, after in zip(old.meshes, new.meshes, strict=True):
         check_mesh_change(f"{face.where} -> {before.name}", before, after)
     check_skeleton_change(face.where, old.skeleton, new.skeleton)
+    check_sliders(face.where, new.sliders)
     for field in ("name", "transform"):
         if not same(getattr(old.skeleton, field), getattr(new.skeleton, field)):
             raise InputError(f"{face.where} -> {old.skeleton.name} -> {field}", "differs, expected as on the face")

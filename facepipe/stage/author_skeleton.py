@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
@@ -10,6 +11,7 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits, Recipe, Skeleton, Slider
+from facepipe.rig.sliders import curves_fault, sliders_fault
 from facepipe.stage.opinions import put
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_matrices, to_matrix
@@ -40,12 +42,25 @@ def author_limits(prim: Usd.Prim, limits: BoneLimits) -> None:
     prim.GetAttribute(tokens.LIMITS_UPPER).Set(to_floats(limits.upper))
 
 
+def check_sliders(where: object, sliders: Sequence[Slider]) -> None:
+    """Check what the sliders of a face must be together, and their curves.
+
+    :raises InputError: a damaged curve, or a mirror that is not mutual
+    """
+    found = sliders_fault(sliders)
+    if found:
+        raise InputError(f"{where} -> slider {found[0]}", found[1])
+
+
 def author_slider(prim: Usd.Prim, slider: Slider) -> None:
     """Apply a slider to the face prim.
 
-    :raises InputError: a name that USD can't hold
+    :raises InputError: a name that USD can't hold, or damaged curves
     """
     check_property_name(prim.GetPath(), "slider", slider.name, tokens.SLIDER_API)
+    fault = curves_fault(slider)
+    if fault:
+        raise InputError(f"{prim.GetPath()} -> slider {slider.name}", fault)
     prim.ApplyAPI(tokens.SLIDER_API, slider.name)
     prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
     for name in ("group", "default", "minimum", "maximum"):
@@ -57,6 +72,18 @@ def author_slider(prim: Usd.Prim, slider: Slider) -> None:
     ):
         for i, field in enumerate(fields):
             put(prim.GetAttribute(prefix + field), [row[i] for row in rows] if rows else None)
+    put(prim.GetAttribute(f"{prefix}mirror"), slider.mirror)
+    _author_curves(prim, prefix, slider)
+
+
+def _author_curves(prim: Usd.Prim, prefix: str, slider: Slider) -> None:
+    lists = (("channelKnots", slider.channel_curves), ("shapeKnots", slider.shape_curves))
+    knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
+    for field, curves in lists:
+        counts = [len(curve or ()) for curve in curves]
+        put(prim.GetAttribute(prefix + field), counts if any(counts) else None)
+    for i, field in enumerate(("knotValues", "knotAmounts")):
+        put(prim.GetAttribute(prefix + field), [knot[i] for knot in knots] or None)
 
 
 def author_recipe(prim: Usd.Prim, recipe: Recipe) -> None:

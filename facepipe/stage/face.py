@@ -24,7 +24,8 @@ from facepipe.stage.files import derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_sliders
+from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.read_sliders import read_sliders
 from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, prims_below
 from facepipe.stage.units import check_units

@@ -1,9 +1,8 @@
-"""Skeleton, animations, limits, sliders and recipe of a stage as parts."""
+"""Skeleton, animations, limits and recipe of a stage as parts."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
-from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton, Slider
+from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, matrix, quaternions
 
@@ -99,51 +98,6 @@ def read_animation(prim: Usd.Prim) -> Animation:
         shapes=shapes,
         shape_weights=None if weights is None else weights[..., 0],
     )
-
-
-@reads_prim
-def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
-    """The sliders applied to the face prim, by name.
-
-    :raises SchemaError: lists of one slider that are not parallel, or a range that is none
-    """
-    names = {
-        one.GetName().removeprefix(tokens.SLIDER_PREFIX).rpartition(":")[0]
-        for one in prim.GetAuthoredPropertiesInNamespace(tokens.SLIDER_PREFIX.rstrip(":"))
-        if isinstance(one, Usd.Attribute) and one.HasAuthoredValue()  # an override layer blocks sliders that are gone
-    }
-    return tuple(_slider(prim, name) for name in sorted(names))
-
-
-def _slider(prim: Usd.Prim, name: str) -> Slider:
-    def value(field: str) -> Any:
-        return prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{name}:{field}").Get()
-
-    def number(field: str, otherwise: float) -> float:
-        found = value(field)
-        return otherwise if found is None else float(found)
-
-    def words(field: str) -> list[str]:
-        return [str(word) for word in value(field) or []]
-
-    joints, channels, gains = words("joints"), words("channels"), floats(value("channelGains")).tolist()
-    shapes, shape_gains = words("shapes"), floats(value("shapeGains")).tolist()
-    where = f"{prim.GetPath()}.{tokens.SLIDER_PREFIX}{name}"
-    if not len(joints) == len(channels) == len(gains) or len(shapes) != len(shape_gains):
-        raise SchemaError(where, "joints, channels and gains (or shapes and gains) of different lengths")
-    slider = Slider(
-        name=name,
-        group=str(value("group") or ""),
-        default=number("default", 0.0),
-        minimum=number("minimum", 0.0),
-        maximum=number("maximum", 1.0),
-        value=None if value("value") is None else number("value", 0.0),
-        channels=tuple(zip(joints, channels, gains, strict=True)),
-        shapes=tuple(zip(shapes, shape_gains, strict=True)),
-    )
-    if not slider.minimum <= slider.default <= slider.maximum:
-        raise SchemaError(where, f"default {slider.default}, expected {slider.minimum} to {slider.maximum}")
-    return slider
 
 
 @reads_prim

@@ -97,6 +97,8 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderRange", control.slider_range),
     Check("SliderValue", control.slider_value, "warning"),
     Check("SliderTargets", control.slider_targets),
+    Check("SliderCurves", control.slider_curves),
+    Check("SliderMirrors", control.slider_mirrors),
     Check("RecipeOptions", control.recipe_options),
     Check("RecipeDigests", control.recipe_digests, "warning"),
 )

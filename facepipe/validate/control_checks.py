@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from pxr import Usd
 
 from facepipe import tokens
 from facepipe.rig import CHANNELS
+from facepipe.rig.sliders import curve_fault
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array, value, words
 
@@ -47,6 +49,38 @@ def slider_value(face: FaceView) -> Iterator[Problem]:
             own, low, high = (_number(face.prim, name, one) for one in ("value", "minimum", "maximum"))
             if not low <= own <= high:
                 yield at(_path(face.prim, name), f"value {own:g}, expected {low:g} to {high:g}")
+
+
+def slider_curves(face: FaceView) -> Iterator[Problem]:
+    """Curves of sliders have 2 knots or more, values that ascend and amounts that never turn back."""
+    for name in _sliders(face.prim):
+        fault = _curves_fault(face.prim, name)
+        if fault:
+            yield at(_path(face.prim, name), fault)
+
+
+def _curves_fault(prim: Usd.Prim | None, name: str) -> str | None:
+    fields = ("channelKnots", "shapeKnots", "knotValues", "knotAmounts")
+    channels, shapes, values, amounts = (_numbers(prim, name, field) for field in fields)
+    for field, counts, beside in (("channelKnots", channels, "joints"), ("shapeKnots", shapes, "shapes")):
+        if counts and len(counts) != _length(prim, name, beside):
+            return f"{len(counts)} {field}, expected none or as many as {beside}"
+    counts = [*channels, *shapes]
+    if not all(count >= 0 for count in counts) or not sum(counts) == len(values) == len(amounts):
+        found = f"{len(values)} knotValues and {len(amounts)} knotAmounts"
+        return f"{found}, expected as many of each as channelKnots and shapeKnots say"
+    knots = iter(zip(values, amounts, strict=True))
+    return next(filter(None, (curve_fault(tuple(islice(knots, int(count)))) for count in counts if count)), None)
+
+
+def slider_mirrors(face: FaceView) -> Iterator[Problem]:
+    """The mirror of a slider is another slider, which names it as its own."""
+    names = _sliders(face.prim)
+    mirrors = {name: str(value(_attribute(face.prim, name, "mirror")) or "") for name in names}
+    for name, other in mirrors.items():
+        if other and (other == name or mirrors.get(other) != name):
+            found = "itself" if other == name else f"whose own is '{mirrors[other]}'" if other in mirrors else "unknown"
+            yield at(f"{_path(face.prim, name)}:mirror", f"'{other}', {found}, expected sliders that name each other")
 
 
 def slider_targets(face: FaceView) -> Iterator[Problem]:
@@ -92,6 +126,11 @@ def _path(prim: Usd.Prim | None, slider: str) -> str:
 def _length(prim: Usd.Prim | None, slider: str, field: str) -> int:
     found = value(_attribute(prim, slider, field))
     return len(found) if hasattr(found, "__len__") else 0
+
+
+def _numbers(prim: Usd.Prim | None, slider: str, field: str) -> list[float]:
+    found = array(value(_attribute(prim, slider, field)))
+    return [] if found is None else found.tolist()
 
 
 def _number(prim: Usd.Prim | None, slider: str, field: str) -> float:

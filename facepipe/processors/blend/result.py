@@ -18,6 +18,7 @@ from facepipe.processors.blend.skeletons import blend_skeletons
 from facepipe.processors.blend.skins import blend_skins
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
+from facepipe.rig.sliders import kept
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -163,7 +164,7 @@ def _shape(
 
 
 def _without_shapes(slider: Slider, gone: Iterable[str]) -> Slider:
-    return replace(slider, shapes=tuple(one for one in slider.shapes if one[0] not in gone))
+    return kept(slider, lambda joint: True, lambda shape: shape not in gone)
 
 
 def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:

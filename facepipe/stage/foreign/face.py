@@ -9,8 +9,10 @@ from pxr import Usd
 from facepipe import tokens
 from facepipe.errors import FacepipeError
 from facepipe.parts import BoneLimits, Slider
+from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.foreign.scene import Scene, ancestors
-from facepipe.stage.read_skeleton import read_limits, read_sliders
+from facepipe.stage.read_skeleton import read_limits
+from facepipe.stage.read_sliders import read_sliders
 
 
 def attribution(scene: Scene) -> str:
@@ -39,7 +41,7 @@ def sliders(scene: Scene) -> tuple[Slider, ...]:
         if twice:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
         found = {one.name: one for one in own} | found
-    return tuple(found[name] for name in sorted(found))
+    return with_mutual_mirrors([found[name] for name in sorted(found)])
 
 
 def limits(scene: Scene, skeleton: Usd.Prim, joint_count: int) -> BoneLimits | None:
