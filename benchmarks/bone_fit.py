@@ -25,6 +25,8 @@ _CHILD = _HERE / "facepipe_bone_fit.py"
 _SAMPLES = _HERE.parent / "samples"
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _SOFT = {"dem-bones": "0", "dem-bones-default": "10"}  # its constraint of translations: none fits best
+_OWN = ("plain", "even")
+_COMPARED = ("set_s", "set_cpu_s", "mean_mm", "rms_mm", "max_mm", "mean_of_max_mm")
 _SCIPY_JOINTS = 60  # not more: it takes minutes a target
 AIMS = {"error": 0.6, "set": 1.0, "cold_s": 0.5, "warm_s": 0.1, "scipy": 50.0}
 
@@ -83,29 +85,30 @@ def _tasks(
     if arguments.scipy_targets and joints <= _SCIPY_JOINTS:
         one = run_child(sys.executable, _CHILD, "scipy", arrays, "9", str(arguments.scipy_targets), report)
         samples["scipy-9"] = [one]
+    if arguments.bound:
+        samples["bound-9"] = [run_child(sys.executable, _CHILD, "bound", arrays, report)]
     return [_task(made, dof, samples) for dof in (9, 6)]
 
 
 def _task(made: Json, dof: int, samples: dict[str, list[Json]]) -> Json:
     own = samples[f"facepipe-{dof}"]
-    sides = {name: _best([one[name] for one in own]) for name in ("plain", "even")}
+    sides = {name: _best([one[name] for one in own]) for name in _OWN}
     sides |= {side: _best(samples[side]) for side in _SOFT if side in samples}
-    scipy = samples.get(f"scipy-{dof}", [None])[0]
+    scipy, bound = (samples.get(f"{name}-{dof}", [None])[0] for name in ("scipy", "bound"))
     ratios: Json = {}
     for peer in (side for side in _SOFT if side in sides):
-        keys = ("set_s", "mean_mm", "rms_mm", "max_mm", "mean_of_max_mm")
         ratios[peer] = {
-            name: {key: sides[name][key] / sides[peer][key] for key in keys if sides[peer][key]}
-            for name in ("plain", "even")
+            name: {key: sides[name][key] / sides[peer][key] for key in _COMPARED if sides[peer][key]} for name in _OWN
         }
-    linear = min(one["linear_s"] for one in own)
+    linear = sides["plain"]["linear_s"]
     if scipy is not None:
         ratios["scipy"] = {
             "cold": scipy["cold_s"] / scipy["ours_cold_s"],
             "linear": scipy["linear_s"] / linear,
             "rms": scipy["ours"]["rms_mm"] / scipy["rms_mm"] if scipy["rms_mm"] else None,
         }
-    return {**made, "dof": dof, "samples": own, "best": sides, "linear_s": linear, "scipy": scipy, "ratios": ratios}
+    found = {"samples": own, "best": sides, "linear_s": linear, "scipy": scipy, "bound": bound, "ratios": ratios}
+    return {**made, "dof": dof, **found}
 
 
 def _best(samples: Sequence[Json]) -> Json:
@@ -118,6 +121,7 @@ def _parser() -> argparse.ArgumentParser:
     add_common(parser, 3, "best")
     parser.add_argument("--joints", type=positive, nargs="+", default=[60, 150], help="default 60 150")
     parser.add_argument("--scipy-targets", type=int, default=2, help="hardest targets for scipy, 0: none (default 2)")
+    parser.add_argument("--bound", action="store_true", help="also how near any bones could come (takes minutes)")
     return parser
 
 

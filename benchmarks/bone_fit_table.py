@@ -12,6 +12,13 @@ Row = tuple[str, ...]
 
 _PEER, _DEFAULT = "dem-bones", "dem-bones-default"
 _HEAD = ("bones", "figure", "facepipe", "evened", "py-dem-bones", "its defaults", "scipy", "ratio", "evened", "aim")
+_BOUNDS = {
+    "bones": "9 DOF, least squares",
+    "bones-mean": "9 DOF, least mean",
+    "affine": "free affine bones, least squares",
+    "affine-mean": "free affine bones, least mean",
+}
+_BOUND_HEAD = ("bones", "how near they come", "mean", "RMS", "largest", "mean / py-dem-bones", "largest / py-dem-bones")
 
 
 def table(result: Json) -> str:
@@ -19,12 +26,13 @@ def table(result: Json) -> str:
     rows: list[Row] = [_HEAD]
     for task in result["tasks"]:
         rows += _rows(task, result["aims"])
+    bounds = [row for task in result["tasks"] if task["bound"] is not None for row in _bounds(task)]
     skipped = [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
     made, runs = result["tasks"][0], result["runs"]
     note = f"{result['face']}: {made['points']} points, {made['targets']} targets, {made['influences']} influences"
-    return "\n".join(
-        [*aligned(rows), *skipped, f"{note}; best of {runs} run{'s' * (runs > 1)}, ratio = facepipe / py-dem-bones"]
-    )
+    lines = [*aligned(rows), *skipped]
+    lines.append(f"{note}; best of {runs} run{'s' * (runs > 1)}, ratio = facepipe / py-dem-bones")
+    return "\n".join([*lines, "", *aligned([_BOUND_HEAD, *bounds])] if bounds else lines)
 
 
 def _rows(task: Json, aims: Json) -> list[Row]:
@@ -37,14 +45,17 @@ def _rows(task: Json, aims: Json) -> list[Row]:
         _row(name, "largest error", "max_mm", task, mm, error),
         _row(name, "  of a target, mean", "mean_of_max_mm", task, mm, None),
     ]
-    whole = _row(name, f"all {task['targets']} targets", "set_s", task, ms, whole_aim)
+    whole = [
+        _row(name, f"all {task['targets']} targets", "set_s", task, ms, whole_aim),
+        _row(name, "  processor time", "set_cpu_s", task, ms, None),
+    ]
     singles = [
         _single(name, "a fit from rest, median", "cold_s", task, cold),
         _single(name, "  slowest", "cold_slowest_s", task, None),
         _single(name, "a fit from the frame before, median", "warm_s", task, warm),
         _single(name, "  slowest", "warm_slowest_s", task, None),
     ]
-    return [*errors, whole, *singles, *_scipy(name, task, aims)]
+    return [*errors, *whole, *singles, *_scipy(name, task, aims)]
 
 
 def _row(name: str, text: str, key: str, task: Json, show: Callable[[float | None], str], aim: float | None) -> Row:
@@ -80,6 +91,18 @@ def _scipy(name: str, task: Json, aims: Json) -> list[Row]:
         rows.append((name, text, ms(own), "", "", "", ms(scipy[f"{key}_s"]), times(ratios[key]), "", met + missed))
     rms = (mm(scipy["ours"]["rms_mm"]), "", "", "", mm(scipy["rms_mm"]))
     return [*rows, (name, "  RMS error of these targets", *rms, "", "", "")]
+
+
+def _bounds(task: Json) -> list[Row]:
+    bound, peer, name = task["bound"], task["best"].get(_PEER), f"{task['joints']} joints"
+    rows = []
+    for side, text in _BOUNDS.items():
+        errors = bound["sides"][side]
+        ratios = [None if peer is None else errors[key] / peer[key] for key in ("mean_mm", "max_mm")]
+        rows.append((name, text, *(mm(errors[f"{key}_mm"]) for key in ("mean", "rms", "max")), *map(times, ratios)))
+    least = bound["least_mean_mm"]
+    ratio = None if peer is None else least / peer["mean_mm"]
+    return [*rows, (name, "no bones go below", mm(least), "", "", times(ratio), "")]
 
 
 def mm(value: float | None) -> str:
