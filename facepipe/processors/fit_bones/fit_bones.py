@@ -11,15 +11,19 @@ from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.point_weights import point_weights
 from facepipe.processors.fit_bones.report import FitBonesReport
-from facepipe.processors.fit_bones.target_fits import FoundTarget, TargetFits
+from facepipe.processors.fit_bones.target_fits import TargetFits
+from facepipe.processors.fit_bones.target_results import FoundTarget
 from facepipe.processors.fit_bones.targets import Target
 from facepipe.stage import Face
+from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitBones(FitBonesOptions):
     """Coefficients, within limits, that bring a skinned face to targets; a SkelAnimation for each.
+
+    The face's skeleton plays that of a single target: what opens the stage shows the fit.
 
     Source: the bone driving coefficients document, claims 1-5.
 
@@ -53,13 +57,13 @@ class FitBones(FitBonesOptions):
         :param recipe: authored with the result; None leaves what the face has
         :param done: called after every frame
         :raises InputError, TopologyError: a face without bones, singular binds, or targets, limits and regions that
-            don't fit it; nothing is authored then
+            don't fit it, or joints that a symmetric fit can't pair; nothing is authored then
         :raises FitError: limits that let a joint shrink to nothing, and a fit that did
         """
         start = time.perf_counter()
         weights = point_weights(face.parts(), self.regions, self.mask)
         fits = TargetFits(face, targets, self, limits=self.limits, weights=weights, initial=self.initial)
-        found = [fits.fit(target, name, done) for target, name in zip(targets, fits.names, strict=True)]
+        found = fits.fit_all(done)
         parts = fits.parts
         meshes = tuple(
             replace(mesh, blendshapes=(*mesh.blendshapes, *_of_mesh(found, number)))
@@ -68,6 +72,8 @@ class FitBones(FitBonesOptions):
         animations = (*parts.animations, *(one.animation for one in found))
         result = replace(parts, meshes=meshes, animations=animations, recipe=recipe or parts.recipe)
         authored = author_changes(face, result)
+        if len(found) == 1:
+            play(face, found[0].animation.name)
         return replace(fits.report(found), authored=authored, seconds=time.perf_counter() - start)
 
 

@@ -48,6 +48,13 @@ class FitBonesOptions:
             "range": (0.0, 1e6),
         },
     )
+    symmetric: bool = field(
+        default=False,
+        metadata={
+            "help": "joints of one side move as the mirror image of the other's, paired by names (left and right, L "
+            "and R); joints in the middle keep to it"
+        },
+    )
     residual: bool = field(
         default=False,
         metadata={"help": "keep what bones can't reach as a sparse blendshape TARGET_residual"},
