@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,18 @@ if TYPE_CHECKING:
 MOVES_MM = 1.0  # a point that some shape moves by more than this counts
 THRESHOLD_MM = 0.1
 REACH_MM, TURN, SCALES = 50.0, 0.8, (0.5, 2.0)  # limits of every joint
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Wall and processor time since it was made."""
+
+    wall: float = field(default_factory=time.perf_counter)
+    processor: float = field(default_factory=time.process_time)
+
+    def read(self) -> tuple[float, float]:
+        """Seconds: processor time first, which other work on the machine hardly changes."""
+        return time.process_time() - self.processor, time.perf_counter() - self.wall
 
 
 @dataclass(frozen=True)

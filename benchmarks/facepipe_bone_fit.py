@@ -10,13 +10,12 @@ usage: facepipe_bone_fit.py prepare ict|sample SOURCE JOINTS ARRAYS REPORT
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from bone_fit_bound import bound
-from bone_fit_task import Task, load, prepare, session
+from bone_fit_task import Clock, Task, load, prepare, session
 from children import Json, write_report
 from dem_bones_fit import dem_bones
 from scipy_bone_fit import scipy_bounded
@@ -56,34 +55,40 @@ def _imports() -> None:
 
 def _whole(task: Task, dof: int, settings: dict[str, int]) -> tuple[Json, BoneFit]:
     """All targets in one call; the clock holds what turns the task's arrays into coefficients and points."""
-    processor, start = time.process_time(), time.perf_counter()
+    clock = Clock()
     fit = session(task, dof, **settings)
-    prepared = time.perf_counter() - start
+    prepared, _ = clock.read()
     found = fit.fit_all(list(task.targets))
-    seconds, used = time.perf_counter() - start, time.process_time() - processor
+    seconds, wall = clock.read()
     errors = task.errors(np.stack([one.points for one in found]))
-    return {"set_s": seconds, "set_cpu_s": used, "setup_s": prepared, **errors}, fit
+    return {"set_s": seconds, "set_wall_s": wall, "setup_s": prepared, **errors}, fit
 
 
 def _cold(fit: BoneFit, task: Task) -> Json:
     """Each target by itself from rest, in a session that has fitted before."""
-    seconds = []
+    times = []
     for target in task.targets:
-        start = time.perf_counter()
+        clock = Clock()
         fit.fit(target)
-        seconds.append(time.perf_counter() - start)
-    return {"cold_s": float(np.median(seconds)), "cold_slowest_s": max(seconds), "seconds": seconds}
+        times.append(clock.read())
+    return _spread_of("cold", times)
 
 
 def _warm(fit: BoneFit, task: Task) -> Json:
     """Fits that start where the neighbouring frame's ended."""
-    seconds = []
+    times = []
     for target in task.targets[:: max(1, len(task.targets) // WARM)]:
         near = fit.fit(task.points + FRAME * (target - task.points)).coefficients
-        start = time.perf_counter()
+        clock = Clock()
         fit.fit(target, start=near)
-        seconds.append(time.perf_counter() - start)
-    return {"warm_s": float(np.median(seconds)), "warm_slowest_s": max(seconds)}
+        times.append(clock.read())
+    return _spread_of("warm", times)
+
+
+def _spread_of(name: str, times: list[tuple[float, float]]) -> Json:
+    seconds, wall = np.array(times).T
+    own = {"s": np.median(seconds), "slowest_s": seconds.max(), "wall_s": np.median(wall)}
+    return {f"{name}_{key}": float(value) for key, value in own.items()}
 
 
 def _linear(fit: BoneFit, task: Task) -> float:
@@ -95,7 +100,7 @@ def _linear(fit: BoneFit, task: Task) -> float:
     rest, best = rest_coefficients(len(task.joints)), np.inf
     known = skin.moments(task.points, fit.weights, tree.parent_world)
     for _ in range(5):
-        start = time.perf_counter()
+        clock = Clock()
         moments = skin.retargeted(known, target, fit.weights, tree.parent_world)
         pose = tree.pose(rest)
         gradient = variables.gradient(tree.gradient(pose, moments.gradient(pose.skinning)))
@@ -104,7 +109,7 @@ def _linear(fit: BoneFit, task: Task) -> float:
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-3
         own = variables.reduced(rest)
         solve_boxed(normal, gradient, variables.lower - own, variables.upper - own)
-        best = min(best, time.perf_counter() - start)
+        best = min(best, clock.read()[0])
     return best
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from bone_fit_task import Task, limits, load, session
+from bone_fit_task import Clock, Task, limits, load, session
 from children import Json
 
 
@@ -23,18 +22,18 @@ def scipy_bounded(arrays: str, dof: str, targets: str) -> Json:
     fit = session(task, int(dof), rounds=0)
     low, high = system.low, system.high
     for target in some.targets:
-        start = time.perf_counter()
+        clock = Clock()
         done = least_squares(
             system.residual, system.rest, system.jacobian, (low, high), "trf", x_scale="jac", args=(target,)
         )
-        seconds.append(time.perf_counter() - start)
+        seconds.append(clock.read()[0])
         found.append(system.points(done.x))
-        start = time.perf_counter()
+        clock = Clock()
         jacobian, residual = system.jacobian(system.rest, target), system.residual(system.rest, target)
         lsq_linear(jacobian, -residual, (low - system.rest, high - system.rest), method="trf")
-        linear.append(time.perf_counter() - start)
-        start = time.perf_counter()
-        ours.append((fit.fit(target).points, time.perf_counter() - start))
+        linear.append(clock.read()[0])
+        clock = Clock()
+        ours.append((fit.fit(target).points, clock.read()[0]))
     return {
         "targets": len(chosen),
         "cold_s": float(np.mean(seconds)),
