@@ -15,15 +15,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe import __version__
 from facepipe.errors import ExportError
 from facepipe.names import select
 from facepipe.rig import Rig
 from facepipe_onnx import morph, skin
 from facepipe_onnx.joints import tree_order, world_nodes
+from facepipe_onnx.model import make_model
 from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
-from facepipe_onnx.operators import IR_VERSION, MAX_BYTES, OPSET
 from facepipe_onnx.options import Options
 from facepipe_onnx.partition import Partition, block_size, partition
 
@@ -56,7 +55,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
         matrices = options.inputs == "matrices"
         worlds = world_nodes(nodes, rig, matrices=matrices, parent=options.parent, batch=options.batch)
     if rig.joints or options.parent:
-        _skinned(nodes, rig, worlds, options)
+        skinned(nodes, rig, None if worlds is None else _ends(nodes, rig, worlds), options)
     else:
         _rigid(nodes, rig, options.batch)
     if worlds and options.joint_matrices:
@@ -64,8 +63,8 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
             "Gather", worlds, nodes.indices(np.argsort(tree_order(rig.parents)[0])), axis=1, name="joint_matrices"
         )
     if options.normals:
-        normal_nodes(nodes, "points", len(rig.points), _triangles(rig, triangles), options.batch)
-    return _model(nodes, rig, options)
+        normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), options.batch)
+    return make_model(nodes, rig.name, *signature(rig, options))
 
 
 def _check(rig: Rig, options: Options) -> None:
@@ -77,7 +76,7 @@ def _check(rig: Rig, options: Options) -> None:
         raise ExportError(rig.name, "no joints, expected some for the output joint_matrices")
 
 
-def _triangles(rig: Rig, triangles: IntArray | None) -> IntArray:
+def checked_triangles(rig: Rig, triangles: IntArray | None) -> IntArray:
     if triangles is None or not len(triangles):
         raise ExportError(rig.name, "no faces, expected some for the output normals")
     return triangles
@@ -94,16 +93,25 @@ def _rigid(nodes: Nodes, rig: Rig, batch: int) -> None:
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
 
 
-def _skinned(nodes: Nodes, rig: Rig, worlds: str | None, options: Options) -> None:
-    """`points` of a face that joints or a parent move, in two orders: the morph's groups, then the skin's."""
+def _ends(nodes: Nodes, rig: Rig, worlds: str) -> skin.Ends:
+    """Products of `worlds`, sorted by depth, with constants."""
+    order = tree_order(rig.parents)[0]
+    return lambda ends: nodes.add("MatMul", worlds, nodes.constant("inverse_bind", ends[order]))
+
+
+def skinned(nodes: Nodes, rig: Rig, ends: skin.Ends | None, options: Options, activations: str | None = None) -> None:
+    """`points` of a face that joints or a parent move, in two orders: the morph's groups, then the skin's.
+
+    :param activations: of the targets; None: those of the input ``weights``
+    """
     batch = options.batch
     centre = (rig.points.min(axis=0) + rig.points.max(axis=0)) / 2
     moved = morph.moved(rig)
     influences = sparse.csr_array(rig.influences[:, skin.joint_columns(rig)])
     size = block_size([(moved, morph.ENTRY_BYTES), (influences, skin.ENTRY_BYTES)], len(rig.points))
     parts = partition(influences, size, skin.ENTRY_BYTES)
-    homogeneous = _homogeneous(nodes, rig, rig.points - centre, moved, parts, batch)
-    matrices = skin.skinning_nodes(nodes, rig, worlds, centre, parent=options.parent, batch=batch)
+    homogeneous = _homogeneous(nodes, rig, rig.points - centre, moved, parts, batch, activations)
+    matrices = skin.skinning_nodes(nodes, rig, ends, centre, parent=options.parent, batch=batch)
     planes = skin.skin_nodes(nodes, rig, matrices, homogeneous, parts, batch)
     rows = nodes.add("Transpose", planes, perm=[0, 2, 1])
     blocks = nodes.reshape(rows, batch, len(parts.order), 3 * size)
@@ -111,7 +119,13 @@ def _skinned(nodes: Nodes, rig: Rig, worlds: str | None, options: Options) -> No
 
 
 def _homogeneous(
-    nodes: Nodes, rig: Rig, neutral: FloatArray, moved: sparse.csr_array, parts: Partition, batch: int
+    nodes: Nodes,
+    rig: Rig,
+    neutral: FloatArray,
+    moved: sparse.csr_array,
+    parts: Partition,
+    batch: int,
+    activations: str | None,
 ) -> str:
     """[batch, 4, points] morphed points with a 1 each, in the order of the skin's groups `parts`."""
     order = np.concatenate([parts.members(group) for group in parts.groups])
@@ -119,7 +133,7 @@ def _homogeneous(
     if not rig.targets:
         return nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
     morphs = partition(moved, parts.size, morph.ENTRY_BYTES)
-    blocks = morph.morph_nodes(nodes, rig, neutral, morphs, batch)
+    blocks = morph.morph_nodes(nodes, rig, neutral, morphs, batch, activations)
     blocks = _reorder(nodes, blocks, morphs.position[parts.order])
     rows = nodes.reshape(blocks, batch, len(order), 3)
     planes = nodes.add("Transpose", rows, perm=[0, 2, 1])
@@ -161,24 +175,3 @@ def signature(rig: Rig, options: Options) -> tuple[dict[str, tuple[int, ...]], d
     if options.normals:
         outputs["normals"] = (options.batch, points, 3)
     return inputs, outputs
-
-
-def _model(nodes: Nodes, rig: Rig, options: Options) -> Any:
-    from onnx import TensorProto, helper, numpy_helper
-
-    total = sum(values.nbytes for values in nodes.constants.values())
-    if total > MAX_BYTES - (1 << 20):
-        raise ExportError(rig.name, f"{total} bytes of tensors, expected less than the 2 GB that an ONNX file holds")
-    for name, values in nodes.constants.items():
-        if not np.isfinite(values).all():
-            raise ExportError(f"{rig.name} -> {name}", "values beyond the range of float32, expected finite numbers")
-    inputs, outputs = (
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in side.items()]
-        for side in signature(rig, options)
-    )
-    tensors = [numpy_helper.from_array(values, name) for name, values in nodes.constants.items()]
-    graph = helper.make_graph(nodes.nodes, "deformer", inputs, outputs, tensors)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
-    model.ir_version = IR_VERSION
-    model.producer_name, model.producer_version = "facepipe", __version__
-    return model

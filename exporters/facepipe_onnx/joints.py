@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from facepipe.rig import Rig
 from facepipe_onnx.nodes import Nodes
+from facepipe_onnx.transforms import local_nodes
 
-FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 
@@ -31,50 +31,26 @@ def world_nodes(nodes: Nodes, rig: Rig, *, matrices: bool, parent: bool, batch: 
     """
     order, starts = tree_order(rig.parents)
     source = nodes.gather("joint_transforms" if matrices else "coefficients", 1, order)
-    fixed = None if parent else nodes.constant("parent_world", rig.parent_world)
-    local = source if matrices else _local(nodes, source, rig.rest[order], batch)
-    position = np.argsort(order, kind="stable")
+    local = source if matrices else local_nodes(nodes, source, rig.rest[order], batch)
+    root = nodes.reshape("parent", batch, 1, 4, 4) if parent else nodes.constant("parent_world", rig.parent_world)
+    above = np.argsort(order, kind="stable")[rig.parents[order]]
+    return level_nodes(nodes, local, above, starts, root)
+
+
+def level_nodes(nodes: Nodes, local: str, above: IntArray, starts: IntArray, root: str | None) -> str:
+    """[batch, rows, 4, 4] products down a tree whose rows are sorted by depth: one MatMul a level.
+
+    :param local: [batch, rows, 4, 4]
+    :param above: (rows,) the row above, in the level before; not read on level 0
+    :param starts: (levels + 1,) first row of each level, and their count
+    :param root: what level 0 hangs under, None for nothing
+    """
     levels: list[str] = []
     for depth, (start, end) in enumerate(itertools.pairwise(starts)):
         own = nodes.slice(local, 1, int(start), int(end))
-        if depth == 0:
-            above = fixed or nodes.reshape("parent", batch, 1, 4, 4)
-        else:
-            above = nodes.gather(levels[-1], 1, position[rig.parents[order[start:end]]] - starts[depth - 1])
-        levels.append(nodes.add("MatMul", above, own))
+        if depth > 0:
+            own = nodes.add("MatMul", nodes.gather(levels[-1], 1, above[start:end] - starts[depth - 1]), own)
+        elif root is not None:
+            own = nodes.add("MatMul", root, own)
+        levels.append(own)
     return nodes.concat(levels, 1)
-
-
-def _local(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) -> str:
-    """[batch, j, 4, 4] ``rest T(t) Rz(rz) Rx(rx) Ry(ry) S(s)`` of [batch, j, 9] coefficients."""
-    count = len(rest)
-    translation = nodes.reshape(nodes.slice(coefficients, 2, 0, 3), batch, count, 3, 1)
-    scale = nodes.reshape(nodes.slice(coefficients, 2, 6, 9), batch, count, 1, 3)
-    rotation = nodes.add("Mul", _rotation(nodes, coefficients, batch, count), scale)
-    last_row = nodes.constant("last_row", np.tile([0.0, 0.0, 0.0, 1.0], (batch, count, 1, 1)))
-    upper = nodes.concat([rotation, translation], 3)
-    return nodes.add("MatMul", nodes.constant("rest", rest), nodes.concat([upper, last_row], 2))
-
-
-def _rotation(nodes: Nodes, coefficients: str, batch: int, count: int) -> str:
-    """[batch, j, 3, 3] matrices Rz Rx Ry: each factor is linear in the sines and cosines of the angles."""
-    angles = nodes.slice(coefficients, 2, 3, 6)
-    waves = nodes.concat([nodes.add("Sin", angles), nodes.add("Cos", angles)], 2)
-    factors = []
-    for axis, name in ((2, "rotate_z"), (0, "rotate_x"), (1, "rotate_y")):
-        linear, fixed = _axis_rotation(axis)
-        product = nodes.add("MatMul", waves, nodes.constant(name, linear))
-        factors.append(
-            nodes.reshape(nodes.add("Add", product, nodes.constant(f"{name}_fixed", fixed)), batch, count, 3, 3)
-        )
-    return nodes.add("MatMul", nodes.add("MatMul", factors[0], factors[1]), factors[2])
-
-
-def _axis_rotation(axis: int) -> tuple[FloatArray, FloatArray]:
-    """(6, 9) and (9,): a rotation about `axis`, row by row, is ``[sin x y z, cos x y z] @ linear + fixed``."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    linear, fixed = np.zeros((6, 3, 3)), np.zeros((3, 3))
-    linear[axis, first, second], linear[axis, second, first] = -1.0, 1.0
-    linear[3 + axis, first, first] = linear[3 + axis, second, second] = 1.0
-    fixed[axis, axis] = 1.0
-    return linear.reshape(6, 9), fixed.ravel()

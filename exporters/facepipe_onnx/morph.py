@@ -29,17 +29,16 @@ def moved(rig: Rig) -> sparse.csr_array:
     return matrix
 
 
-def activation_nodes(nodes: Nodes, rig: Rig, batch: int) -> str:
-    """[batch, targets + 1] activations of the targets, and a 1 that multiplies the neutral points.
+def activation_nodes(nodes: Nodes, rig: Rig, weights: str = "weights", name: str | None = None) -> str:
+    """[batch, targets] activations of the targets under [batch, shapes] `weights`.
 
     A curve is ``base + slope * w + sum(change * relu(w - at))`` (`facepipe.rig.activation.Curve.hinges`).
     """
-    ones = nodes.constant("one", np.ones((batch, 1)))
     shapes = np.array([target.shape for target in rig.targets], dtype=np.int64)
     if all(target.curve.is_identity for target in rig.targets):
-        same = np.array_equal(shapes, np.arange(len(rig.shapes)))
-        activations = "weights" if same else nodes.gather("weights", 1, shapes)
-        return nodes.concat([activations, ones], 1)
+        if not np.array_equal(shapes, np.arange(len(rig.shapes))):
+            return nodes.add("Gather", weights, nodes.indices(shapes), axis=1, name=name)
+        return nodes.concat([weights], 1, name)
     curves = [target.curve.hinges() for target in rig.targets]
     bends = sorted(
         {(target.shape, at) for target, curve in zip(rig.targets, curves, strict=True) for at, _ in curve[2]}
@@ -49,22 +48,26 @@ def activation_nodes(nodes: Nodes, rig: Rig, batch: int) -> str:
         mix[target.shape, i] = slope
         for at, change in changes:
             mix[len(rig.shapes) + bends.index((target.shape, at)), i] = change
-    features = "weights"
+    features = weights
     if bends:
         starts = nodes.constant("bend_weights", np.array([[at for _, at in bends]]))
-        past = nodes.add("Relu", nodes.add("Sub", nodes.gather("weights", 1, [shape for shape, _ in bends]), starts))
-        features = nodes.concat(["weights", past], 1)
+        past = nodes.add("Relu", nodes.add("Sub", nodes.gather(weights, 1, [shape for shape, _ in bends]), starts))
+        features = nodes.concat([weights, past], 1)
     base = nodes.constant("curve_base", np.array([curve[0] for curve in curves]))
-    activations = nodes.add("Gemm", features, nodes.constant("curve_mix", mix), base)
-    return nodes.concat([activations, ones], 1)
+    return nodes.add("Gemm", features, nodes.constant("curve_mix", mix), base, name=name)
 
 
-def morph_nodes(nodes: Nodes, rig: Rig, neutral: FloatArray, parts: Partition, batch: int) -> str:
+def morph_nodes(
+    nodes: Nodes, rig: Rig, neutral: FloatArray, parts: Partition, batch: int, activations: str | None = None
+) -> str:
     """[batch, blocks, 3 * block size] morphed points in the order of the partition's groups.
 
     :param neutral: (n, 3) points in the space of the targets' offsets
+    :param activations: of `activation_nodes`; None: those of the input ``weights``
     """
-    activations = activation_nodes(nodes, rig, batch)
+    # the 1 multiplies the neutral points
+    one = nodes.constant("one", np.ones((batch, 1)))
+    activations = nodes.concat([activations or activation_nodes(nodes, rig), one], 1)
     deltas = rig.deltas.tocsc()
     pieces = [_group(nodes, activations, deltas, neutral, parts, group, batch) for group in parts.groups]
     blocks = sum(len(group.blocks) for group in parts.groups)

@@ -23,7 +23,7 @@ class Nodes:
         """A float32 tensor of the file."""
         unique = name if name not in self.constants else f"{name}_{len(self.constants)}"
         with np.errstate(over="ignore"):  # what does not fit is refused when the model is made
-            self.constants[unique] = np.ascontiguousarray(values, dtype=np.float32)
+            self.constants[unique] = np.asarray(values, dtype=np.float32, order="C")
         return unique
 
     def indices(self, values: Sequence[int] | npt.NDArray[np.integer]) -> str:

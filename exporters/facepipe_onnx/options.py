@@ -15,6 +15,13 @@ BATCHES = (1, 256)
 class Options:
     """Options of the ONNX exporter."""
 
+    sliders: bool = field(
+        default=False,
+        metadata={
+            "help": "a graph of the face's sliders: bone coefficients, joint matrices for skinning, morph weights"
+        },
+    )
+    points: bool = field(default=False, metadata={"help": "with --sliders: also output the points"})
     inputs: Literal["coefficients", "matrices"] = field(
         default="coefficients",
         metadata={
@@ -41,6 +48,21 @@ class Options:
         """
         if self.inputs not in INPUTS:
             raise InputError("option inputs", f"is {self.inputs!r}, expected one of {', '.join(INPUTS)}")
+        self._check_sliders()
         low, high = BATCHES
         if isinstance(self.batch, bool) or not isinstance(self.batch, int) or not low <= self.batch <= high:
             raise InputError("option batch", f"is {self.batch!r}, expected a whole number from {low} to {high}")
+
+    def _check_sliders(self) -> None:
+        if not self.sliders:
+            if self.points:
+                raise InputError("option points", "is for graphs of sliders, others always have that output")
+            return
+        if self.inputs != "coefficients":
+            raise InputError("option inputs", "is not for graphs of sliders, which make the coefficients themselves")
+        if self.joint_matrices:
+            raise InputError(
+                "option joint_matrices", "is not for graphs of sliders, which always have them, times inverse bind"
+            )
+        if self.normals and not self.points:
+            raise InputError("option normals", "without points, expected the option points too")

@@ -1,4 +1,4 @@
-"""Reads an ONNX file of unknown origin and says what keeps it from being a facepipe deformer.
+"""Reads an ONNX file of unknown origin and says what keeps it from being a graph of facepipe.
 
 Nothing is handed to onnx's checker or to onnxruntime before its parts have been found to be plain: tensors inside the
 file, of the size their shape says, no subgraphs, no custom operators.
@@ -15,18 +15,12 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.reading import read_bytes
-from facepipe_onnx import sidecar
+from facepipe_onnx.metadata_checks import TYPES, metadata_faults, shape_of
 from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
 
 MAX_ELEMENTS = 1 << 30  # of all values that one evaluation makes
 
-_TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}  # TensorProto.FLOAT, INT64
 _PLAIN_ATTRIBUTES = {1, 2, 6, 7}  # AttributeProto.FLOAT, INT, FLOATS, INTS
-
-_NAMES = {
-    "inputs": {"weights", "coefficients", "joint_transforms", "parent"},
-    "outputs": {"points", "joint_matrices", "normals"},
-}
 
 
 class Problem(NamedTuple):
@@ -61,7 +55,7 @@ def problems(model: Any) -> Iterator[Problem]:
         (("OnnxText", _text),),
         (("OnnxVersion", _version), ("OnnxSelfContained", _self_contained), ("OnnxOperators", _operators)),
         (("OnnxFinite", _finite), ("OnnxChecker", _checker)),
-        (("OnnxSize", _sizes), ("OnnxMetadata", _metadata)),
+        (("OnnxSize", _sizes), ("OnnxMetadata", metadata_faults)),
     )
     for stage in stages:
         found = [
@@ -70,16 +64,6 @@ def problems(model: Any) -> Iterator[Problem]:
         yield from found
         if found:
             return
-
-
-def properties(model: Any) -> dict[str, str]:
-    """The model's metadata_props."""
-    return {one.key: one.value for one in model.metadata_props}
-
-
-def operators(model: Any) -> list[str]:
-    """The operators of a graph, sorted."""
-    return sorted({node.op_type for node in model.graph.node})
 
 
 def _text(model: Any) -> Iterator[tuple[str, str]]:
@@ -123,11 +107,11 @@ def _self_contained(model: Any) -> Iterator[tuple[str, str]]:
 def _tensor_problem(tensor: Any) -> str | None:
     if tensor.data_location or len(tensor.external_data):
         return "data outside of the file, expected it inside"
-    if tensor.data_type not in _TYPES:
+    if tensor.data_type not in TYPES:
         return f"of type {tensor.data_type}, expected float32 or int64"
     if any(size < 0 for size in tensor.dims) or len(tensor.dims) > 8:
         return f"shape {list(tensor.dims)[:9]}, expected at most 8 sizes of 0 or more"
-    expected = math.prod(tensor.dims) * _TYPES[tensor.data_type].itemsize
+    expected = math.prod(tensor.dims) * TYPES[tensor.data_type].itemsize
     if len(tensor.raw_data) != expected:
         return f"{len(tensor.raw_data)} bytes of raw data, expected {expected} for shape {list(tensor.dims)}"
     return None
@@ -147,7 +131,7 @@ def _operators(model: Any) -> Iterator[tuple[str, str]]:
 
 def _finite(model: Any) -> Iterator[tuple[str, str]]:
     for tensor in model.graph.initializer:
-        if not np.isfinite(np.frombuffer(tensor.raw_data, _TYPES[tensor.data_type])).all():
+        if not np.isfinite(np.frombuffer(tensor.raw_data, TYPES[tensor.data_type])).all():
             yield f"tensor {tensor.name}", "holds NaN or infinity, expected finite numbers"
 
 
@@ -164,7 +148,9 @@ def _sizes(model: Any) -> Iterator[tuple[str, str]]:
     from onnx import shape_inference
 
     inferred = shape_inference.infer_shapes(model, strict_mode=True, data_prop=True).graph
-    shapes = {one.name: _shape(one) for side in (inferred.input, inferred.output, inferred.value_info) for one in side}
+    shapes = {
+        one.name: shape_of(one) for side in (inferred.input, inferred.output, inferred.value_info) for one in side
+    }
     total = 0
     for name in [one.name for one in model.graph.input] + [name for node in model.graph.node for name in node.output]:
         shape = shapes.get(name)
@@ -174,63 +160,6 @@ def _sizes(model: Any) -> Iterator[tuple[str, str]]:
         total += math.prod(shape)
     if total > MAX_ELEMENTS:
         yield "graph", f"{total} numbers in an evaluation, expected at most {MAX_ELEMENTS}"
-
-
-def _shape(value: Any) -> tuple[int, ...] | None:
-    tensor = value.type.tensor_type
-    if tensor.elem_type not in _TYPES or not tensor.HasField("shape"):
-        return None
-    if any(not size.HasField("dim_value") or size.dim_value < 0 for size in tensor.shape.dim):
-        return None
-    return tuple(size.dim_value for size in tensor.shape.dim)
-
-
-def _metadata(model: Any) -> Iterator[tuple[str, str]]:
-    try:
-        metadata = sidecar.from_properties(properties(model))
-    except InputError as error:
-        yield error.where, error.what
-        return
-    missing = [key for key in sidecar.REQUIRED if key not in metadata]
-    if missing:
-        yield "metadata", f"no {sidecar.PREFIX}{missing[0]}, expected the metadata of a facepipe deformer"
-        return
-    if metadata["format"] != sidecar.FORMAT:
-        yield f"metadata {sidecar.PREFIX}format", f"is {str(metadata['format'])[:80]}, expected {sidecar.FORMAT}"
-        return
-    for side, values in (("inputs", model.graph.input), ("outputs", model.graph.output)):
-        yield from _described(metadata[side], {one.name: _shape(one) for one in values}, side)
-    if metadata["operators"] != operators(model):
-        yield f"metadata {sidecar.PREFIX}operators", "not the operators of the graph"
-    further = [name for name in operators(model) if name in FURTHER]
-    if metadata.get("further_operators", []) != further:
-        yield f"metadata {sidecar.PREFIX}further_operators", f"expected {further}"
-
-
-def _described(described: Any, values: dict[str, tuple[int, ...] | None], side: str) -> Iterator[tuple[str, str]]:
-    """Whether the inputs or outputs that the metadata describes are those of the graph."""
-    where = f"metadata {sidecar.PREFIX}{side}"
-    if not isinstance(described, list) or not all(isinstance(one, dict) for one in described):
-        yield where, "expected a list of objects"
-        return
-    unknown = set(values) - _NAMES[side]
-    if unknown or (side == "outputs" and "points" not in values):
-        yield side, f"{', '.join(sorted(values))[:100]}: expected some of {', '.join(sorted(_NAMES[side]))}"
-        return
-    shapes = {str(one.get("name")): one.get("shape") for one in described}
-    if len(shapes) != len(described) or shapes != {name: list(shape or ()) for name, shape in values.items()}:
-        yield where, f"names and shapes are not those of the graph's {side}"
-        return
-    for one in described:
-        for key in ("names", "joints"):
-            names = one.get(key)
-            if names is not None and not _is_names(names, one["shape"]):
-                yield f"{where} -> {one['name']} -> {key}", f"expected distinct names, one for each of {one['shape']}"
-
-
-def _is_names(names: Any, shape: list[int]) -> bool:
-    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return texts and len(set(names)) == len(names) and len(shape) > 1 and len(names) == shape[1]
 
 
 def _first_line(error: Exception) -> str:

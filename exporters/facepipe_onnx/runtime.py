@@ -1,4 +1,4 @@
-"""The reference runtime: evaluates a deformer with onnxruntime on the CPU."""
+"""The reference runtime: evaluates a graph of facepipe with onnxruntime on the CPU."""
 
 from __future__ import annotations
 
@@ -12,26 +12,29 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe_onnx import sidecar
-from facepipe_onnx.read import problems, properties, read
+from facepipe_onnx.metadata_checks import properties
+from facepipe_onnx.read import problems, read
 
 Array = npt.NDArray[Any]
 
 
 class Deformer:
-    """A loaded deformer. `shapes` and `joints` name what its inputs move, `outputs` what it gives."""
+    """A loaded graph. `sliders` and `shapes` name what it takes, `joints` what it moves, `outputs` what it gives."""
 
     def __init__(self, path: str | os.PathLike[str], *, threads: int = 1) -> None:
-        """:raises InputError: no such file, or no sound facepipe deformer"""
+        """:raises InputError: no such file, or no sound facepipe graph"""
         self.path = Path(path)
         model = read(self.path)
         for problem in problems(model):
             raise InputError(f"{self.path} -> {problem.where}", problem.message)
         self.metadata: dict[str, Any] = sidecar.from_properties(properties(model))
         self._inputs = {one["name"]: one for one in self.metadata["inputs"]}
+        self.sliders: tuple[str, ...] = tuple(self._inputs.get("sliders", {}).get("names", ()))
         self.shapes: tuple[str, ...] = tuple(self._inputs.get("weights", {}).get("names", ()))
-        jointed = self._inputs.get("coefficients", self._inputs.get("joint_transforms", {}))
+        given = {one["name"]: one for one in self.metadata["outputs"]}
+        jointed = self._inputs.get("coefficients", self._inputs.get("joint_transforms", given.get("coefficients", {})))
         self.joints: tuple[str, ...] = tuple(jointed.get("joints", ()))
-        self.outputs: tuple[str, ...] = tuple(one["name"] for one in self.metadata["outputs"])
+        self.outputs: tuple[str, ...] = tuple(given)
         self._defaults = {name: self._default(name) for name in self._inputs}
         self._session = self._start(model.SerializeToString(), threads)
 
@@ -42,6 +45,7 @@ class Deformer:
         coefficients: npt.ArrayLike | Mapping[str, npt.ArrayLike] | None = None,
         joint_transforms: npt.ArrayLike | None = None,
         parent: npt.ArrayLike | None = None,
+        sliders: Mapping[str, float] | None = None,
     ) -> dict[str, Array]:
         """The outputs of one pose by name, float32, without batch axis: ``points`` (n, 3), ...
 
@@ -49,11 +53,14 @@ class Deformer:
         :param coefficients: (joints, 9), or 9 numbers by joint path; joints not named stay at rest
         :param joint_transforms: (joints, 4, 4) local transforms, for graphs made with matrix inputs
         :param parent: (4, 4) world matrix that roots hang under, for graphs with that input
+        :param sliders: slider values by name, for graphs of sliders; those not named are as on the face
         :raises InputError: names, counts or inputs that the graph has not, or numbers that are not finite
         """
         feeds: dict[str, npt.ArrayLike] = {}
         if weights:
             feeds["weights"] = self._by_name("weights", weights, self.shapes)
+        if sliders:
+            feeds["sliders"] = self._by_name("sliders", sliders, self.sliders)
         if isinstance(coefficients, Mapping):
             if coefficients:
                 feeds["coefficients"] = self._by_name("coefficients", coefficients, self.joints)
@@ -118,10 +125,10 @@ class Deformer:
         return full
 
     def _default(self, name: str) -> Array:
-        """An input's default: of its whole shape, or of its last axes."""
+        """What an input is unless given: the values set on the face, or its default; of its last axes, or all."""
         one = self._inputs[name]
         try:
-            values = np.asarray(one["default"], dtype=np.float64)
+            values = np.asarray(one["values"] if "values" in one else one["default"], dtype=np.float64)
             if not np.isfinite(values).all():
                 raise ValueError("not finite")
             default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(one["shape"])), dtype=np.float32)

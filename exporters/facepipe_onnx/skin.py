@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,20 +17,21 @@ FloatArray = npt.NDArray[np.floating]
 ENTRY_BYTES = 4  # one skin weight
 
 
-def skinning_nodes(nodes: Nodes, rig: Rig, worlds: str | None, centre: FloatArray, *, parent: bool, batch: int) -> str:
+# (j, 4, 4) constants at the joints -> [batch, joints, 4, 4] world matrices times them, joints sorted by depth
+Ends = Callable[[FloatArray], str]
+
+
+def skinning_nodes(nodes: Nodes, rig: Rig, ends: Ends | None, centre: FloatArray, *, parent: bool, batch: int) -> str:
     """[batch, 12, joints + 1] matrices from centred skeleton space to world, entry ``3 * column + row``.
 
     Joints are sorted by depth, the skeleton's own matrix is last.
 
-    :param worlds: [batch, joints, 4, 4] world matrices sorted by depth, None if there are no joints
+    :param ends: None if there are no joints
     :param centre: (3,) skeleton-space origin of the points; keeps products of float32 small
     """
     shift = np.eye(4)
     shift[:3, 3] = centre
-    matrices = []
-    if worlds is not None:
-        bind = rig.inverse_bind[tree_order(rig.parents)[0]] @ shift
-        matrices.append(nodes.add("MatMul", worlds, nodes.constant("inverse_bind", bind)))
+    matrices = [] if ends is None else [ends(rig.inverse_bind @ shift)]
     if parent:
         shifted = nodes.add("MatMul", "parent", nodes.constant("centre", shift))
         matrices.append(nodes.reshape(shifted, batch, 1, 4, 4))

@@ -9,7 +9,8 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.reports import Finding
 from facepipe_onnx import sidecar
-from facepipe_onnx.read import Problem, problems, properties, read
+from facepipe_onnx.metadata_checks import properties
+from facepipe_onnx.read import Problem, problems, read
 
 
 def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:

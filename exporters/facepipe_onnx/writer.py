@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,15 +15,17 @@ from facepipe.errors import ExportError, InputError
 from facepipe.finite import require_finite
 from facepipe.geometry.polygons import point_triangles
 from facepipe.names import select
-from facepipe.parts import FaceParts, IntArray
+from facepipe.parts import FaceParts, IntArray, Slider
 from facepipe.reports import ExportReport
 from facepipe.rig import Rig
 from facepipe.rig import build as build_rig
-from facepipe_onnx import sidecar
+from facepipe_onnx import sidecar, slider_graph
+from facepipe_onnx.describe import describe
 from facepipe_onnx.graph import build, select_shapes
+from facepipe_onnx.metadata_checks import operators
 from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.options import Options
-from facepipe_onnx.read import operators, problems
+from facepipe_onnx.read import problems
 
 
 class HasParts(Protocol):
@@ -50,9 +53,15 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     (target, beside), options = outputs(path), options or Options()
     require_finite(parts, parts.name, error=ExportError)
     whole = build_rig(parts)
-    model = build(whole, options, triangles=_triangles(parts, whole) if options.normals else None)
-    rig = select_shapes(whole, select(whole.shapes, options.shapes, "shapes"))
-    metadata = sidecar.describe(parts, rig, options, operators(model))
+    triangles = _triangles(parts, whole) if options.normals else None
+    names = select(whole.shapes, options.shapes, "shapes")
+    rig, sliders = select_shapes(whole, names), None
+    if options.sliders:
+        model = slider_graph.build(whole, parts.sliders, options, triangles=triangles)
+        sliders = slider_graph.select_sliders(whole, parts.sliders, names)
+    else:
+        model = build(whole, options, triangles=triangles)
+    metadata = describe(parts, rig, options, operators(model), sliders)
     data = _serialised(model, metadata, parts.name)
     with replacing(target) as graph_file, replacing(beside) as text_file:
         graph_file.write_bytes(data)
@@ -60,10 +69,10 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     return ExportReport(
         path=target,
         files=(target, beside),
-        counts=_counts(rig, model),
+        counts=_counts(rig, options, sliders, model),
         bytes=len(data),
         seconds=time.perf_counter() - start,
-        dropped=_dropped(parts),
+        dropped=_dropped(parts, options, sliders),
     )
 
 
@@ -100,9 +109,11 @@ def _triangles(parts: FaceParts, rig: Rig) -> IntArray:
     )
 
 
-def _counts(rig: Rig, model: Any) -> dict[str, int]:
-    return {
-        "points": len(rig.points),
+def _counts(rig: Rig, options: Options, sliders: Sequence[Slider] | None, model: Any) -> dict[str, int]:
+    counts = {} if sliders is None else {"sliders": len(sliders)}
+    if sliders is None or options.points:
+        counts["points"] = len(rig.points)
+    return counts | {
         "shapes": len(rig.shapes),
         "sculpts": len(rig.targets),
         "joints": len(rig.joints),
@@ -110,10 +121,13 @@ def _counts(rig: Rig, model: Any) -> dict[str, int]:
     }
 
 
-def _dropped(parts: FaceParts) -> tuple[str, ...]:
-    """What a graph of points does not hold."""
+def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | None) -> tuple[str, ...]:
+    """What a graph does not hold."""
     sculpted = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
+    driven = sum(len(one.shapes) for one in parts.sliders) if options.sliders else 0
     counts = (
+        (driven - sum(len(one.shapes) for one in sliders or ()), "shapes of sliders"),
+        (len(parts.meshes) if options.sliders and not options.points else 0, "meshes"),
         (len(parts.animations), "animations"),
         (len(parts.materials), "materials"),
         (sum(len(mesh.uv_sets) for mesh in parts.meshes), "UV sets"),

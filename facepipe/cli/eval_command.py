@@ -1,6 +1,8 @@
 """Run an exported ONNX deformer in onnxruntime and keep its outputs as arrays.
 
-example: facepipe eval head.onnx --set jawOpen=0.7 --bone jaw:rx=0.1 -o points.npz
+examples:
+  facepipe eval head.onnx --set jawOpen=0.7 --bone jaw:rx=0.1 -o points.npz
+  facepipe eval sliders.onnx --slider noseWidth=0.8 --set jawOpen=0.7 -o matrices.npz
 """
 
 from __future__ import annotations
@@ -21,6 +23,13 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     parser.add_argument("model", type=Path, metavar="MODEL", help=".onnx file of `facepipe export`")
     add_pose(parser)
+    parser.add_argument(
+        "--slider",
+        action="append",
+        default=[],
+        metavar="SLIDER=VALUE",
+        help="slider value, of a graph of `facepipe export --sliders`; may be given again",
+    )
     add_output(parser, "arrays to write: .npz, one per output of the graph")
     parser.add_argument("--json", action="store_true", help="print shapes and ranges of the outputs as JSON")
 
@@ -37,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     deformer = registry.exporter(arguments.model).Deformer(arguments.model)
     weights = pairs(arguments.set, "--set")
     coefficients = coefficients_of(arguments.bone, deformer.joints)
-    outputs = deformer.evaluate(weights, coefficients=coefficients)
+    outputs = deformer.evaluate(weights, coefficients=coefficients, sliders=pairs(arguments.slider, "--slider"))
     buffer = io.BytesIO()
     np.savez(buffer, **outputs)
     write_bytes(out, buffer.getvalue())

@@ -3,6 +3,7 @@
 examples:
   facepipe export head.usda -o head.glb
   facepipe export head.usda -o head.onnx
+  facepipe export head.usda --sliders -o sliders.onnx
 """
 
 from __future__ import annotations

@@ -1,0 +1,117 @@
+"""What a graph of sliders means: its sliders, and how its outputs drive a skin on the GPU and the targets of a GLB."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from facepipe.parts import FaceParts, FloatArray, Mesh, Slider
+from facepipe.rig import CHANNELS, Rig
+from facepipe.rig.activation import curves
+
+Json = dict[str, Any]
+
+CONVENTIONS = {
+    "sliders": "clamped to their ranges; what each adds to channels and shapes is gain * (value - default), or "
+    "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond",
+    "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
+    "joint_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
+    "For vertices of the face's GLB, not quantised: gltf_from_world @ joint matrix @ skeleton_from_gltf",
+    "morph_weights": "activations of the morph targets, inbetweens among them; meshes[i].targets numbers those of a "
+    "mesh in the order of its GLB targets",
+}
+_Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def record(slider: Slider) -> Json:
+    """A slider of the face."""
+    return {
+        "channel_curves": _curves(slider.channel_curves),
+        "channels": [list(channel) for channel in slider.channels],
+        "default": slider.default,
+        "group": slider.group,
+        "mirror": slider.mirror,
+        "name": slider.name,
+        "range": [slider.minimum, slider.maximum],
+        "shape_curves": _curves(slider.shape_curves),
+        "shapes": [list(shape) for shape in slider.shapes],
+        "value": _value(slider),
+    }
+
+
+def _curves(found: Sequence[Any]) -> list[Any]:
+    return [None if curve is None else [list(knot) for knot in curve] for curve in found]
+
+
+def _value(slider: Slider) -> float:
+    return slider.default if slider.value is None else slider.value
+
+
+def slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) -> Json:
+    """The input of slider values: ``default`` is the neutral, ``values`` what is set on the face."""
+    return {
+        "default": [slider.default for slider in sliders],
+        "groups": [slider.group for slider in sliders],
+        "name": name,
+        "names": [slider.name for slider in sliders],
+        "range": [[slider.minimum, slider.maximum] for slider in sliders],
+        "shape": list(shape),
+        "type": "float32",
+        "values": [_value(slider) for slider in sliders],
+    }
+
+
+def output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Json | None:
+    """An output that only graphs of sliders have; None for the others."""
+    own: Json = {"name": name, "shape": list(shape), "type": "float32"}
+    if name == "coefficients":
+        return own | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": units()}
+    if name == "joint_matrices":
+        world = _gltf_from_world(parts)
+        back = np.linalg.inv(world @ rig.parent_world)
+        return own | {
+            "gltf_from_world": numbers(world),
+            "joints": list(rig.joints),
+            "skeleton_from_gltf": numbers(back),
+            "space": "skeleton space at bind time -> world, stage units",
+        }
+    if name == "morph_weights":
+        targets = [{"name": target.name, "shape": rig.shapes[target.shape]} for target in rig.targets]
+        return own | {"targets": targets}
+    return None
+
+
+def units() -> list[str]:
+    """Of the 9 bone coefficients of a joint."""
+    return ["stage units"] * 3 + ["radians"] * 3 + ["factor of rest"] * 3
+
+
+def _gltf_from_world(parts: FaceParts) -> FloatArray:
+    """(4, 4) from world space of the stage to glTF: metres, Y up."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = (_Z_UP_TO_Y_UP if parts.up_axis == "Z" else np.eye(3)) * parts.meters_per_unit
+    return matrix
+
+
+def with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Json]:
+    """The `meshes` with the numbers of their morph targets."""
+    return [own | {"targets": _targets(mesh, rig)} for own, mesh in zip(meshes, parts.meshes, strict=True)]
+
+
+def _targets(mesh: Mesh, rig: Rig) -> list[int]:
+    """Numbers in `Rig.targets` of a mesh's shapes, each followed by its inbetweens."""
+    numbered = {(rig.shapes[target.shape], target.name, target.curve): i for i, target in enumerate(rig.targets)}
+    found = []
+    for shape in mesh.blendshapes:
+        by_weight = curves(tuple(one.weight for one in shape.inbetweens))
+        sculpts = [(shape.name, 1.0), *((f"{shape.name}_{one.name}", one.weight) for one in shape.inbetweens)]
+        keys = [(shape.name, name, by_weight[weight]) for name, weight in sculpts]
+        found += [numbered[key] for key in keys if key in numbered]
+    return found
+
+
+def numbers(values: Any) -> Any:
+    """An array as JSON."""
+    return np.asarray(values, dtype=np.float64).tolist()

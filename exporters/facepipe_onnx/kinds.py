@@ -1,0 +1,34 @@
+"""The kinds of graphs that facepipe writes: their formats, and what they take and give."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Kind(NamedTuple):
+    """One kind of graph."""
+
+    name: str
+    inputs: frozenset[str]
+    outputs: frozenset[str]
+    needed: frozenset[str]  # inputs and outputs that are always there
+
+    @property
+    def format(self) -> dict[str, object]:
+        """What the metadata says under ``format``."""
+        return {"name": self.name, "version": 1}
+
+
+DEFORMER = Kind(
+    "facepipe deformer",
+    frozenset({"weights", "coefficients", "joint_transforms", "parent"}),
+    frozenset({"points", "joint_matrices", "normals"}),
+    frozenset({"points"}),
+)
+SLIDERS = Kind(
+    "facepipe sliders",
+    frozenset({"sliders", "weights", "parent"}),
+    frozenset({"coefficients", "joint_matrices", "morph_weights", "points", "normals"}),
+    frozenset({"sliders", "coefficients", "joint_matrices"}),
+)
+KINDS = (DEFORMER, SLIDERS)

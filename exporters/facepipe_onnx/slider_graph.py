@@ -1,0 +1,121 @@
+"""From the sliders of a rig to an ONNX graph.
+
+Inputs: ``sliders`` [batch, sliders]; ``weights`` [batch, shapes], added to what the sliders drive, if there are shapes;
+``parent`` [batch, 4, 4] by option. Outputs: ``coefficients`` [batch, joints, 9]; ``joint_matrices`` [batch, joints, 4,
+4], world times inverse bind: from skeleton space at bind time to world space, what a GPU blends by skin weights;
+``morph_weights`` [batch, targets], if there are shapes; ``points`` and ``normals`` [batch, points, 3] by option.
+Matrices are for column vectors, row by row (the translation is the last column), in stage units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import ExportError
+from facepipe.names import select
+from facepipe.parts import IntArray, Slider
+from facepipe.rig import Rig, rest_coefficients
+from facepipe.rig.sliders import kept
+from facepipe_onnx.chains import Chains, chain_nodes, chains_of, end_nodes
+from facepipe_onnx.graph import checked_triangles, select_shapes, skinned
+from facepipe_onnx.joints import tree_order
+from facepipe_onnx.model import make_model
+from facepipe_onnx.morph import activation_nodes
+from facepipe_onnx.nodes import Nodes
+from facepipe_onnx.normals import normal_nodes
+from facepipe_onnx.options import Options
+from facepipe_onnx.ramps import Ramps, ramp_nodes, ramps_of
+
+
+def select_sliders(rig: Rig, sliders: Sequence[Slider], names: tuple[str, ...]) -> tuple[Slider, ...]:
+    """The sliders without what they do to shapes of the rig that are not in `names`."""
+    left_out = set(rig.shapes) - set(names)
+    return tuple(kept(slider, lambda _: True, lambda shape: shape not in left_out) for slider in sliders)
+
+
+def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: IntArray | None = None) -> Any:
+    """The graph of sliders as an `onnx.ModelProto`, without metadata.
+
+    :param triangles: (t, 3) point indices; needed for the `normals` option
+    :raises InputError: an option out of range, a shape glob that matches nothing, or a slider of an unknown joint
+    :raises ExportError: no sliders, no joints, a slider of an unknown shape, or more than the 2 GB that a file can hold
+    """
+    options.check()
+    names = select(rig.shapes, options.shapes, "shapes")
+    sliders, rig = select_sliders(rig, sliders, names), select_shapes(rig, names)
+    _check(rig, sliders, options)
+    nodes, batch = Nodes(), options.batch
+    ramps = ramps_of(rig, sliders)
+    risen = ramp_nodes(nodes, ramps, len(sliders))
+    chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
+    coefficients = _coefficients(nodes, ramps, chains, risen, batch)
+    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=batch)
+    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="joint_matrices")
+    activations = None
+    if rig.targets:
+        activations = activation_nodes(nodes, rig, _weights(nodes, ramps, risen), name="morph_weights")
+    if options.points:
+        order = tree_order(rig.parents)[0]
+        skinned(nodes, rig, lambda ends: end_nodes(nodes, chains, worlds, ends, order), options, activations)
+    if options.normals:
+        normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), batch)
+    return make_model(nodes, rig.name, *signature(rig, sliders, options))
+
+
+def _check(rig: Rig, sliders: Sequence[Slider], options: Options) -> None:
+    if not sliders:
+        raise ExportError(rig.name, "no sliders, expected some for the option sliders")
+    if not rig.joints:
+        raise ExportError(rig.name, "no joints, expected some for the option sliders")
+    if options.points and not len(rig.points):
+        raise ExportError(rig.name, "no points, expected a mesh for the option points")
+
+
+def _moving(ramps: Ramps) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(j,) joints that a slider moves, or holds away from rest."""
+    own = ramps.gains.any(axis=0) | (ramps.base != rest_coefficients(len(ramps.base) // 9).ravel())
+    return np.asarray(own.reshape(-1, 9).any(axis=1))
+
+
+def _coefficients(nodes: Nodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
+    """[batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output."""
+    rows, count = len(chains.joints), len(ramps.gains)
+    joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
+    joint_base = np.concatenate([ramps.base.reshape(-1, 9), rest_coefficients(1)])
+    gains = nodes.constant("gains", joint_gains[:, chains.joints].reshape(count, -1))
+    flat = nodes.add("Gemm", risen, gains, nodes.constant("base", joint_base[chains.joints].ravel()))
+    coefficients = nodes.reshape(flat, batch, rows, 9)
+    nodes.add("Gather", coefficients, nodes.indices(chains.rows), axis=1, name="coefficients")
+    return coefficients
+
+
+def _weights(nodes: Nodes, ramps: Ramps, risen: str) -> str:
+    """[batch, shapes] weights: the input's and those that the sliders drive."""
+    if not ramps.shape_gains.any() and not ramps.shape_base.any():
+        return "weights"
+    base = nodes.constant("shape_base", ramps.shape_base)
+    driven = nodes.add("Gemm", risen, nodes.constant("shape_gains", ramps.shape_gains), base)
+    return nodes.add("Add", driven, "weights")
+
+
+def signature(
+    rig: Rig, sliders: Sequence[Slider], options: Options
+) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+    """Names and shapes of the graph's inputs and of its outputs; `rig` holds the exported shapes only."""
+    batch, joints = options.batch, len(rig.joints)
+    inputs: dict[str, tuple[int, ...]] = {"sliders": (batch, len(sliders))}
+    if rig.shapes:
+        inputs["weights"] = (batch, len(rig.shapes))
+    if options.parent:
+        inputs["parent"] = (batch, 4, 4)
+    outputs: dict[str, tuple[int, ...]] = {"coefficients": (batch, joints, 9), "joint_matrices": (batch, joints, 4, 4)}
+    if rig.targets:
+        outputs["morph_weights"] = (batch, len(rig.targets))
+    if options.points:
+        outputs["points"] = (batch, len(rig.points), 3)
+    if options.normals:
+        outputs["normals"] = (batch, len(rig.points), 3)
+    return inputs, outputs
