@@ -161,7 +161,8 @@ CASES: dict[str, tuple[Change, set[str]]] = {
     "clip gone": (face(animations=(POSE,)), set()),
     "pose new": (face(animations=(CLIP, POSE, replace(POSE, name="q"))), JOINT_VALUES | {"joints"}),
     "slider": (slider(maximum=2.0, channels=()), SLIDER | CHANNELS | {"facepipe:slider:open:value"}),
-    "slider at its default": (slider(value=None), SLIDER | CHANNELS | {"facepipe:slider:open:value"}),
+    "slider at its default": (slider(value=None), {"facepipe:slider:open:value"}),
+    "slider at another value": (slider(value=0.75), {"facepipe:slider:open:value"}),
     "slider gone": (face(sliders=()), SLIDER | CHANNELS | {"facepipe:slider:open:value"}),
     "slider new": (
         face(sliders=(*FULL.sliders, p.Slider(name="open:wide", shapes=(("jawOpen", 1.0),)))),

@@ -30,6 +30,7 @@ COMMANDS = {
     "regions": "list regions, or author them from a painted map",
     "blend": "mix faces of one topology by region, with shapes and rig",
     "skin": "give a face a skeleton and skin weights",
+    "sliders": "list, author or set sliders",
     "schema-path": "print the folder of the USD schemas",
 }
 

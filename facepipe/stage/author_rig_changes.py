@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
@@ -78,7 +79,11 @@ def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[S
     before, after = ({slider.name: slider for slider in sliders} for sliders in (old, new))
     changed = [slider for slider in new if not same(slider, before.get(slider.name))]
     for slider in changed:
-        author_slider(prim, slider)
+        own = before.get(slider.name)
+        if own is not None and same(replace(slider, value=own.value), own):
+            put(prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider.name}:value"), slider.value)
+        else:
+            author_slider(prim, slider)
     removed = [name for name in before if name not in after]
     for name in removed:
         for attribute in prim.GetAuthoredPropertiesInNamespace(f"{tokens.SLIDER_PREFIX}{name}"):

@@ -1,0 +1,174 @@
+"""List the sliders of a face, author them from a table, or set them.
+
+--from authors the sliders of a .toml or .csv table: what each drives, by how much, its range, default, group and the
+slider of the other side. Sliders of the same names are replaced; with --replace the table's are all that the face has.
+
+--set writes slider values and poses the face: a SkelAnimation of all that its sliders drive, which the skeleton plays.
+Sliders that are not named keep their values. Exit code 1: done, but the pose is beyond the bone limits of FACE.
+
+OUT is an override layer over FACE.
+
+examples:
+  facepipe sliders head.usda
+  facepipe sliders head.usda --from table.toml -o controls.usda
+  facepipe sliders head.usda --set noseWidth=0.8 --set browHeightLeft=1 --mirror -o person.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.cli.parser import check_input, output_of, pairs
+from facepipe.cli.show import emit, table, warn
+from facepipe.errors import FacepipeError, InputError
+
+if TYPE_CHECKING:
+    from facepipe.parts import Curve, Recipe, Slider
+    from facepipe.processors.sliders import AuthorSliders, AuthorSlidersReport, SetSliders, SetSlidersReport
+
+_SHOWN = 4  # of what a slider drives
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
+    parser.add_argument("--from", dest="source", type=Path, metavar="TABLE", help="sliders to author: .toml or .csv")
+    parser.add_argument("--replace", action="store_true", help="with --from: drop the sliders that FACE has")
+    setting = "slider value; may be given again"
+    parser.add_argument("--set", action="append", default=[], metavar="SLIDER=VALUE", help=setting)
+    parser.add_argument("--mirror", action="store_true", help="with --set: also the slider of the other side")
+    parser.add_argument("--reset", action="store_true", help="all other sliders to their defaults")
+    parser.add_argument("--name", default="sliders", help="name of the pose (default sliders)")
+    output = "override layer to write: .usda .usdc .usd .usdz"
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help=output)
+    parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
+    parser.add_argument("--flatten", action="store_true", help="write a standalone file")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List, author or set."""
+    sets = bool(arguments.set or arguments.reset)
+    if arguments.source is not None and sets:
+        raise InputError("--from", f"given with {'--set' if arguments.set else '--reset'}, expected only one of them")
+    for flag, needed, there in (
+        ("--replace", "--from", arguments.source is not None),
+        ("--mirror", "--set", bool(arguments.set)),
+        ("-o", "--from or --set", arguments.source is not None or sets),
+        ("--flatten", "--from or --set", arguments.source is not None or sets),
+    ):
+        given = arguments.output is not None if flag == "-o" else getattr(arguments, flag.lstrip("-"))
+        if given and not there:
+            raise InputError(flag, f"given without {needed}, expected both or neither")
+    if arguments.source is not None:
+        return _author(arguments)
+    return _set(arguments) if sets else _list(arguments)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    import facepipe
+
+    check_input(arguments.face)
+    face = facepipe.open(arguments.face)
+    sliders = face.sliders
+    groups: dict[str, list[Slider]] = {}
+    for slider in sliders:
+        groups.setdefault(slider.group, []).append(slider)
+    rows = [row for group in sorted(groups) for row in _rows(group, groups[group])]
+    lines = [f"{arguments.face}: {len(sliders)} sliders in {len(groups)} groups", *([table(rows)] if rows else [])]
+    result = {"path": str(arguments.face), "sliders": [_json(one) for one in sliders]}
+    emit(result, "\n".join(lines), as_json=arguments.json)
+    return 0
+
+
+def _rows(group: str, sliders: list[Slider]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [(group or "(no group)",)]
+    for one in sliders:
+        value = "" if one.value is None or one.value == one.default else f"= {one.value:g}"
+        span = f"{one.minimum:g} to {one.maximum:g}, {one.default:g}"
+        rows.append((f"  {one.name}", span, value, _driven(one), f"mirror {one.mirror}" if one.mirror else ""))
+    return rows
+
+
+def _driven(slider: Slider) -> str:
+    from facepipe.rig.sliders import channel_entries, shape_entries
+
+    texts = [
+        f"{joint.rpartition('/')[2]}:{channel} {gain:g}{_bent(curve)}"
+        for (joint, channel, gain), curve in channel_entries(slider)
+    ]
+    texts += [f"{shape} {gain:g}{_bent(curve)}" for (shape, gain), curve in shape_entries(slider)]
+    more = f" ... ({len(texts)} in all)" if len(texts) > _SHOWN else ""
+    return ", ".join(texts[:_SHOWN]) + more
+
+
+def _bent(curve: Curve | None) -> str:
+    return "" if curve is None else f" x curve of {len(curve)}"
+
+
+def _json(slider: Slider) -> dict[str, Any]:
+    from facepipe.rig.sliders import channel_entries, shape_entries
+
+    return {
+        "name": slider.name,
+        "group": slider.group,
+        "range": [slider.minimum, slider.maximum],
+        "default": slider.default,
+        "value": slider.default if slider.value is None else slider.value,
+        "mirror": slider.mirror,
+        "channels": [
+            {"joint": joint, "channel": channel, "gain": gain, "curve": curve}
+            for (joint, channel, gain), curve in channel_entries(slider)
+        ],
+        "shapes": [{"shape": shape, "gain": gain, "curve": curve} for (shape, gain), curve in shape_entries(slider)],
+    }
+
+
+def _author(arguments: argparse.Namespace) -> int:
+    from facepipe.processors.sliders import AuthorSliders, read_table, slider_recipe
+
+    out = _output(arguments, [arguments.face, arguments.source])
+    author = AuthorSliders(table=read_table(arguments.source), drop=arguments.replace)
+    recipe = slider_recipe(arguments.face, out, table=arguments.source, drop=arguments.replace)
+    report: AuthorSlidersReport = _derive(arguments, out, author, recipe)
+    kept = f", {len(report.replaced)} of them replaced" if report.replaced else ""
+    text = f"{out}: {len(report.sliders)} sliders{kept}, over {report.channels} channels and {report.shapes} shapes"
+    text += f", {len(report.dropped)} dropped" if report.dropped else ""
+    emit({"path": str(out), **dataclasses.asdict(report)}, text, as_json=arguments.json)
+    return 0
+
+
+def _set(arguments: argparse.Namespace) -> int:
+    from facepipe.processors.sliders import SetSliders, slider_recipe
+
+    values = pairs(arguments.set, "--set")
+    out = _output(arguments, [arguments.face])
+    settings = SetSliders(values=values, mirror=arguments.mirror, reset=arguments.reset, name=arguments.name)
+    report: SetSlidersReport = _derive(arguments, out, settings, slider_recipe(arguments.face, out, settings=settings))
+    what = ", ".join(f"{name} {value:g}" for name, value in report.values.items()) or "all at their defaults"
+    text = f"{out}: {what}: {report.joints} joints off rest, {report.shapes} shapes on"
+    emit({"path": str(out), **dataclasses.asdict(report)}, text, as_json=arguments.json)
+    return 1 if report.beyond_limits else 0
+
+
+def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
+    from facepipe.stage.files import check_suffix
+
+    out = output_of(arguments, inputs)
+    check_suffix(out)
+    return out
+
+
+def _derive(arguments: argparse.Namespace, out: Path, processor: AuthorSliders | SetSliders, recipe: Recipe) -> Any:
+    import facepipe
+
+    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
+        try:
+            report = processor(face, recipe=recipe)
+        except FacepipeError as error:  # the layer being made has no file yet: name its source
+            raise error.under(arguments.face) if error.where.startswith("<") else error from None
+    warn(report.warnings)
+    return report

@@ -1,0 +1,139 @@
+"""Authors the sliders of a table on a face."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from facepipe import tokens
+from facepipe.errors import InputError
+from facepipe.parts import BoneLimits, Recipe, Slider
+from facepipe.processors.bone_limits import check_limits
+from facepipe.processors.sliders.tables import SliderTable
+from facepipe.reports import Report
+from facepipe.rig import CHANNELS, slide
+from facepipe.rig.sliders import sliders_fault
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.stage.property_names import check_property_name
+
+_SHOWN = 4  # names of a list
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorSlidersReport(Report):
+    """What was authored."""
+
+    sliders: tuple[str, ...]  # of the table
+    replaced: tuple[str, ...] = ()  # that the face had by the same name
+    dropped: tuple[str, ...] = ()  # that the face had and has no more
+    channels: int = 0  # that the table's sliders drive, each counted once
+    shapes: int = 0
+    beyond_limits: tuple[str, ...] = ()  # "slider -> joint:channel" where one slider can leave the face's limits
+    authored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorSliders:
+    """The sliders of a table on a face; those that it has by the same names are replaced, and keep their values.
+
+    A mirror that is named on one side only is named on the other too.
+
+    :param drop: drop all other sliders of the face
+    """
+
+    table: SliderTable
+    drop: bool = False
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> AuthorSlidersReport:
+        """Author them.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: names that USD can't hold, joints, channels, shapes or mirrors that the face has not, or
+            limits of the face that cross
+        """
+        for rule in self.table.rules:
+            check_property_name(rule.where, "slider", rule.name, tokens.SLIDER_API)
+        parts = face.parts()
+        new = self.table.resolve(parts.skeleton.joints, face.shapes, parts.meters_per_unit)
+        own = {one.name: one for one in parts.sliders}
+        names = {one.name for one in new}
+        valued, unset = _with_values(new, own)
+        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in names)
+        merged = mutual((*others, *valued))
+        self._check_mirrors(merged)
+        beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
+        authored = author_changes(face, replace(parts, sliders=merged, recipe=recipe or parts.recipe))
+        return AuthorSlidersReport(
+            sliders=tuple(one.name for one in new),
+            replaced=tuple(name for name in own if name in names),
+            dropped=tuple(name for name in own if name not in names and self.drop),
+            channels=len({entry[:2] for one in new for entry in one.channels}),
+            shapes=len({entry[0] for one in new for entry in one.shapes}),
+            beyond_limits=beyond,
+            authored=authored,
+            warnings=(*unset, *_idle(new), *_beyond_lines(beyond)),
+        )
+
+    def _check_mirrors(self, sliders: Sequence[Slider]) -> None:
+        fault = sliders_fault(sliders)
+        if fault:
+            where = {rule.name: rule.where for rule in self.table.rules}
+            raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
+
+
+def mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
+    """The sliders, a mirror that is named on one side only named on the other too."""
+    named = {one.mirror: one.name for one in sliders if one.mirror is not None}
+    return tuple(replace(one, mirror=one.mirror or named.get(one.name)) for one in sliders)
+
+
+def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: BoneLimits | None) -> tuple[str, ...]:
+    """``slider -> joint:channel`` where a slider at an end of its range, all others at their default, is beyond limits.
+
+    :raises InputError: limits that cross
+    """
+    if limits is None:
+        return ()
+    check_limits(joints, limits)
+    found = []
+    start, _ = slide(sliders, joints, {one.name: one.default for one in sliders})
+    for slider in sliders:
+        low, own, high = (
+            slide((slider,), joints, {slider.name: value})[0]
+            for value in (slider.minimum, slider.default, slider.maximum)
+        )
+        ends = [(start - own + end).astype(np.float32) for end in (low, high)]
+        beyond = np.any([(one < limits.lower) | (one > limits.upper) for one in ends], axis=0)
+        found += [f"{slider.name} -> {joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond)]
+    return tuple(found)
+
+
+def _with_values(new: Sequence[Slider], own: Mapping[str, Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
+    """Sliders with the values that the face gave them, and a line for each that is out of the new range."""
+    lines, valued = [], []
+    for slider in new:
+        before = own.get(slider.name)
+        value = None if before is None else before.value
+        if value is not None and not slider.minimum <= value <= slider.maximum:
+            lines.append(f"slider {slider.name}: value {value:g} is out of its new range, now the default")
+            value = None
+        valued.append(replace(slider, value=value))
+    return tuple(valued), tuple(lines)
+
+
+def _idle(sliders: Sequence[Slider]) -> tuple[str, ...]:
+    idle = [one.name for one in sliders if not one.channels and not one.shapes]
+    return (f"{len(idle)} sliders drive nothing: {_some(idle)}",) if idle else ()
+
+
+def _beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:
+    if not beyond:
+        return ()
+    return (f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {_some(beyond)}",)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")

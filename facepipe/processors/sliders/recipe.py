@@ -1,0 +1,114 @@
+"""The recipe of sliders that were authored or set: what it takes to do so again after a change."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from facepipe import __version__
+from facepipe.errors import InputError, SchemaError
+from facepipe.options import from_json, to_json
+from facepipe.parts import Recipe
+from facepipe.processors.sliders.set_sliders import SetSliders
+from facepipe.stage.files import relative_path
+from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
+
+VERB = "sliders"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """How a table was authored."""
+
+    drop: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SliderRecipe:
+    """A recipe read back: it does the same to the same face again.
+
+    >>> recipe = read_slider_recipe("posed.usda")
+    >>> again = recipe.settings or AuthorSliders(table=read_table(recipe.table), drop=recipe.drop)
+    >>> with facepipe.open(recipe.face).deriving("again.usda") as face:
+    ...     again(face)
+    """
+
+    face: Path  # absolute, as all files
+    table: Path | None  # what was authored; or
+    settings: SetSliders | None  # what was set
+    drop: bool = False
+    standalone: bool = False  # the result was saved without reference to its face
+    warnings: tuple[str, ...] = ()  # sources that have changed since, one line each
+
+
+def slider_recipe(
+    face: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    table: str | os.PathLike[str] | None = None,
+    drop: bool = False,
+    settings: SetSliders | None = None,
+) -> Recipe:
+    """The recipe to author on the face of a path, saved as `out`: its sources are the face, and the table.
+
+    :raises InputError: a source can't be read, or not one of `table` and `settings`
+    """
+    if (table is None) == (settings is None):
+        raise InputError(VERB, "a table and settings, or neither, expected one of them")
+    folder = Path(out).absolute().parent
+    files = [os.fspath(one) for one in (face, table) if one is not None]
+    return Recipe(
+        verb=VERB,
+        sources=tuple(relative_path(file, folder) for file in files),
+        digests=tuple(source_digest(Path(file)) for file in files),
+        options={"drop": drop} if settings is None else to_json(settings),
+        version=__version__,
+    )
+
+
+def read_slider_recipe(path: str | os.PathLike[str]) -> SliderRecipe:
+    """The recipe on the face of a USD file; its other layers may be lost.
+
+    :raises InputError: no recipe of `facepipe sliders`, or a source that is not where it was
+    :raises SchemaError: a damaged recipe, or one of a newer facepipe
+    """
+    file = Path(path)
+    recipe, standalone = recipe_of(file, VERB)
+    where, count = f"{file} -> recipe", len(recipe.sources)
+    if count > 2:
+        raise SchemaError(where, f"{count} sources, expected a face, and a table where one was authored")
+    try:
+        settings = _settings(where, recipe.options) if count == 1 else None
+        drop = count == 2 and from_json(TableOptions, recipe.options, where).drop
+    except InputError as error:
+        raise SchemaError(error.where, error.what) from None
+    found = [
+        existing_source(f"{where} -> source {number}", file.absolute().parent / source, instead)
+        for number, (source, instead) in enumerate(zip(recipe.sources, ("FACE", "--from"), strict=False), 1)
+    ]
+    return SliderRecipe(
+        face=found[0],
+        table=found[1] if count == 2 else None,
+        settings=settings,
+        drop=drop,
+        standalone=standalone,
+        warnings=changed_sources(file, zip(found, recipe.digests, strict=True)),
+    )
+
+
+def _settings(where: str, options: Mapping[str, object]) -> SetSliders:
+    keys = {"values": dict, "mirror": bool, "reset": bool, "name": str}
+    if not isinstance(options, Mapping) or set(options) != set(keys):
+        raise SchemaError(where, f"options are damaged, expected an object of {', '.join(keys)}")
+    wrong = [key for key, kind in keys.items() if type(options[key]) is not kind]
+    values = options["values"]
+    if wrong or not isinstance(values, dict) or not all(type(one) in (int, float) for one in values.values()):
+        raise SchemaError(f"{where} -> {(*wrong, 'values')[0]}", "damaged, expected as `facepipe sliders` wrote it")
+    return SetSliders(
+        values={str(name): float(one) for name, one in values.items()},
+        mirror=options["mirror"] is True,
+        reset=options["reset"] is True,
+        name=str(options["name"]),
+    )

@@ -1,0 +1,150 @@
+"""Sets sliders of a face, and poses it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.names import identifier
+from facepipe.parts import Animation, FaceParts, Recipe, Slider
+from facepipe.payload import PayloadContent
+from facepipe.processors.apply_bones import limit_warnings
+from facepipe.processors.bone_limits import beyond_limits
+from facepipe.reports import Report
+from facepipe.rig import slide
+from facepipe.stage import Face
+from facepipe.stage.animation_source import play
+from facepipe.stage.author_changes import author_changes
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetSlidersReport(Report):
+    """What was authored."""
+
+    values: Mapping[str, float]  # that were set, twins too
+    animation: str
+    joints: int  # that leave rest
+    shapes: int  # that are on
+    beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the pose is beyond the face's limits
+    authored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetSliders:
+    """Slider values, and the pose that all sliders of the face make together as a SkelAnimation.
+
+    The face's skeleton plays it: what opens the stage shows the posed face, as `Face.evaluate` gives it with these
+    values. A pose of that name is replaced.
+
+    :param values: by slider
+    :param mirror: set the twins of symmetric pairs too, unless they are in `values`
+    :param reset: set all other sliders to their defaults; else they keep their values
+    :param name: of the animation
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    mirror: bool = False
+    reset: bool = False
+    name: str = "sliders"
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> SetSlidersReport:
+        """Author values and pose.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: sliders that the face has not, values out of range, no twin to mirror to, sliders that drive
+            joints, channels or shapes that the face has not, or a clip of that name
+        """
+        if identifier(self.name) != self.name:
+            raise InputError(face.where, f"'{self.name[:40]}' is no name of a prim, expected one like sliders")
+        parts = face.parts()
+        values = self._all_values(face.where, parts.sliders)
+        _check_values(face.where, parts.sliders, values)
+        sliders = tuple(self._set(one, values) for one in parts.sliders)
+        try:
+            animation = pose(parts, sliders, self.name)
+            face.rig().weight_vector(dict(zip(animation.shapes, _weights(animation), strict=True)))
+        except InputError as error:
+            raise error.under(face.where) from None
+        animations = _with(face.where, parts.animations, animation)
+        beyond = _beyond(face, sliders)
+        changed = replace(parts, sliders=sliders, animations=animations, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        play(face, self.name)
+        rest = np.array([0.0] * 6 + [1.0] * 3)
+        return SetSlidersReport(
+            values=values,
+            animation=self.name,
+            joints=0 if animation.coefficients is None else int((animation.coefficients[0] != rest).any(axis=1).sum()),
+            shapes=sum(weight != 0 for weight in _weights(animation)),
+            beyond_limits=beyond,
+            authored=authored,
+            warnings=limit_warnings(beyond, clamped=False),
+        )
+
+    def _all_values(self, where: str, sliders: Sequence[Slider]) -> dict[str, float]:
+        if not self.mirror:
+            return dict(self.values)
+        twins = {one.name: one.mirror for one in sliders if one.mirror is not None}
+        mirrored = {twins[name]: value for name, value in self.values.items() if name in twins}
+        if not mirrored:
+            raise InputError(where, f"none of {', '.join(self.values)} has a mirror, expected one of a symmetric pair")
+        return {**mirrored, **self.values}
+
+    def _set(self, slider: Slider, values: Mapping[str, float]) -> Slider:
+        value = values.get(slider.name, slider.default if self.reset else slider.value)
+        return replace(slider, value=value)
+
+
+def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
+    """The pose that sliders make at their values: of all joints and shapes that any of them drives.
+
+    :raises InputError: no sliders, or some that drive joints or channels that the face has not
+    """
+    if not sliders:
+        raise InputError("sliders", "none, expected some (`facepipe sliders FACE --from TABLE` authors them)")
+    coefficients, weights = slide(sliders, parts.skeleton.joints)
+    driven = {joint for one in sliders for joint, _, _ in one.channels}
+    joints = [i for i, joint in enumerate(parts.skeleton.joints) if joint in driven]
+    return Animation(
+        name=name,
+        joints=tuple(parts.skeleton.joints[i] for i in joints),
+        coefficients=coefficients[joints][None] if joints else None,
+        shapes=tuple(sorted(weights)),
+        shape_weights=np.array([[weights[shape] for shape in sorted(weights)]]) if weights else None,
+    )
+
+
+def _weights(animation: Animation) -> list[float]:
+    return [] if animation.shape_weights is None else [float(one) for one in animation.shape_weights[0]]
+
+
+def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, float]) -> None:
+    known = {one.name: one for one in sliders}
+    for name, value in values.items():
+        if name not in known:
+            some = ", ".join(list(known)[:4]) + (" ..." if len(known) > 4 else "") or "none"
+            raise InputError(f"{where} -> slider {name}", f"unknown, expected one of {len(known)}: {some}")
+        low, high = known[name].minimum, known[name].maximum
+        if not low <= value <= high:  # NaN too
+            raise InputError(f"{where} -> slider {name}", f"value {value:g}, expected {low:g} to {high:g}")
+
+
+def _with(where: str, animations: Sequence[Animation], new: Animation) -> tuple[Animation, ...]:
+    own = next((one for one in animations if one.name == new.name), None)
+    if own is None:
+        return (*animations, new)
+    if own.times is not None:
+        raise InputError(where, f"has a clip '{new.name}' already, expected another name")
+    return tuple(new if one is own else one for one in animations)
+
+
+def _beyond(face: Face, sliders: Sequence[Slider]) -> tuple[str, ...]:
+    joints = face.skeleton.joints
+    if not joints:
+        return ()
+    coefficients, _ = slide(sliders, joints)
+    content = PayloadContent(joints=joints, coefficients=coefficients, meters_per_unit=face.meters_per_unit)
+    return beyond_limits(face, content)
