@@ -92,6 +92,7 @@ def test_a_recipe_reads_back_as_it_was_written(folder: Path) -> None:
         rounds=3,
         regularise=1e-3,
         sparsity=0.25,
+        symmetric=True,
         residual=True,
     )
     assert fit.limits == RULES

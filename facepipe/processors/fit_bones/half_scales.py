@@ -15,7 +15,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 _DAMPING = 1e-4  # of the normal matrix with a diagonal of 1: what points hardly hold keeps its place
 _FLAT = 1e-9  # of the largest diagonal element: unknowns that move points less count as if they did that
-_SAME = 1e-6  # relative: a scale that is as near to one in half precision is it
+_SAME = 2e-7  # relative: a scale that is as near to one in half precision is it
 
 
 class HalfScales:

@@ -129,6 +129,8 @@ def _single(joints: Sequence[str]) -> list[str]:
     if not joints:
         return []
     names = ", ".join(joint.rpartition("/")[2] for joint in joints[:_SHOWN]) + (" ..." if len(joints) > _SHOWN else "")
+    if len(joints) == 1:
+        return [f"1 joint of one side has no partner and moves as it likes: {names}"]
     return [f"{len(joints)} joints of one side have no partner and move as they like: {names}"]
 
 
