@@ -10,34 +10,30 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.names import select
-from facepipe.parts import Blendshape, Curve, FaceParts, FloatArray, Recipe, Slider
+from facepipe.parts import Blendshape, FaceParts, FloatArray, Recipe, Slider
 from facepipe.processors.fit_bones.limits import LimitRules
-from facepipe.processors.fit_bones.residual import Residual, corrective
 from facepipe.processors.fit_bones.rig_checks import check_rig
-from facepipe.processors.fit_bones.sessions import STRICTER
-from facepipe.processors.sliders.author_sliders import mutual, sliders_beyond
-from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose
-from facepipe.processors.sliders.shape_names import ShapeSlider, parse_pairs, shape_sliders
+from facepipe.processors.sliders.author_sliders import sliders_beyond
+from facepipe.processors.sliders.made_slider import RESIDUAL, Made, SliderMaker
+from facepipe.processors.sliders.shape_fits import ShapeFits
+from facepipe.processors.sliders.shape_names import parse_pairs, shape_sliders
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions
-from facepipe.processors.sliders.shape_report import EndReport, MadeSlider, ShapeSlidersReport, by_group, end_report
-from facepipe.rig import CHANNELS, Rig
-from facepipe.rig.sliders import with_entries
+from facepipe.processors.sliders.shape_poses import fit_poses
+from facepipe.processors.sliders.shape_report import ShapeSlidersReport, by_group
+from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
-RESIDUAL = "_residual"  # what the name of a shape's corrective ends in
-
 _SHOWN = 4  # names of a list
-_LEAST_MOTION = 1e-6  # mm: less is none
-_CURVES: Mapping[float, Curve] = {-1.0: ((-1.0, 1.0), (0.0, 0.0)), 1.0: ((0.0, 0.0), (1.0, 1.0))}
+_LEAST = 1e-6  # mm: a motion that is less is none
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlidersFromShapes(ShapeSliderOptions):
     """Sliders that move the bones of a face as its blendshapes move it.
 
-    Each shape is fitted by the bones, within limits, and the slider goes straight from rest to that pose. Sliders of
-    the left and the right side get the same pose, mirrored.
+    Bones are fitted to each shape, within limits, and the slider goes straight from rest to that pose. Sliders of the
+    left and the right side get the same pose, mirrored.
 
     >>> face = facepipe.open("head.usda")
     >>> with face.deriving("controls.usda") as result:
@@ -54,11 +50,12 @@ class SlidersFromShapes(ShapeSliderOptions):
     drop: bool = False
 
     def chosen(self, face: Face) -> tuple[str, ...]:
-        """The shapes to make sliders of; residuals of others among them are none.
+        """The shapes to make sliders of; the residuals of others are none.
 
         :raises InputError: a pattern that matches no shape, or a face without shapes
         """
-        own = tuple(name for name in face.shapes if name.removesuffix(RESIDUAL) not in {*face.shapes} - {name})
+        names = set(face.shapes)
+        own = tuple(name for name in face.shapes if not (name.endswith(RESIDUAL) and name[: -len(RESIDUAL)] in names))
         if not own:
             raise InputError(face.where, "has no blendshapes, expected some to make sliders of")
         found = select(own, self.shapes, "from-shapes")
@@ -81,60 +78,93 @@ class SlidersFromShapes(ShapeSliderOptions):
         parts, rig, chosen = face.parts(), face.rig(), self.chosen(face)
         check_rig(face.where, parts, rig)
         lower, upper = self.limits.resolve(rig.joints, face.meters_per_unit, parts.bone_limits)
-        targets = {shape: rig.evaluate({shape: 1.0}) for shape in chosen}
         fits = ShapeFits(rig, lower, upper, self, face.mm_per_unit)
-        made = _Making(self, parts, fits, targets, face.mm_per_unit)
-        made.make(shape_sliders(chosen, parse_pairs(self.pairs)), done)
-        result = self._merged(made.authored_parts(), made.sliders)
+        targets = {shape: rig.evaluate({shape: 1.0}) for shape in chosen}
+        still = tuple(
+            shape for shape in chosen if np.abs(targets[shape] - fits.points).max() <= _LEAST / face.mm_per_unit
+        )
+        made = self._made(parts, fits, {shape: targets[shape] for shape in chosen if shape not in still}, done)
+        for _ in still:
+            done()
+        new = [one.slider for one in made if one.slider is not None]
+        result = _merged(_with_residuals(parts, made), new, drop=self.drop)
         authored = author_changes(face, replace(result, recipe=recipe or parts.recipe))
-        report = made.report()
-        names, kept = {one.name for one in made.sliders}, {one.name for one in result.sliders}
+        report = _report(parts, made, new, result.sliders)
         return replace(
             report,
-            replaced=tuple(one.name for one in parts.sliders if one.name in names),
-            dropped=tuple(one.name for one in parts.sliders if one.name not in kept),
-            beyond_limits=sliders_beyond(made.sliders, rig.joints, parts.bone_limits),
+            unmoved=still,
             authored=authored,
             seconds=time.perf_counter() - start,
+            warnings=(*fits.warnings, *report.warnings, *_unmoved(still)),
         )
 
-    def _merged(self, parts: FaceParts, new: Sequence[Slider]) -> FaceParts:
-        """The face with new sliders beside those that it keeps."""
-        names = {one.name for one in new}
-        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in names)
-        unknown = names | {one.name for one in others}
-        others = tuple(replace(one, mirror=one.mirror if one.mirror in unknown else None) for one in others)
-        return replace(parts, sliders=mutual((*others, *new)))
-
-
-class _Making:
-    """The sliders of one face while they are made."""
-
-    def __init__(
-        self, options: ShapeSliderOptions, parts: FaceParts, fits: ShapeFits, targets: Mapping[str, FloatArray], mm: float
-    ) -> None:
-        self.options, self.parts, self.fits, self.targets, self.mm = options, parts, fits, targets, mm
-        self.rig: Rig = fits.rig
-        self.sliders: list[Slider] = []
-        self.made: dict[str, MadeSlider] = {}
-        self.left_out: dict[str, MadeSlider] = {}
-        self.residuals: dict[str, Residual] = {}
-        motions = {shape: np.linalg.norm(target - fits.points, axis=1) for shape, target in targets.items()}
-        self.motions = motions
-        self.unmoved = tuple(shape for shape in targets if motions[shape].max(initial=0.0) * mm <= _LEAST_MOTION)
-
-    def make(self, wanted: Sequence[ShapeSlider], done: Callable[[], object]) -> None:
-        """Fit all, and keep what bones reach."""
-        poses = self._poses([shape for shape in self.targets if shape not in self.unmoved], wanted, done)
-        for _ in self.unmoved:
-            done()
+    def _made(
+        self, parts: FaceParts, fits: ShapeFits, targets: Mapping[str, FloatArray], done: Callable[[], object]
+    ) -> list[Made]:
+        """The sliders of shapes that move points."""
+        wanted = shape_sliders(tuple(targets), parse_pairs(self.pairs))
+        poses = fit_poses(fits, wanted, targets, done)
+        maker = SliderMaker(parts, fits, self, poses, targets, parts.meters_per_unit * 1000.0)
         by_name = {one.name: one for one in wanted}
-        reports = {one.name: self._ends(one, poses) for one in wanted}
-        for slider in wanted:
-            own = reports[slider.name]
-            twin = reports[slider.mirror] if slider.mirror else ()
-            if not own:
-                continue
-            reached = _reach((*own, *twin)) >= self.options.least_reach
-            mirror = slider.mirror if slider.mirror and reports[by_name[slider.mirror].name] else None
-            self._add(replace(slider, mirror=mirror), own, poses, reached)
+        return [maker.make(one, by_name.get(one.mirror or "")) for one in wanted]
+
+
+def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts:
+    """The face with new sliders, which keep the values of those that they replace, beside the others."""
+    values = {one.name: one.value for one in parts.sliders}
+    valued = [replace(one, value=_within(one, values.get(one.name))) for one in new]
+    names = {one.name for one in new}
+    others = () if drop else tuple(one for one in parts.sliders if one.name not in names)
+    return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
+
+
+def _within(slider: Slider, value: float | None) -> float | None:
+    return value if value is not None and slider.minimum <= value <= slider.maximum else None
+
+
+def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
+    """The face with the residual shapes of its sliders, which replace those of the same names."""
+    own: list[list[Blendshape]] = [
+        [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
+        for number in range(len(parts.meshes))
+    ]
+    names = {shape.name for shapes in own for shape in shapes}
+    meshes = tuple(
+        replace(mesh, blendshapes=(*(one for one in mesh.blendshapes if one.name not in names), *shapes))
+        for mesh, shapes in zip(parts.meshes, own, strict=True)
+    )
+    return replace(parts, meshes=meshes)
+
+
+def _report(
+    parts: FaceParts, made: Sequence[Made], new: Sequence[Slider], kept: Sequence[Slider]
+) -> ShapeSlidersReport:
+    """What is known of the sliders that were made, and of those that the face had."""
+    names, after = {one.name for one in new}, {one.name for one in kept}
+    beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
+    left_out = {one.name: one.report for one in made if one.slider is None}
+    lost = sum(residual.lost for one in made for residual in one.residuals)
+    lines = []
+    if left_out:
+        lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {_some(tuple(left_out))}")
+    if lost:
+        lines.append(f"{lost} points of residuals can't be corrected: skinning flattens what is around them")
+    if beyond:
+        lines.append(f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {_some(beyond)}")
+    return ShapeSlidersReport(
+        sliders={one.name: one.report for one in made if one.slider is not None},
+        left_out=left_out,
+        groups=by_group([one.report for one in made]),
+        replaced=tuple(one.name for one in parts.sliders if one.name in names),
+        dropped=tuple(one.name for one in parts.sliders if one.name not in after),
+        beyond_limits=beyond,
+        warnings=tuple(lines),
+    )
+
+
+def _unmoved(shapes: Sequence[str]) -> tuple[str, ...]:
+    return (f"{len(shapes)} shapes move nothing: {_some(shapes)}",) if shapes else ()
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")

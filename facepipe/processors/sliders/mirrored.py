@@ -40,7 +40,10 @@ class MirroredJoints:
         :raises InputError: limits of two sides that have nothing in common
         """
         low, high, turned = lower.ravel(), upper.ravel(), self._signs < 0
-        other = np.where(turned, -high[self._from], low[self._from]), np.where(turned, -low[self._from], high[self._from])
+        other = (
+            np.where(turned, -high[self._from], low[self._from]),
+            np.where(turned, -low[self._from], high[self._from]),
+        )
         rest = rest_coefficients(len(self.joints)).ravel()
         low = np.where(self._single, rest, np.maximum(low, other[0]))
         high = np.where(self._single, rest, np.minimum(high, other[1]))

@@ -48,9 +48,7 @@ class ShapeFits:
     :raises InputError: limits without rest, or what `BoneFit` refuses
     """
 
-    def __init__(
-        self, rig: Rig, lower: FloatArray, upper: FloatArray, options: ShapeSliderOptions, mm: float
-    ) -> None:
+    def __init__(self, rig: Rig, lower: FloatArray, upper: FloatArray, options: ShapeSliderOptions, mm: float) -> None:
         self.rig, self.lower, self.upper, self.options = rig, lower, upper, options
         self.rest = rest_coefficients(len(rig.joints))
         self.points = rig.evaluate()
@@ -103,7 +101,7 @@ class ShapeFits:
         """The pose of those channels that move points, fitted again."""
         largest = float(np.linalg.norm(found.points - self.points, axis=1).max(initial=0.0))
         moved = np.abs(found.coefficients - self.rest) * self._effects
-        kept = (moved > 0) & (moved >= self.options.least_effect * largest)
+        kept = (moved > 0) & (moved >= max(self.options.least_effect * largest, self._threshold))
         if found.symmetric and self.mirror is not None:
             kept = self.mirror.tied(kept)
         if not kept.any() or kept.all():

@@ -132,7 +132,9 @@ def _with_mirrors(sliders: Sequence[ShapeSlider]) -> tuple[ShapeSlider, ...]:
     """Mirrors are the sliders whose shapes are called as those of the other side, end by end."""
     shapes = {shape for one in sliders for _, shape in one.ends}
     places = {one.ends: one.name for one in sliders}
-    others = {one.name: places.get(tuple((value, _other(shape, shapes)) for value, shape in one.ends)) for one in sliders}
+    others = {
+        one.name: places.get(tuple((value, _other(shape, shapes)) for value, shape in one.ends)) for one in sliders
+    }
     return tuple(replace(one, mirror=_mutual(one.name, others)) for one in sliders)
 
 

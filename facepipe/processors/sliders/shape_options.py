@@ -30,8 +30,8 @@ class ShapeSliderOptions:
     least_effect: float = field(
         default=0.1,
         metadata={
-            "help": "channels that move no point by this share of the pose's largest motion are left out, and the "
-            "others fitted again; 0 keeps all",
+            "help": "channels that move no point by this share of the pose's largest motion, or by no more than "
+            "--threshold-mm, are left out, and the others fitted again; 0 keeps all",
             "range": (0.0, 1.0),
         },
     )
@@ -49,7 +49,11 @@ class ShapeSliderOptions:
     )
     threshold_mm: float = field(
         default=0.1,
-        metadata={"help": "points that bones leave further off are in the residual", "range": (1e-6, 1e6), "unit": "mm"},
+        metadata={
+            "help": "a distance that is good enough: points that bones leave further off are in the residual",
+            "range": (1e-6, 1e6),
+            "unit": "mm",
+        },
     )
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +24,7 @@ class EndReport:
     left_max_mm: float
     reach: float  # 1 - RMS left / RMS of the motion, at least 0
     residual_points: int = 0
+    end_max_mm: float  # at the slider's end, with residual or shape where it drives one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,17 +32,13 @@ class MadeSlider:
     """One slider."""
 
     group: str
-    ends: tuple[EndReport, ...]
+    ends: tuple[EndReport, ...]  # the lower one first
+    reach: float  # of all ends
     joints: int
     channels: int
-    symmetric: bool  # both sides of the face move as mirror images
-    mirror: str | None = None
-    by: str = "bones"  # "bones", "bones and residual", "shapes"; "" where it was left out
-
-    @property
-    def reach(self) -> float:
-        """Of both ends."""
-        return reach_of(self.ends)
+    symmetric: bool  # both sides of the face move as mirror images, or this slider and its mirror do
+    mirror: str | None
+    by: str  # "bones", "bones and residual", "shapes"; "" where it was left out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,47 +59,51 @@ class ShapeSlidersReport(Report):
     sliders: Mapping[str, MadeSlider]
     left_out: Mapping[str, MadeSlider] = field(default_factory=dict)  # bones reach too little of them
     groups: Mapping[str, GroupReach] = field(default_factory=dict)
-    unmoved: tuple[str, ...] = ()  # shapes that move no point, or by no more than rounding
-    replaced: tuple[str, ...] = ()  # sliders that the face had by the same name
+    unmoved: tuple[str, ...] = ()  # shapes that move no point
+    replaced: tuple[str, ...] = ()  # sliders that the face had by the same names
     dropped: tuple[str, ...] = ()  # sliders that the face had and has no more
     beyond_limits: tuple[str, ...] = ()  # "slider -> joint:channel" beyond the face's own limits
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
 
 
-def end_report(shape: str, motion: FloatArray, left: FloatArray, mm: float) -> EndReport:
-    """Of (n,) lengths in stage units."""
-    rms, rest = (float(np.sqrt((one**2).mean())) * mm for one in (motion, left))
+def end_report(shape: str, motion: FloatArray, left: FloatArray, end: FloatArray, residual_points: int) -> EndReport:
+    """Of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves."""
+    rms, rest = (float(np.sqrt((one**2).mean())) for one in (motion, left))
     return EndReport(
         shape=shape,
         rms_mm=rms,
-        max_mm=float(motion.max()) * mm,
+        max_mm=float(motion.max()),
         left_rms_mm=rest,
-        left_max_mm=float(left.max()) * mm,
+        left_max_mm=float(left.max()),
         reach=max(0.0, 1.0 - rest / rms) if rms else 0.0,
+        residual_points=residual_points,
+        end_max_mm=float(end.max()),
     )
 
 
-def reach_of(ends: tuple[EndReport, ...]) -> float:
-    """How much of the motion of several shapes bones make, by their squares."""
-    motion, left = (float(np.hypot.reduce([getattr(one, name) for one in ends])) for name in ("rms_mm", "left_rms_mm"))
-    return max(0.0, 1.0 - left / motion) if motion else 0.0
+def reach_of(motions: Sequence[float], left: Sequence[float]) -> float:
+    """How much bones reach of several motions, from their RMS and that of what is left of each."""
+    length = float(np.linalg.norm(motions))
+    return max(0.0, 1.0 - float(np.linalg.norm(left)) / length) if length else 0.0
 
 
-def by_group(made: Mapping[str, MadeSlider], left_out: Mapping[str, MadeSlider]) -> dict[str, GroupReach]:
+def by_group(sliders: Sequence[MadeSlider]) -> dict[str, GroupReach]:
     """Group -> its sliders, in the order of their first ones."""
     groups: dict[str, list[MadeSlider]] = {}
-    for one in (*made.values(), *left_out.values()):
+    for one in sliders:
         groups.setdefault(one.group, []).append(one)
-    lost = {id(one) for one in left_out.values()}
     found = {}
     for name, own in groups.items():
-        ends = tuple(end for one in own for end in one.ends)
+        motions, left = (np.array([getattr(end, key) for one in own for end in one.ends]) for key in _ROOTS)
         found[name] = GroupReach(
             sliders=len(own),
-            left_out=sum(id(one) in lost for one in own),
-            rms_mm=float(np.sqrt(np.mean([end.rms_mm**2 for end in ends]))),
-            left_rms_mm=float(np.sqrt(np.mean([end.left_rms_mm**2 for end in ends]))),
-            reach=reach_of(ends),
+            left_out=sum(not one.by for one in own),
+            rms_mm=float(np.sqrt((motions**2).mean())),
+            left_rms_mm=float(np.sqrt((left**2).mean())),
+            reach=reach_of(motions.tolist(), left.tolist()),
         )
     return found
+
+
+_ROOTS = ("rms_mm", "left_rms_mm")
