@@ -14,6 +14,13 @@ points, 100 joints and 52 shapes that move every point. Columns:
 
 Read bandwidth is the best of three numpy reductions. The graph stores some zeros: `stored` counts them too. A face of
 few bytes, like MakeHuman without targets, is bound by its nodes and arithmetic, not by bandwidth.
+
+A second table, in microseconds, is of graphs of sliders (`facepipe export --sliders`); aim: 100 on one thread.
+
+  moving  joints that some slider moves; the others are constants in the graph
+  onnx    onnxruntime `run`: coefficients, joint matrices and morph weights
+  points  the same and the points
+  rig     facepipe's own coefficients and joint matrices: numpy float64
 """
 
 # ruff: noqa: E402  (threads are pinned before numpy is imported)
@@ -28,7 +35,6 @@ import argparse
 import json
 import platform
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -38,6 +44,8 @@ import numpy as np
 import onnx
 import onnxruntime
 from facepipe_onnx import Deformer, export_parts
+from onnx_timing import median, start
+from slider_graphs import SliderRow, slider_ratios, slider_rows, slider_table
 
 from facepipe.importers import load
 from facepipe.parts import Blendshape, FaceParts, Mesh, Skeleton, Skin
@@ -78,12 +86,15 @@ def main() -> None:
     faces, skipped = gather(arguments.data)
     large = bandwidth(LARGE)
     rows = [measure(name, parts, arguments.runs, large) for name, parts in faces.items()]
-    print(table(rows))
+    sliders = slider_rows(faces.get("makehuman"), arguments.runs, np.ones(OTHER_WORK // 4, np.float32))
+    print(f"{table(rows)}\n\n{slider_table(sliders)}")
     print(f"\nread bandwidth of {LARGE >> 20} MB: {large / 1e9:.1f} GB/s; medians of {arguments.runs} evaluations")
     for line in skipped:
         print(line)
     if arguments.json:
-        arguments.json.write_text(json.dumps(document(rows, skipped, large, arguments.runs), indent=2, sort_keys=True))
+        arguments.json.write_text(
+            json.dumps(document(rows, sliders, skipped, large, arguments.runs), indent=2, sort_keys=True)
+        )
 
 
 def gather(data: Path) -> tuple[dict[str, FaceParts], list[str]]:
@@ -179,13 +190,6 @@ def measure(name: str, parts: FaceParts, runs: int, large: float) -> Row:
     )
 
 
-def start(path: Path) -> Any:
-    """A session of onnxruntime on one thread."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    return onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
-
-
 def tensor_bytes(model: Any) -> tuple[int, int]:
     """Bytes of the stored float tensors, and of their numbers that are not zero."""
     tensors = [onnx.numpy_helper.to_array(one) for one in model.graph.initializer if one.data_type == 1]
@@ -210,20 +214,6 @@ def dense(rig: Rig, weights: np.ndarray, coefficients: np.ndarray | None) -> Cal
         return np.einsum("nij,nj->ni", blended[:, :, :3], points.reshape(-1, 3)) + blended[:, :, 3]
 
     return evaluate
-
-
-def median(call: Callable[[], object], runs: int, before: Callable[[], object] | None = None) -> float:
-    """Median milliseconds of a call, after some that are not counted."""
-    samples = []
-    for number in range(runs + max(3, runs // 10)):
-        if before:
-            before()
-        began = time.perf_counter()
-        call()
-        samples.append(1e3 * (time.perf_counter() - began))
-        if number < runs // 10:
-            samples.clear()
-    return float(np.median(samples))
 
 
 def bandwidth(size: int) -> float:
@@ -262,13 +252,14 @@ def ratios(one: Row) -> dict[str, float]:
     }
 
 
-def document(rows: list[Row], skipped: list[str], large: float, runs: int) -> dict[str, Any]:
+def document(rows: list[Row], sliders: list[SliderRow], skipped: list[str], large: float, runs: int) -> dict[str, Any]:
     """The figures as JSON."""
     return {
         "faces": [asdict(one) | {"ratios": ratios(one)} for one in rows],
         "machine": {"processor": platform.processor() or platform.machine(), "read_bandwidth_large": large},
         "runs": runs,
         "skipped": skipped,
+        "sliders": [asdict(one) | {"ratios": slider_ratios(one)} for one in sliders],
         "versions": {"numpy": np.__version__, "onnx": onnx.__version__, "onnxruntime": onnxruntime.__version__},
     }
 
