@@ -118,6 +118,7 @@ def test_what_can_not_be_exported(tmp_path: Path) -> None:
         "rises and falls": (
             Slider(name="hill", channels=(jaw,), channel_curves=(((0.0, 0.0), (0.5, 1.0), (1.0, 0.0)),)),
         ),
+        "2 curves of channels": (Slider(name="two", channels=(jaw,), channel_curves=(CURVE, CURVE)),),
         "float32": (Slider(name="huge", channels=(("root/jaw", "tx", 1e39),)),),
         "NaN": (Slider(name="lost", channels=(("root/jaw", "tx", np.nan),)),),
     }

@@ -1,6 +1,6 @@
-"""ONNX deformer: the rig of a face as one graph that game engines evaluate, and its reference runtime.
+"""ONNX: the rig of a face, or its sliders, as one graph that game engines evaluate, and the reference runtime.
 
-`export` writes the graph and its sidecar; `Deformer` runs it with onnxruntime; `validate` checks a file.
+`export` writes a graph and its sidecar; `Deformer` runs it with onnxruntime; `validate` checks a file.
 """
 
 from facepipe_onnx.options import Options

@@ -64,7 +64,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
         )
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), options.batch)
-    return make_model(nodes, rig.name, *signature(rig, options))
+    return make_model(nodes, "deformer", rig.name, *signature(rig, options))
 
 
 def _check(rig: Rig, options: Options) -> None:

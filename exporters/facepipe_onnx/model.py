@@ -15,9 +15,10 @@ from facepipe_onnx.operators import IR_VERSION, MAX_BYTES, OPSET
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def make_model(nodes: Nodes, where: str, inputs: Shapes, outputs: Shapes) -> Any:
+def make_model(nodes: Nodes, name: str, where: str, inputs: Shapes, outputs: Shapes) -> Any:
     """The `onnx.ModelProto`, without metadata.
 
+    :param name: of the graph
     :param where: the face, for messages
     :raises ExportError: numbers beyond float32, or more than the 2 GB that a file can hold
     """
@@ -26,15 +27,15 @@ def make_model(nodes: Nodes, where: str, inputs: Shapes, outputs: Shapes) -> Any
     total = sum(values.nbytes for values in nodes.constants.values())
     if total > MAX_BYTES - (1 << 20):
         raise ExportError(where, f"{total} bytes of tensors, expected less than the 2 GB that an ONNX file holds")
-    for name, values in nodes.constants.items():
+    for constant, values in nodes.constants.items():
         if not np.isfinite(values).all():
-            raise ExportError(f"{where} -> {name}", "values beyond the range of float32, expected finite numbers")
+            raise ExportError(f"{where} -> {constant}", "values beyond the range of float32, expected finite numbers")
     ends = [
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in side.items()]
+        [helper.make_tensor_value_info(end, TensorProto.FLOAT, shape) for end, shape in side.items()]
         for side in (inputs, outputs)
     ]
-    tensors = [numpy_helper.from_array(values, name) for name, values in nodes.constants.items()]
-    graph = helper.make_graph(nodes.nodes, "deformer", *ends, tensors)
+    tensors = [numpy_helper.from_array(values, constant) for constant, values in nodes.constants.items()]
+    graph = helper.make_graph(nodes.nodes, name, *ends, tensors)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version = IR_VERSION
     model.producer_name, model.producer_version = "facepipe", __version__

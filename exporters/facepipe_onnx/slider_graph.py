@@ -17,7 +17,7 @@ import numpy as np
 from facepipe.errors import ExportError
 from facepipe.names import select
 from facepipe.parts import IntArray, Slider
-from facepipe.rig import Rig, rest_coefficients
+from facepipe.rig import Rig, rest_coefficients, slide
 from facepipe.rig.sliders import kept
 from facepipe_onnx.chains import Chains, chain_nodes, chains_of, end_nodes
 from facepipe_onnx.graph import checked_triangles, select_shapes, skinned
@@ -44,9 +44,9 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
     :raises ExportError: no sliders, no joints, a slider of an unknown shape, or more than the 2 GB that a file can hold
     """
     options.check()
+    _check(rig, sliders, options)
     names = select(rig.shapes, options.shapes, "shapes")
     sliders, rig = select_sliders(rig, sliders, names), select_shapes(rig, names)
-    _check(rig, sliders, options)
     nodes, batch = Nodes(), options.batch
     ramps = ramps_of(rig, sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
@@ -62,7 +62,7 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
         skinned(nodes, rig, lambda ends: end_nodes(nodes, chains, worlds, ends, order), options, activations)
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), batch)
-    return make_model(nodes, rig.name, *signature(rig, sliders, options))
+    return make_model(nodes, "sliders", rig.name, *signature(rig, sliders, options))
 
 
 def _check(rig: Rig, sliders: Sequence[Slider], options: Options) -> None:
@@ -72,6 +72,7 @@ def _check(rig: Rig, sliders: Sequence[Slider], options: Options) -> None:
         raise ExportError(rig.name, "no joints, expected some for the option sliders")
     if options.points and not len(rig.points):
         raise ExportError(rig.name, "no points, expected a mesh for the option points")
+    slide(sliders, rig.joints)  # says what is wrong with them
 
 
 def _moving(ramps: Ramps) -> np.ndarray[Any, np.dtype[np.bool_]]:
