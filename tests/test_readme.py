@@ -20,7 +20,7 @@ SHARED = ROOT.parent / "shared"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-BLEND = (ROOT / "docs/blend.md").read_text(encoding="utf-8")
+BLEND, BONES = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("blend.md", "bones.md"))
 
 
 def blocks(kind: str, text: str = README) -> list[str]:
@@ -28,7 +28,7 @@ def blocks(kind: str, text: str = README) -> list[str]:
 
 
 def test_the_tour_runs(tmp_path: Path) -> None:
-    """Every console line in order, then the Python of README and docs/blend.md, in one folder beside ../shared."""
+    """Every console line in order, then the Python of README, blend.md and bones.md, in one folder beside ../shared."""
     folder = tmp_path / "project"
     folder.mkdir()
     lines = [line for block in blocks("console") for line in block.splitlines()]
@@ -39,7 +39,8 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
-    commands += [[sys.executable, "-c", block] for block in (*blocks("python"), *blocks("python", BLEND))]
+    pages = [block for page in (README, BLEND, BONES) for block in blocks("python", page)]
+    commands += [[sys.executable, "-c", block] for block in pages]
     for command in commands:
         done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{command[-1]}: {done.stdout}{done.stderr}"
@@ -54,6 +55,8 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         "head.landmarks.usda",
         "child.glb",
         "live.usda",
+        "poses.usda",
+        "jaw.fpb",
     } <= made
     recipe = read_blend_recipe(folder / "live.usda")  # made in Python as the page says, it can be edited
     assert [source.name for source in recipe.sources] == ["head.usda", "other.usda"]

@@ -9,9 +9,9 @@ Limits are those of the rig, and over them those of a file, where later joints w
 "r": [-0.5, 0.5]}, "jaw": {"rx": [0, 0.4], "tz": [null, 0]}}, "lock": ["root:*", "eye*:s"], "units": "cm"}. Channels are
 tx ty tz (units: stage, mm, cm or m) rx ry rz (radians) sx sy sz (factors), or t r s; null is no limit.
 
-OUT is an override layer over RIG and needs that file; hand on what --flatten writes. What bones can't reach is
-reported; --residual keeps it as a sparse blendshape, which the animation turns on. Exit code 1: done, but a target is
-missed by more than the threshold.
+OUT is an override layer over RIG and needs that file; hand on what --flatten writes. Its skeleton plays the fit of a
+single target; of several none plays. What bones can't reach is reported; --residual keeps it as a sparse blendshape,
+which the animation turns on. Exit code 1: done, but a target is missed by more than the threshold.
 
 The recipe stays on the result. --edit fits again from it with what the line changes: another RIG, other targets (all of
 them), limits, masks and options; a --region joins those there are (NAME=1 undoes one). Without -o that is in place
