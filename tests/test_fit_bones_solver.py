@@ -332,6 +332,72 @@ def test_sparse_fits_move_the_bones_that_moved() -> None:
     assert off[1] <= off[0] + 0.1
 
 
+def test_where_nothing_is_worth_moving_sparse_fits_stay_at_rest() -> None:
+    rig, rng = small(), np.random.default_rng(9)
+    target = rig.evaluate(coefficients=random_pose(rng, 3, np.arange(3)))
+    found = BoneFit(rig, threshold=1e-3, sparsity=1e9).fit(target)
+    np.testing.assert_array_equal(found.coefficients, rest_coefficients(3))
+
+
+def scaled(rig: Rig, size: float) -> Rig:
+    """The rig in other units."""
+    unit = np.diag([size, size, size, 1.0])
+    rest, inverse, parent = (unit @ own @ np.linalg.inv(unit) for own in (rig.rest, rig.inverse_bind, rig.parent_world))
+    return replace(rig, points=size * rig.points, rest=rest, inverse_bind=inverse, parent_world=parent)
+
+
+@pytest.mark.parametrize("settings", [{}, {"regularise": 0.1}, {"sparsity": 5.0}])
+@pytest.mark.parametrize("size", [1e-4, 1e5])
+def test_steps_are_the_same_in_all_units(size: float, settings: dict[str, float]) -> None:
+    """Shared ones, and a target's own (sparse fits have no others)."""
+    rig, rng = head(), np.random.default_rng(10)
+    joints, units = face_joints(rig), np.repeat([size, 1.0], [3, 6])
+    lower, upper = limits(len(rig.joints), joints)
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.05)) + 0.01 * np.sin(9 * rig.points)
+    known = {"threshold": 1e-3, "rounds": 0, "steps": 4} | settings
+    one = BoneFit(rig, lower=lower, upper=upper, **known).fit(target)  # type: ignore[arg-type]
+    known["threshold"] *= size
+    fit = BoneFit(scaled(rig, size), lower=units * lower, upper=units * upper, **known)  # type: ignore[arg-type]
+    other = fit.fit(size * target)
+    np.testing.assert_allclose(other.coefficients / units, one.coefficients, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_size_of_point_weights_does_not_matter() -> None:
+    rig, rng = small(), np.random.default_rng(11)
+    weights = rng.uniform(0.5, 1.0, len(rig.points))
+    target = rig.evaluate(coefficients=random_pose(rng, 3, np.arange(3)))
+    for size in (1.0, 1e-320, 1e300):
+        found = BoneFit(rig, weights=size * weights, threshold=1e-6).fit(target)
+        assert np.linalg.norm(found.points - target, axis=1).max() <= 1e-6
+
+
+def test_joints_that_are_all_locked_stay_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
+    rest = rest_coefficients(3)
+    found = BoneFit(small(), lower=rest, upper=rest, threshold=1e-6).fit(small().points + 1.0)
+    np.testing.assert_array_equal(found.coefficients, rest)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.filterwarnings("error")
+def test_steps_that_lead_too_far_are_not_taken() -> None:
+    rig = small()
+    fit = BoneFit(rig, threshold=1e-6, steps=20)
+    for start in (None, np.full((3, 9), 1e9)):
+        found = fit.fit(1e80 * rig.points, start=start)
+        assert np.isfinite(found.points).all()
+    for target, start in ((1e200 * rig.points, None), (rig.points, np.full((3, 9), 1e200))):
+        with pytest.raises(InputError, match="too large"):
+            fit.fit(target, start=start)
+
+
+def test_joints_flat_at_rest_are_refused() -> None:
+    rest = small().rest.copy()
+    rest[1, :3, 2] = 0.0
+    with pytest.raises(InputError, match="root/jaw: singular rest transform"):
+        BoneFit(replace(small(), rest=rest), threshold=1e-3)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -340,13 +406,21 @@ def test_sparse_fits_move_the_bones_that_moved() -> None:
         ({"upper": np.full((3, 9), np.nan)}, "limits"),
         ({"weights": np.full(45, -1.0)}, "point weights"),
         ({"weights": np.ones(3)}, "point weights"),
+        ({"lower": np.full((3, 9), np.inf)}, "limits inf to inf"),
+        ({"upper": np.full((3, 9), -np.inf)}, "limits -inf to -inf"),
+        ({"threshold": np.nan}, "threshold nan, expected 0 or more"),
+        ({"threshold": np.inf}, "threshold inf"),
+        ({"threshold": -1.0}, "threshold -1"),
+        ({"threshold": 0.0, "sparsity": 1.0}, "threshold 0 of a sparse fit"),
+        ({"steps": -1}, "steps -1"),
+        ({"rounds": -1}, "rounds -1"),
         ({"regularise": -1.0}, "expected 0 or more"),
         ({"sparsity": np.nan}, "expected 0 or more"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(settings: dict[str, np.ndarray], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        BoneFit(small(), threshold=1e-3, **settings)  # type: ignore[arg-type]
+        BoneFit(small(), **({"threshold": 1e-3} | settings))  # type: ignore[arg-type]
 
 
 def test_targets_that_do_not_fit_are_refused() -> None:

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faces import tiny_face
-from test_fit_bones_solver import MM, face_joints, head, limits, random_pose
+from test_fit_bones_solver import MM, face_joints, head, limits, random_pose, small
 
 from facepipe.errors import InputError
 from facepipe.processors.fit_bones import symmetry as module
 from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.symmetry import mirrored_name
+from facepipe.processors.fit_bones.symmetry import mirrored_name, symmetry
 from facepipe.rig import Rig, build, rest_coefficients
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -93,6 +93,30 @@ def test_limits_of_one_side_hold_on_the_other() -> None:
     assert ((found.coefficients >= fit.lower) & (found.coefficients <= fit.upper)).all()
 
 
+def test_locks_off_rest_and_crooked_starts_are_mirrored() -> None:
+    rig, rng = head(), np.random.default_rng(6)
+    joints = face_joints(rig)
+    lower, upper = limits(len(rig.joints), joints)
+    left = next(joint for joint in joints if partner(rig, joint) > joint)
+    lower[left, :4] = upper[left, :4] = 0.02
+    target = rig.evaluate(coefficients=random_pose(rng, len(rig.joints), joints, 0.02))
+    for sparsity in (0.0, 1.0):
+        fit = fit_of(rig, lower=lower, upper=upper, sparsity=sparsity, steps=20)
+        motion = moved(rig, fit.fit(target, start=random_pose(rng, len(rig.joints), joints)).coefficients)
+        for joint in joints:
+            np.testing.assert_allclose(motion[partner(rig, joint)], MIRROR @ motion[joint] @ MIRROR, atol=1e-6)
+
+
+def test_sparse_fits_where_the_limits_of_one_side_leave_rest_out() -> None:
+    rig = head()
+    joints = face_joints(rig)
+    lower, upper = limits(len(rig.joints), joints)
+    left = next(joint for joint in joints if partner(rig, joint) > joint)
+    lower[left, 0] = 1e-9
+    found = fit_of(rig, lower=lower, upper=upper, sparsity=1e6).fit(rig.points)
+    np.testing.assert_array_equal(np.abs(found.coefficients[[left, partner(rig, left)], 0]), 1e-9)
+
+
 def test_limits_without_a_mirrored_value_are_refused() -> None:
     rig = head()
     lower, upper = limits(len(rig.joints), face_joints(rig))
@@ -117,6 +141,35 @@ def test_faces_without_mirrored_joints_are_refused() -> None:
     rest[left, :3, :3] = rest[left, :3, :3] @ np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(InputError, match="no mirror image"):
         fit_of(replace(rig, rest=rest))
+
+
+def test_partners_are_as_large_and_may_have_oblique_axes() -> None:
+    rig = head()
+    left = next(joint for joint in face_joints(rig) if partner(rig, joint) > joint)
+    pair = [left, partner(rig, left)]
+    rest = rig.rest.copy()
+    worlds = rig.joint_worlds(rest)
+    skewed = worlds[left] @ np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [0, 0, 0, 1.0]])
+    for joint, world in zip(pair, (skewed, MIRROR @ skewed @ MIRROR), strict=True):
+        rest[joint] = np.linalg.solve(worlds[rig.parents[joint]], world)
+    fit = fit_of(replace(rig, rest=rest))
+    assert fit.symmetry is not None
+    assert (fit.symmetry.leaders.reshape(-1, 9)[pair[1]] // 9 == left).all()
+    rest[left, :3, :3] *= 1.5
+    with pytest.raises(InputError, match="no mirror image"):
+        fit_of(replace(rig, rest=rest))
+
+
+def test_of_joints_of_one_name_partners_are_below_partners() -> None:
+    """Two mouths, one in a mirrored half of the tree each, and names that hold a side without meaning it."""
+    names = ("root", "root/arm_L", "root/arm_L/lip_R", "root/arm_L/lip_L", "root/arm_R", "root/arm_R/lip_R")
+    names = (*names, "root/arm_R/lip_L", "root/upright_L", "root/upright_R", "root/lip_L")
+    parents = np.array([-1, 0, 1, 1, 0, 4, 4, 0, 0, 0])
+    rig = replace(small(), joints=names, parents=parents, rest=np.tile(np.eye(4), (10, 1, 1)))
+    ties = symmetry(rig, np.ones(10, dtype=bool))
+    leaders = ties.leaders.reshape(-1, 9)[:, 0] // 9
+    assert leaders.tolist() == [0, 1, 2, 3, 1, 3, 2, 7, 7, 9]
+    assert ties.single == ("root/lip_L",)
 
 
 def test_a_joint_without_a_partner_moves_as_it_likes() -> None:

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits
 from facepipe.processors.bone_limits import check_limits
-from facepipe.processors.fit_bones.session import LEAST_SCALE
+from facepipe.processors.fit_bones.checks import LEAST_SCALE
 from facepipe.reading import read_json_object
 from facepipe.rig import CHANNELS, rest_coefficients
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.processors.fit_bones.checks import check_rest, check_settings, checked_limits, checked_weights
 from facepipe.processors.fit_bones.moments import SkinnedPoints
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
 from facepipe.processors.fit_bones.symmetry import Symmetry, symmetry
@@ -19,7 +20,6 @@ from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
-LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one
 _STRAIGHT = 40  # steps: a fit that takes more may have lost its way
@@ -34,7 +34,8 @@ class BoneFit:
     """The rig with its limits and point weights, prepared for any number of targets.
 
     :param rig: m joints, n points
-    :param lower: (m, 9) limits of the bone coefficients; None: none but `LEAST_SCALE`, so that no joint is mirrored
+    :param lower: (m, 9) limits of the bone coefficients; None: none but `LEAST_SCALE`, so that no joint is mirrored.
+        Those of a symmetric fit shrink to what both sides have
     :param upper: (m, 9)
     :param weights: (n,) how much each point counts, 0: not at all; None: all alike
     :param threshold: largest distance that is good enough, in stage units
@@ -45,8 +46,8 @@ class BoneFit:
     :param sparsity: weight of the mean strain, in thresholds: few coefficients move, the others stay exactly at rest
     :param symmetric: the joints of one side move as the mirror image of the other's
     :param parent_world: (4, 4) what the root joints hang under; default the skeleton's place
-    :raises InputError: a negative weight, a lower limit above its upper one, arrays that don't fit, negative weights,
-        or a symmetric fit of joints that are no mirror images
+    :raises InputError: settings out of range, a lower limit above its upper one, arrays that don't fit, a joint that is
+        flat at rest, or a symmetric fit of joints that are no mirror images
     """
 
     def __init__(
@@ -64,30 +65,32 @@ class BoneFit:
         symmetric: bool = False,
         parent_world: FloatArray | None = None,
     ) -> None:
+        numbers = {"threshold": threshold, "steps": steps, "rounds": rounds}
+        check_settings(rig.name, {**numbers, "regularise": regularise, "sparsity": sparsity})
+        check_rest(rig, parent_world)
         self.rig, self.threshold, self.steps, self.rounds = rig, threshold, steps, rounds
-        self.lower, self.upper = _limits(rig, lower, upper)
-        self.weights = np.ones(len(rig.points)) if weights is None else np.asarray(weights, dtype=np.float64)
-        if self.weights.shape != (len(rig.points),) or not (np.isfinite(self.weights) & (self.weights >= 0)).all():
-            raise InputError(rig.name, f"point weights {self.weights.shape}, expected {len(rig.points)} of 0 or more")
-        if not (regularise >= 0 and sparsity >= 0 and np.isfinite(regularise + sparsity)):
-            raise InputError(rig.name, f"regularise {regularise:g}, sparsity {sparsity:g}, expected 0 or more")
         self.regularise, self.sparsity = regularise, sparsity
-        self._levers = np.repeat([1.0, 0.1 * float(np.ptp(rig.points, axis=0).max(initial=0.0))], [3, 6])
+        self.lower, self.upper = checked_limits(rig, lower, upper)
+        self.weights = checked_weights(rig, weights)
+        size = float(np.ptp(rig.points, axis=0).max(initial=0.0)) or 1.0
+        self._levers = np.repeat([1.0, 0.1 * size], [3, 6])
         self.tree = Tree(rig, parent_world)
         self.skin = SkinnedPoints(rig)
         self.weightless = self._weightless()
         self.symmetry: Symmetry | None = symmetry(rig, ~self.weightless) if symmetric else None
-        self.variables = Variables(self.lower, self.upper, ~self.weightless, self.symmetry)
+        if self.symmetry is not None:
+            self.lower, self.upper = self.symmetry.limits(self.lower, self.upper)
+        self.variables = self._variables(self.lower, self.upper)
         self.free = self.variables.joints  # numbers of those that may move
         self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
         self._rest = rest_coefficients(len(rig.joints))
         self._at_rest = self.skin.evaluate(self.tree.pose(self._rest).skinning, self.tree.parent_world)
-        self._metric = _metric(self._normal(self.variables))
+        self._metric = self._metric_of(self.variables)
         self._inverse: FloatArray | None = None
 
     def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
         """The fit of one target (n, 3), as `fit_all` makes it."""
-        return self.fit_all([np.asarray(target, dtype=np.float64)], start)[0]
+        return self.fit_all([target], start)[0]
 
     def fit_all(self, targets: Sequence[FloatArray], start: FloatArray | None = None) -> list[Fitted]:
         """The coefficients that bring the rig to (n, 3) world points: those that leave the smallest largest distance.
@@ -97,9 +100,10 @@ class BoneFit:
         rounds of evening.
 
         :param start: (m, 9) coefficients to start from, brought into the limits; default rest
-        :raises InputError: targets or coefficients of other shapes, or not finite
+        :raises InputError: targets or coefficients of other shapes, not finite, or too large to reckon with
         :raises numpy.linalg.LinAlgError: limits that let a joint's scale be 0, and a fit where it is
         """
+        targets = [np.asarray(target, dtype=np.float64) for target in targets]
         for target in targets:
             if target.shape != self.rig.points.shape or not np.isfinite(target).all():
                 what = f"target {target.shape}, expected {self.rig.points.shape} finite numbers"
@@ -108,17 +112,19 @@ class BoneFit:
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
         start = np.clip(start, self.lower, self.upper)
-        with one_thread():
-            if self.sparsity > 0:
-                return [self._sparse(target, start) for target in targets]
-            some = (targets[first : first + _MANY] for first in range(0, len(targets), _MANY))
+        some = [targets[first : first + _MANY] for first in range(0, len(targets), _MANY)]
+        with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # steps that lead too far count as worse
             found = [one for own in some for one in self._fitted(np.stack(own), start)]
         if any((one.coefficients[:, 6:] == 0.0).any() for one in found):
             raise np.linalg.LinAlgError("a joint of scale 0")
+        if not all(np.isfinite(one.largest + one.slope) for one in found):
+            raise InputError(self.rig.name, "numbers of the start or the target too large to square")
         return found
 
     def _fitted(self, targets: FloatArray, start: FloatArray) -> list[Fitted]:
         """The fits of (K, n, 3)."""
+        if self.sparsity > 0:
+            return [self._sparse(target, start) for target in targets]
         ends = fit_together(self._shared(), targets, start, min(self.steps, _STRAIGHT), self.threshold)
         return [self._finished(target, start, shared) for target, shared in zip(targets, ends, strict=True)]
 
@@ -159,7 +165,7 @@ class BoneFit:
         still = np.abs(self._strain(found.coefficients)) < _STILL * self.threshold
         still &= (self.lower <= self._rest) & (self._rest <= self.upper)
         lower, upper = np.where(still, self._rest, self.lower), np.where(still, self._rest, self.upper)
-        fewer = Variables(lower, upper, ~self.weightless, self.symmetry)
+        fewer = self._variables(lower, upper)
         start = np.where(still, self._rest, found.coefficients)
         return self._solve(target, start, self.weights, variables=fewer)
 
@@ -180,8 +186,8 @@ class BoneFit:
             moments = self.skin.retargeted(self._moments, target, weights, world)
         else:
             moments = self.skin.moments(target, weights, world)
-        own = variables or self.variables
-        metric = self._metric if variables is None else _metric(self._normal(own))
+        own = self.variables if variables is None else variables
+        metric = self._metric if variables is None else self._metric_of(variables)
         least, pull = self.threshold if threshold is None else threshold, self._pull(springs)
         problem = Problem(target, weights, own, metric, least, self.steps, settled, pull)
         return fit(self.tree, self.skin, moments, problem, start)
@@ -189,7 +195,7 @@ class BoneFit:
     def _shared(self) -> Shared:
         """What the fits of many targets share."""
         if self._inverse is None:
-            self._inverse = inverse(self._normal(self.variables), self._metric)
+            self._inverse = inverse(self._normal(self.variables), self.variables)
         return Shared(
             tree=self.tree,
             skin=self.skin,
@@ -200,6 +206,14 @@ class BoneFit:
             metric=self._metric,
             pull=self._pull(0.0),
         )
+
+    def _variables(self, lower: FloatArray, upper: FloatArray) -> Variables:
+        """What may move between (m, 9) limits."""
+        return Variables(lower, upper, ~self.weightless, self._levers, self.symmetry)
+
+    def _metric_of(self, variables: Variables) -> FloatArray:
+        """(v,) root of the normal matrix's diagonal; unknowns that move nothing count as if they moved a little."""
+        return np.sqrt(variables.floored(np.diag(self._normal(variables)), _LEAST_METRIC**2))
 
     def _normal(self, variables: Variables) -> FloatArray:
         """(v, v) normal matrix at rest."""
@@ -228,30 +242,5 @@ class BoneFit:
         return np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) <= 0
 
 
-def _metric(normal: FloatArray) -> FloatArray:
-    """(v,) root of the diagonal; unknowns that move nothing count as if they moved a little."""
-    diagonal = np.diag(normal)
-    least = _LEAST_METRIC**2 * diagonal.max(initial=0.0)
-    return np.asarray(np.sqrt(np.maximum(diagonal, max(float(least), np.finfo(np.float64).tiny))))
-
-
 def _nearer(one: Fitted, other: Fitted) -> Fitted:
     return other if other.largest < one.largest else one
-
-
-def _limits(rig: Rig, lower: FloatArray | None, upper: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(m, 9) lower and upper limits, each below the other."""
-    shape, found = (len(rig.joints), 9), []
-    for given, default in ((lower, -np.inf), (upper, np.inf)):
-        limits = np.full(shape, default) if given is None else np.array(given, dtype=np.float64)
-        if limits.shape != shape or np.isnan(limits).any():
-            raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
-        found.append(limits)
-    low, high = found
-    low[:, 6:] = np.where(np.isinf(low[:, 6:]), LEAST_SCALE, low[:, 6:])
-    crossed = np.argwhere(low > high)
-    if len(crossed):
-        joint, channel = crossed[0]
-        what = f"lower limit {low[joint, channel]:g} above the upper {high[joint, channel]:g}"
-        raise InputError(f"{rig.name} -> {rig.joints[joint]} -> channel {channel}", what)
-    return low, high

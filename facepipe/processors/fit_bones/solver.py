@@ -93,9 +93,7 @@ class _Model:
         if problem.pull is not None:
             hessian[np.diag_indices_from(hessian)] += problem.pull[joints].ravel()
         self.hessian = problem.variables.matrix(hessian)
-        diagonal = np.diag(self.hessian).copy()
-        largest = max(float(diagonal.max(initial=0.0)), np.finfo(np.float64).tiny)
-        self._floor = np.maximum(diagonal, _FLAT * largest)
+        self._floor = problem.variables.floored(np.diag(self.hessian), _FLAT)
         if exact:
             curvature = tree.curvature(generators, pose, state.by_matrix, joints)
             self.hessian = self.hessian + problem.variables.matrix(curvature)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,7 @@ BoolArray = npt.NDArray[np.bool_]
 _SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))  # anywhere in a name
 _LETTERS = re.compile(r"(?<![A-Za-z0-9])([lLrR])(?![A-Za-z0-9])|(?<=[_.\-])([lLrR])(?=\d)")  # as words of their own
 _OPPOSITE = str.maketrans("lLrR", "rRlL")
-_OBLIQUE = 0.1  # how far a mirrored axis of a joint at rest may be off, as a sine
+_OBLIQUE = 0.1  # how far a mirrored axis of a joint at rest may be off, of its length
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,8 @@ class Symmetry:
     still: BoolArray  # (9 m,) coefficients of joints in the middle that mirroring would turn round: they rest
     single: tuple[str, ...]  # joints of one side without a partner: not tied
 
-    def limits(self, lower: FloatArray, upper: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """(m, 9) limits that tied coefficients share, where the joints of both are `free` (m,).
+    def limits(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 9) limits that tied coefficients share, as mirror images.
 
         :raises InputError: limits that have nothing in common, or that exclude rest where a joint must keep it
         """
@@ -45,9 +44,9 @@ class Symmetry:
         self._check(low > high, "limits that are no mirror images: no value is inside both")
         low[follower] = np.where(turned, -high[leader], low[leader])
         high[follower] = np.where(turned, -low[leader], high[leader])
-        held = self.still & np.repeat(free, 9)
-        self._check(held & ((low > rest) | (high < rest)), "limits without 0, which a symmetric fit keeps it at")
-        low[held] = high[held] = rest[held]
+        wrong = self.still & ((low > rest) | (high < rest))
+        self._check(wrong, "limits without 0, which a symmetric fit keeps it at")
+        low[self.still] = high[self.still] = rest[self.still]
         return low.reshape(lower.shape), high.reshape(upper.shape)
 
     def _check(self, wrong: BoolArray, what: str) -> None:
@@ -59,17 +58,15 @@ class Symmetry:
 def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     """The ties of joints by their names (``left`` and ``right``, or ``L`` and ``R`` as a word of its own).
 
-    A joint's matrix at rest and its partner's, mirrored across x, must be the same up to the signs of axes.
+    The axes of a joint at rest and of its partner, mirrored across x, must be the same up to their signs.
 
     :param tied: (m,) joints that count
     :raises InputError: no joint has a partner, or the axes of two are no mirror images
     """
     count = len(rig.joints)
     leaders, signs, still = np.arange(9 * count), np.ones(9 * count), np.zeros(9 * count, dtype=np.bool_)
-    names = [joint.rpartition("/")[2] for joint in rig.joints]
     axes = rig.joint_worlds(rig.rest)[:, :3, :3]
-    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    partners, single = _partners(names), []
+    partners, single = _partners(rig), []
     for joint in np.flatnonzero(tied):
         other = partners[joint]
         if other is None or not tied[other]:
@@ -77,7 +74,7 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
             continue
         if other < joint:
             continue  # the other way round
-        flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", names[other])
+        flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", rig.joints[other])
         own = slice(9 * other, 9 * other + 9)
         if other == joint:
             still[own] = flips < 0
@@ -88,10 +85,23 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     return Symmetry(rig.joints, leaders, signs, still, tuple(single))
 
 
-def _partners(names: Sequence[str]) -> list[int | None]:
-    """The joint on the other side, itself for one in the middle; None for one of a side whose partner is not there."""
-    places = {name: number for number, name in enumerate(names)}
-    return [places.get(mirrored_name(name)) for name in names]
+def _partners(rig: Rig) -> list[int | None]:
+    """The joint on the other side, itself for one in the middle; None for one of a side that has no partner.
+
+    Of several joints of a name it is the one below the partner of the joint above.
+    """
+    named: dict[str, list[int]] = {}
+    names = [joint.rpartition("/")[2] for joint in rig.joints]
+    for number, name in enumerate(names):
+        named.setdefault(name, []).append(number)
+    found: list[int | None] = []
+    for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
+        others = _mirrored_names(name)
+        wanted = found[above] if above >= 0 else -1
+        options = next((named[other] for other in others if other in named), [])
+        below = [one for one in options if rig.parents[one] == wanted] or options
+        found.append(number if not others else below[0] if len(below) == 1 else None)
+    return [other if other is not None and found[other] == own else None for own, other in enumerate(found)]
 
 
 def mirrored_name(name: str) -> str:
@@ -100,18 +110,24 @@ def mirrored_name(name: str) -> str:
     >>> [mirrored_name(name) for name in ("eye_L", "browInnerLeft", "r_lip.02", "jaw")]
     ['eye_R', 'browInnerRight', 'l_lip.02', 'jaw']
     """
+    return next(iter(_mirrored_names(name)), name)
+
+
+def _mirrored_names(name: str) -> list[str]:
+    """What the name on the other side may be, likelier ones first: ``upright_L`` has a side, but not two."""
+    found = []
     for one, other in _SIDES:
         if one in name or other in name:
-            return other.join(part.replace(other, one) for part in name.split(one))
-    return _LETTERS.sub(lambda found: found[0].translate(_OPPOSITE), name)
+            found.append(other.join(part.replace(other, one) for part in name.split(one)))
+    found.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
+    return [other for other in found if other != name]
 
 
 def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:
     """(9,) signs of the coefficients of a joint with axes (3, 3), seen as those of its partner."""
-    turned = one.T @ (np.array([-1.0, 1.0, 1.0])[:, None] * other)
-    if np.abs(turned - np.diag(np.diag(turned))).max() > _OBLIQUE:
-        raise InputError(
-            where, f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
-        )
+    turned = np.linalg.solve(one, np.array([-1.0, 1.0, 1.0])[:, None] * other)  # where axes are as long, +-1 each
     axes = np.sign(np.diag(turned))
+    if np.abs(turned - np.diag(axes)).max() > _OBLIQUE:
+        what = f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
+        raise InputError(where, what)
     return np.concatenate([axes, -axes, np.ones(3)])  # mirroring turns rotations about what it keeps

@@ -45,12 +45,13 @@ class Shared:
     pull: FloatArray | None = None  # (m, 9) as `Problem` has it
 
 
-def inverse(normal: FloatArray, metric: FloatArray) -> FloatArray:
+def inverse(normal: FloatArray, variables: Variables) -> FloatArray:
     """(v, v) inverse of the normal matrix at rest (v, v), slightly damped."""
     from scipy.linalg import lapack
 
-    squares = np.maximum(metric**2, _FLAT * (metric**2).max(initial=0.0))
-    damped = normal + np.diag(_DAMPING * squares)
+    if not len(normal):  # LAPACK takes none that are empty
+        return normal
+    damped = normal + np.diag(_DAMPING * variables.floored(np.diag(normal), _FLAT))
     lower = lapack.dpotri(lapack.dpotrf(damped, lower=True)[0], lower=True)[0]
     return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
 
@@ -60,7 +61,7 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
     objective, memory = _Objective(shared, targets, start), _Memory(shared.inverse)
     states = objective.at(np.arange(len(targets)), np.tile(shared.variables.reduced(start), (len(targets), 1)))
     ends, taken, slopes = states.x.copy(), np.zeros(len(targets), dtype=np.int64), np.zeros(len(targets))
-    enough = 0.5 * (_ENOUGH * threshold) ** 2 * float(shared.weights.sum())
+    enough = 0.5 * np.square(_ENOUGH * threshold) * float(shared.weights.sum())
     for step in range(steps + 1):
         slope, inside = objective.slope(states)
         ends[states.rows], slopes[states.rows], taken[states.rows] = states.x, slope, step

@@ -18,13 +18,13 @@ class Variables:
     :param lower: (m, 9)
     :param upper: (m, 9)
     :param free: (m,) joints that may move
-    :param symmetry: ties coefficients to others
-    :raises InputError: limits of tied coefficients that have nothing in common
+    :param levers: (9,) how far a channel moves points, about: 1 of translations, a length of angles and scales
+    :param symmetry: ties coefficients to others, whose limits are mirror images
     """
 
-    def __init__(self, lower: FloatArray, upper: FloatArray, free: BoolArray, symmetry: Symmetry | None) -> None:
-        if symmetry is not None:
-            lower, upper = symmetry.limits(lower, upper, free)
+    def __init__(
+        self, lower: FloatArray, upper: FloatArray, free: BoolArray, levers: FloatArray, symmetry: Symmetry | None
+    ) -> None:
         moving = np.flatnonzero((free[:, None] & (lower < upper)).ravel())
         self.shape = lower.shape
         self.joints: IntArray = np.unique(moving // 9)  # (f,) those with an unknown
@@ -34,6 +34,7 @@ class Variables:
         self._sign = np.ones(len(moving)) if symmetry is None else symmetry.signs[moving]
         self._tied = symmetry is not None
         self.lower, self.upper = lower.ravel()[leading], upper.ravel()[leading]  # (v,)
+        self._squares = levers[leading % 9] ** 2  # (v,)
         self._inside = (np.searchsorted(self.joints, moving // 9) * 9) + moving % 9  # (c,) among those of `joints`
 
     def __len__(self) -> int:
@@ -58,6 +59,11 @@ class Variables:
         summed = np.zeros((*moving.shape[:-1], len(self)))
         np.add.at(np.moveaxis(summed, -1, 0), self._variable, np.moveaxis(moving, -1, 0))
         return summed
+
+    def floored(self, diagonal: FloatArray, share: float) -> FloatArray:
+        """(v,) of a matrix's diagonal, each element at least a share of the largest, whatever the units are."""
+        largest = max(float((diagonal / self._squares).max(initial=0.0)), float(np.finfo(np.float64).tiny))
+        return np.asarray(np.maximum(diagonal, share * largest * self._squares))
 
     def matrix(self, by_coefficient: FloatArray) -> FloatArray:
         """(v, v) of a symmetric matrix (9 f, 9 f) over the coefficients of `joints`."""
