@@ -35,6 +35,13 @@ def small() -> Rig:
     return build(tiny_face(0))
 
 
+@functools.cache
+def flat() -> Rig:
+    """The same joints side by side."""
+    rig = small()
+    return replace(rig, parents=np.full(3, -1), rest=rig.joint_worlds(rig.rest, np.eye(4)))
+
+
 def face_joints(rig: Rig) -> np.ndarray:
     """MakeHuman's 35 face joints that points hang at."""
     weighted = np.flatnonzero(np.asarray(abs(rig.influences[:, : len(rig.joints)]).sum(axis=0)).ravel() > 0)
@@ -81,7 +88,7 @@ def test_derivatives_of_the_matrices_agree_with_differences(seed: int) -> None:
         np.testing.assert_allclose(found[:, channel], difference, atol=1e-8)
 
 
-@pytest.mark.parametrize("rig", [small, head])
+@pytest.mark.parametrize("rig", [small, flat, head])
 def test_the_jacobian_agrees_with_differences_of_the_rig(rig: functools._lru_cache_wrapper[Rig]) -> None:
     own = rig()
     rng, step, count = np.random.default_rng(1), 1e-6, len(own.joints)
@@ -95,7 +102,7 @@ def test_the_jacobian_agrees_with_differences_of_the_rig(rig: functools._lru_cac
         np.testing.assert_allclose(dense[:, number], ((ends[0] - ends[1]) / (2 * step)).ravel(), atol=1e-6 * size)
 
 
-@pytest.mark.parametrize("rig", [small, head])
+@pytest.mark.parametrize("rig", [small, flat, head])
 def test_gradient_and_normal_matrix_are_those_of_the_jacobian(rig: functools._lru_cache_wrapper[Rig]) -> None:
     own = rig()
     rng, count = np.random.default_rng(2), len(own.joints)
@@ -114,7 +121,7 @@ def test_gradient_and_normal_matrix_are_those_of_the_jacobian(rig: functools._lr
     np.testing.assert_allclose(gradient, J.T @ (W * residual), atol=1e-8 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("rig", [small, head])
+@pytest.mark.parametrize("rig", [small, flat, head])
 def test_the_hessian_with_its_curvature_agrees_with_differences_of_the_gradient(
     rig: functools._lru_cache_wrapper[Rig],
 ) -> None:
@@ -389,6 +396,16 @@ def test_steps_that_lead_too_far_are_not_taken() -> None:
     for target, start in ((1e200 * rig.points, None), (rig.points, np.full((3, 9), 1e200))):
         with pytest.raises(InputError, match="too large"):
             fit.fit(target, start=start)
+
+
+def test_joints_that_limits_let_shrink_to_nothing_are_an_error() -> None:
+    rig = flat()
+    lower, upper = limits(3, np.arange(3), 0.0)
+    lower[:, 3:6] = upper[:, 3:6] = 0.0
+    lower[:, 6:] = 0.0
+    squashed = rig.evaluate(coefficients=np.zeros((3, 9)))
+    with pytest.raises(np.linalg.LinAlgError, match="scale 0"):
+        BoneFit(rig, lower=lower, upper=upper, threshold=1e-3).fit(squashed)
 
 
 def test_joints_flat_at_rest_are_refused() -> None:
