@@ -1,7 +1,12 @@
-"""List the sliders of a face, author them from a table, or set them.
+"""List the sliders of a face, author them from a table or make them from its blendshapes, or set them.
 
 --from authors the sliders of a .toml or .csv table: what each drives, by how much, its range, default, group and the
 slider of the other side. Sliders of the same names are replaced; with --replace the table's are all that the face has.
+
+--from-shapes makes sliders that move the bones as the face's blendshapes move it, all or those of PATTERNS
+(names, comma between). Two that differ in the last word alone (nose_hump_decr, nose_hump_incr) are the ends of a slider
+from -1 to 1, others go from 0 to 1; shapes of the left and the right get mirrored poses. What bones reach is told, in
+millimetres. Exit code 1: done, but sliders were left out whose bones reach less than --least-reach.
 
 --set writes slider values and poses the face: a SkelAnimation of all that its sliders drive, which the skeleton plays.
 Sliders that are not named keep their values. Exit code 1: done, but the pose is beyond the bone limits of FACE.
@@ -11,6 +16,7 @@ OUT is an override layer over FACE.
 examples:
   facepipe sliders head.usda
   facepipe sliders head.usda --from table.toml -o controls.usda
+  facepipe sliders head.usda --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
   facepipe sliders head.usda --set noseWidth=0.8 --set browHeightLeft=1 --mirror -o person.usda
 """
 
@@ -23,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import check_input, output_of, pairs
 from facepipe.cli.show import emit, table, warn
+from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, make, shape_flags
 from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
@@ -36,7 +43,10 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     parser.add_argument("--from", dest="source", type=Path, metavar="TABLE", help="sliders to author: .toml or .csv")
-    parser.add_argument("--replace", action="store_true", help="with --from: drop the sliders that FACE has")
+    made = "sliders to make of blendshapes, all or those of these names"
+    parser.add_argument("--from-shapes", nargs="?", const="*", metavar="PATTERNS", help=made)
+    replacing = "with --from and --from-shapes: drop the sliders that FACE has"
+    parser.add_argument("--replace", action="store_true", help=replacing)
     setting = "slider value; may be given again"
     parser.add_argument("--set", action="append", default=[], metavar="SLIDER=VALUE", help=setting)
     parser.add_argument("--mirror", action="store_true", help="with --set: also the slider of the other side")
@@ -47,25 +57,44 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
     parser.add_argument("--flatten", action="store_true", help="write a standalone file")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_shape_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """List, author or set."""
     sets = bool(arguments.set or arguments.reset)
-    if arguments.source is not None and sets:
-        raise InputError("--from", f"given with {'--set' if arguments.set else '--reset'}, expected only one of them")
-    for flag, needed, there in (
-        ("--replace", "--from", arguments.source is not None),
-        ("--mirror", "--set", bool(arguments.set)),
-        ("-o", "--from or --set", arguments.source is not None or sets),
-        ("--flatten", "--from or --set", arguments.source is not None or sets),
-    ):
-        given = arguments.output is not None if flag == "-o" else getattr(arguments, flag.lstrip("-"))
+    makes, authors = arguments.from_shapes is not None, arguments.source is not None
+    ways = [name for name, on in (("--from", authors), ("--from-shapes", makes), (_setting(arguments), sets)) if on]
+    if len(ways) > 1:
+        raise InputError(ways[0], f"given with {ways[1]}, expected only one of them")
+    every = ("--from, --from-shapes or --set", bool(ways))
+    for flag, (needed, there) in {
+        "--replace": ("--from or --from-shapes", authors or makes),
+        "--mirror": ("--set", bool(arguments.set)),
+        "-o": every,
+        "--flatten": every,
+        **dict.fromkeys(shape_flags(arguments), ("--from-shapes", makes)),
+    }.items():
+        given = arguments.output is not None if flag == "-o" else getattr(arguments, flag.lstrip("-"), True)
         if given and not there:
             raise InputError(flag, f"given without {needed}, expected both or neither")
-    if arguments.source is not None:
+    if authors:
         return _author(arguments)
+    if makes:
+        return _make(arguments)
     return _set(arguments) if sets else _list(arguments)
+
+
+def _setting(arguments: argparse.Namespace) -> str:
+    return "--set" if arguments.set else "--reset"
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    out = _output(arguments, [arguments.face, *limit_files(arguments)])
+    report = make(arguments, out)
+    warn(report.warnings)
+    emit({"path": str(out), **dataclasses.asdict(report)}, as_text(out, report), as_json=arguments.json)
+    return 1 if report.left_out else 0
 
 
 def _list(arguments: argparse.Namespace) -> int:

@@ -1,20 +1,27 @@
-"""Sliders of a face: authored from tables, and set."""
+"""Sliders of a face: authored from tables, made from its blendshapes, and set."""
 
 from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
+from facepipe.processors.sliders.from_shapes import SlidersFromShapes
 from facepipe.processors.sliders.recipe import SliderRecipe, read_slider_recipe, slider_recipe
 from facepipe.processors.sliders.rules import Drive, SliderRule
 from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
+from facepipe.processors.sliders.shape_options import ShapeSliderOptions
+from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
 from facepipe.processors.sliders.tables import SliderTable, read_table
 
 __all__ = [
     "AuthorSliders",
     "AuthorSlidersReport",
     "Drive",
+    "MadeSlider",
     "SetSliders",
     "SetSlidersReport",
+    "ShapeSliderOptions",
+    "ShapeSlidersReport",
     "SliderRecipe",
     "SliderRule",
     "SliderTable",
+    "SlidersFromShapes",
     "read_slider_recipe",
     "read_table",
     "slider_recipe",

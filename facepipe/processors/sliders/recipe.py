@@ -11,7 +11,9 @@ from facepipe import __version__
 from facepipe.errors import InputError, SchemaError
 from facepipe.options import from_json, to_json
 from facepipe.parts import Recipe
+from facepipe.processors.sliders.from_shapes import SlidersFromShapes
 from facepipe.processors.sliders.set_sliders import SetSliders
+from facepipe.processors.sliders.shape_recipe import maker_from_json, maker_to_json
 from facepipe.stage.files import relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
@@ -30,14 +32,15 @@ class SliderRecipe:
     """A recipe read back: it does the same to the same face again.
 
     >>> recipe = read_slider_recipe("posed.usda")
-    >>> again = recipe.settings or AuthorSliders(table=read_table(recipe.table), drop=recipe.drop)
+    >>> again = recipe.settings or recipe.shapes or AuthorSliders(table=read_table(recipe.table), drop=recipe.drop)
     >>> with facepipe.open(recipe.face).deriving("again.usda") as face:
     ...     again(face)
     """
 
     face: Path  # absolute, as all files
     table: Path | None  # what was authored; or
-    settings: SetSliders | None  # what was set
+    settings: SetSliders | None  # what was set; or
+    shapes: SlidersFromShapes | None = None  # how sliders were made from the face's blendshapes
     drop: bool = False
     standalone: bool = False  # the result was saved without reference to its face
     warnings: tuple[str, ...] = ()  # sources that have changed since, one line each
@@ -50,20 +53,21 @@ def slider_recipe(
     table: str | os.PathLike[str] | None = None,
     drop: bool = False,
     settings: SetSliders | None = None,
+    shapes: SlidersFromShapes | None = None,
 ) -> Recipe:
     """The recipe to author on the face of a path, saved as `out`: its sources are the face, and the table.
 
-    :raises InputError: a source can't be read, or not one of `table` and `settings`
+    :raises InputError: a source can't be read, or not one of `table`, `settings` and `shapes`
     """
-    if (table is None) == (settings is None):
-        raise InputError(VERB, "a table and settings, or neither, expected one of them")
+    if sum(one is not None for one in (table, settings, shapes)) != 1:
+        raise InputError(VERB, "several of a table, settings and shapes, or none, expected one of them")
     folder = Path(out).absolute().parent
     files = [os.fspath(one) for one in (face, table) if one is not None]
     return Recipe(
         verb=VERB,
         sources=tuple(relative_path(file, folder) for file in files),
         digests=tuple(source_digest(Path(file)) for file in files),
-        options={"drop": drop} if settings is None else to_json(settings),
+        options={"drop": drop} if table is not None else maker_to_json(shapes) if shapes else to_json(settings),  # type: ignore[arg-type]
         version=__version__,
     )
 
@@ -80,7 +84,9 @@ def read_slider_recipe(path: str | os.PathLike[str]) -> SliderRecipe:
     if count > 2:
         raise SchemaError(where, f"{count} sources, expected a face, and a table where one was authored")
     try:
-        settings = _settings(where, recipe.options) if count == 1 else None
+        made = count == 1 and isinstance(recipe.options, Mapping) and "shapes" in recipe.options
+        shapes = maker_from_json(where, recipe.options) if made else None
+        settings = _settings(where, recipe.options) if count == 1 and not made else None
         drop = count == 2 and from_json(TableOptions, recipe.options, where).drop
     except InputError as error:
         raise SchemaError(error.where, error.what) from None
@@ -92,6 +98,7 @@ def read_slider_recipe(path: str | os.PathLike[str]) -> SliderRecipe:
         face=found[0],
         table=found[1] if count == 2 else None,
         settings=settings,
+        shapes=shapes,
         drop=drop,
         standalone=standalone,
         warnings=changed_sources(file, zip(found, recipe.digests, strict=True)),

@@ -119,7 +119,7 @@ def _words(shape: str, pairs: Sequence[tuple[str, str]]) -> _Words:
 def _joined(words: Sequence[str], side: str) -> str:
     """Words in lowerCamelCase, the side last."""
     text = "".join(word[0].upper() + word[1:] for word in words if word)
-    keep = len(text) > 1 and text[:2].isupper()  # AU12
+    keep = len(words[0]) > 1 and words[0][:2].isupper() if words else False  # AU12
     return (text if keep else text[:1].lower() + text[1:]) + side
 
 
