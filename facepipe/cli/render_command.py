@@ -2,6 +2,7 @@
 
 examples:
   facepipe render head.usda -o head.png --view three-quarter --set jawOpen=0.7
+  facepipe render head.usda -o nose.png --slider noseWidth=0.8
   facepipe render head.usda -o moved.png --set jawOpen=1 --heatmap displacement
   facepipe render head.usda -o regions.png --regions
 """
@@ -29,6 +30,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     add_output(parser, "picture to write: .png")
     add_pose(parser)
+    sliders = "slider value, over those that FACE has authored (which count with this alone); may be given again"
+    parser.add_argument("--slider", action="append", default=[], metavar="NAME=VALUE", help=sliders)
     parser.add_argument("--pose", metavar="NAME", help="an animation of the face: its first sample")
     parser.add_argument("--view", choices=VIEWS, default="front", help="default front")
     parser.add_argument("--size", type=int, default=800, help="width and height [pixels] (default 800)")
@@ -73,8 +76,10 @@ def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Pa
 
 
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
-    """(n, 3) points that `--set`, `--bone` and `--pose` ask for."""
+    """(n, 3) points that `--set`, `--bone`, `--slider` and `--pose` ask for."""
     weights = pairs(arguments.set, "--set")
+    if arguments.slider:
+        return _slid(face, weights, arguments)
     coefficients = coefficients_of(arguments.bone, face.skeleton.joints)
     if arguments.pose is None:
         return face.evaluate(weights, coefficients=coefficients)
@@ -82,6 +87,13 @@ def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
         raise InputError("--bone", "given with --pose, expected only one of them")
     transforms, own = face.sample(arguments.pose)
     return face.evaluate({**own, **weights}, joint_transforms=transforms)
+
+
+def _slid(face: Face, weights: dict[str, float], arguments: argparse.Namespace) -> FloatArray:
+    for flag, given in (("--bone", arguments.bone), ("--pose", arguments.pose)):
+        if given:
+            raise InputError(flag, "given with --slider, expected only one of them")
+    return face.evaluate(weights, sliders=pairs(arguments.slider, "--slider"))
 
 
 def _heatmap(face: Face, points: FloatArray, name: str | None) -> HeatMap | None:
