@@ -22,6 +22,7 @@ FloatArray = npt.NDArray[np.floating]
 
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one
+_SHARED = 80  # steps at most that targets share
 _STRAIGHT = 40  # steps: a fit that takes more may have lost its way
 _NEAR = 1e-2  # slope: an optimum is so near that what leads there matters little
 _MANY = 64  # targets at a time
@@ -125,7 +126,7 @@ class BoneFit:
         """The fits of (K, n, 3)."""
         if self.sparsity > 0:
             return [self._sparse(target, start) for target in targets]
-        ends = fit_together(self._shared(), targets, start, min(self.steps, _STRAIGHT), self.threshold)
+        ends = fit_together(self._shared(), targets, start, min(self.steps, _SHARED), self.threshold)
         return [self._finished(target, start, shared) for target, shared in zip(targets, ends, strict=True)]
 
     def _finished(self, target: FloatArray, start: FloatArray, shared: Fitted) -> Fitted:

@@ -26,6 +26,7 @@ _FLAT = 1e-6  # of the largest diagonal element: what the damping of others is r
 _ENOUGH = 0.1  # of the threshold: root of the mean square at which steps end that don't see the largest distance
 _MEMORY = 12  # pairs of changes of coefficients and gradients
 _ARMIJO = 1e-4
+_HELD_ROUNDS = 4
 _SHORTEST = 1 / 32
 _CURVED = 1e-10  # cosine of a pair: a lower one is no curvature
 _TINY = np.finfo(np.float64).tiny
@@ -63,17 +64,18 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
     ends, taken, slopes = states.x.copy(), np.zeros(len(targets), dtype=np.int64), np.zeros(len(targets))
     enough = 0.5 * np.square(_ENOUGH * threshold) * float(shared.weights.sum())
     for step in range(steps + 1):
-        slope, inside = objective.slope(states)
+        slope = objective.slope(states)
         ends[states.rows], slopes[states.rows], taken[states.rows] = states.x, slope, step
         going = (slope > SETTLED) & (states.objective > enough)
-        states, inside = states.of(going), inside[going]
+        states = states.of(going)
         memory.keep(going)
         if not len(states.rows) or step == steps:
             break
-        ahead, better = _searched(objective, states, memory.direction(states.gradient, inside))
+        ahead, better = _searched(objective, states, _direction(objective, memory, states))
         memory.add(ahead.x - states.x, ahead.gradient - states.gradient)
-        memory.keep(better)
-        states = ahead.of(better)
+        going = better | memory.forget(~better)
+        memory.keep(going)
+        states = ahead.of(going)
     found = zip(targets, shared.variables.expanded(ends, start), taken, slopes, strict=True)
     return [_fitted(shared, target, own, int(steps), float(slope)) for target, own, steps, slope in found]
 
@@ -97,6 +99,11 @@ class _States:
     def of(self, chosen: BoolArray) -> _States:
         """Of fewer targets."""
         return _States(self.rows[chosen], self.x[chosen], self.objective[chosen], self.gradient[chosen])
+
+    def put(self, chosen: BoolArray, others: _States) -> None:
+        """In place, the `others` where they are chosen."""
+        for own, other in zip(vars(self).values(), vars(others).values(), strict=True):
+            own[chosen] = other
 
 
 class _Objective:
@@ -127,28 +134,48 @@ class _Objective:
             gradient += shared.pull * strain
         return _States(rows, x, objective, shared.variables.gradient(gradient))
 
-    def slope(self, states: _States) -> tuple[FloatArray, BoolArray]:
-        """(k,) the largest cosines, and (k, v) which unknowns no limit holds."""
-        held = (states.x <= self.low) & (states.gradient >= 0)
-        held |= (states.x >= self.high) & (states.gradient <= 0)
-        largest = np.abs(states.gradient / self._shared.metric * ~held).max(axis=1, initial=0.0)
-        return np.asarray(largest / np.sqrt(2.0 * np.maximum(states.objective, _TINY))), ~held
+    def held(self, states: _States, uphill: FloatArray) -> BoolArray:
+        """(k, v) unknowns at a limit beyond which it goes down by (k, v)."""
+        low = (states.x <= self.low) & (uphill > 0)
+        return np.asarray(low | ((states.x >= self.high) & (uphill < 0)))
+
+    def slope(self, states: _States) -> FloatArray:
+        """(k,) the largest cosines."""
+        free = ~self.held(states, states.gradient)
+        largest = np.abs(states.gradient / self._shared.metric * free).max(axis=1, initial=0.0)
+        return np.asarray(largest / np.sqrt(2.0 * np.maximum(states.objective, _TINY)))
+
+
+def _direction(objective: _Objective, memory: _Memory, states: _States) -> FloatArray:
+    """(k, v) where to go; unknowns at a limit that would go beyond it are held, and the others follow."""
+    inside = ~objective.held(states, states.gradient)
+    for _ in range(_HELD_ROUNDS):
+        direction = memory.direction(states.gradient, inside)
+        beyond = inside & objective.held(states, -direction)
+        if not beyond.any():
+            break
+        inside &= ~beyond
+    return direction
 
 
 def _searched(objective: _Objective, states: _States, direction: FloatArray) -> tuple[_States, BoolArray]:
-    """The states along (k, v) directions, bent at the limits and halved until they are better; (k,) which are."""
+    """The states along (k, v) directions, bent at the limits and halved until they are better; (k,) which are.
+
+    The others stay where they were.
+    """
     length = 1.0
     ahead = objective.at(states.rows, np.clip(states.x + direction, objective.low, objective.high))
     while True:
         fall = (states.gradient * (ahead.x - states.x)).sum(axis=1)
         worse = ~(ahead.objective < states.objective + np.minimum(_ARMIJO * fall, 0.0))
         length *= 0.5
-        if not worse.any() or length < _SHORTEST:
+        if not worse.any():
+            return ahead, ~worse
+        if length < _SHORTEST:
+            ahead.put(worse, states.of(worse))
             return ahead, ~worse
         shorter = np.clip(states.x[worse] + length * direction[worse], objective.low, objective.high)
-        again = objective.at(states.rows[worse], shorter)
-        for own, other in zip(vars(ahead).values(), vars(again).values(), strict=True):
-            own[worse] = other
+        ahead.put(worse, objective.at(states.rows[worse], shorter))
 
 
 class _Memory:
@@ -162,6 +189,14 @@ class _Memory:
         """Go on with fewer targets."""
         if not chosen.all():
             self._pairs = [(x[chosen], gradient[chosen]) for x, gradient in self._pairs]
+
+    def forget(self, chosen: BoolArray) -> BoolArray:
+        """Start anew with some targets; (k,) of which of them there was something to forget."""
+        known = np.zeros(len(chosen), dtype=np.bool_)
+        for x, change in self._pairs if chosen.any() else ():
+            known |= chosen & x.any(axis=1)
+            x[chosen], change[chosen] = 0.0, 0.0
+        return known
 
     def add(self, x: FloatArray, gradient: FloatArray) -> None:
         """What one step (k, v) changed of the gradient."""
