@@ -17,7 +17,7 @@ examples:
   facepipe sliders head.usda
   facepipe sliders head.usda --from table.toml -o controls.usda
   facepipe sliders head.usda --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
-  facepipe sliders head.usda --set noseWidth=0.8 --set browHeightLeft=1 --mirror -o person.usda
+  facepipe sliders head.usda --set noseWidth=0.8 --set browArchLeft=1 --mirror -o person.usda
 """
 
 from __future__ import annotations
