@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +54,11 @@ def response(curve: Curve | None, value: float, default: float) -> float:
     """What the gain of an entry is multiplied by at a slider value that is in range."""
     if curve is None:
         return value - default
-    return float(np.interp(value, *np.array(curve, dtype=np.float64).T))
+    after = bisect_right(curve, value, key=itemgetter(0))
+    if after in (0, len(curve)):
+        return float(curve[max(after - 1, 0)][1])
+    (low, first), (high, last) = curve[after - 1 : after + 1]
+    return float(first + (last - first) * ((value - low) / (high - low)))
 
 
 def channel_entries(slider: Slider) -> Iterator[tuple[tuple[str, str, float], Curve | None]]:
@@ -94,6 +101,7 @@ def with_mutual_mirrors(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
     return tuple(one if mirror_fault(one, sliders) is None else replace(one, mirror=None) for one in sliders)
 
 
+@lru_cache(maxsize=1 << 14)
 def curve_fault(curve: Curve) -> str | None:
     """What is wrong with a curve in float32, which files hold: what was found and expected; None where it is whole."""
     if len(curve) < 2 or any(len(knot) != 2 for knot in curve):
