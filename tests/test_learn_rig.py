@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from import_data import shared
+from learned import torch
 from oracle import random_coefficients
 
 from facepipe.errors import InputError
 from facepipe.importers import load
+from facepipe.learn.fixed_matrix import FixedMatrix
+from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
 from facepipe.sample import make
-
-torch = pytest.importorskip("torch")
-
-from facepipe.learn.fixed_matrix import FixedMatrix  # noqa: E402
-from facepipe.learn.rig import DifferentiableRig  # noqa: E402
 
 
 @cache

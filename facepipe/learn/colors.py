@@ -1,0 +1,85 @@
+"""The colours of a face's materials at the pixels that show them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from facepipe.errors import InputError
+from facepipe.learn.rasterise import Raster, interpolate
+from facepipe.learn.rows import take
+from facepipe.learn.surfaces import Surfaces
+from facepipe.learn.texture import bilinear
+from facepipe.parts import TextureInput
+
+
+class SurfaceColors:
+    """Linear diffuse colours: one a material, or a texture."""
+
+    def __init__(self, surfaces: Surfaces, largest: int, dtype: torch.dtype, device: torch.device | str) -> None:
+        """
+        :param largest: pixels a side beyond which textures are halved
+        :raises InputError: a texture that can't be read as an image
+        """
+        self.names = surfaces.names
+        self.colors = torch.as_tensor(surfaces.colors, dtype=dtype, device=device)
+        self.textures: dict[str, Tensor] = {}
+        self._inputs = {
+            i: source for i, source in enumerate(surfaces.textures) if source and (surfaces.materials == i).any()
+        }
+        for i, source in self._inputs.items():
+            self.textures[self.names[i]] = torch.as_tensor(linear_texels(source, largest), dtype=dtype, device=device)
+        self._materials = torch.as_tensor(surfaces.materials, device=device)
+        self._uv = torch.as_tensor(surfaces.uv, dtype=dtype, device=device)
+        self._corners = torch.as_tensor(surfaces.uv_corners, device=device)
+
+    def __call__(
+        self, raster: Raster, weights: Tensor, tint: Tensor | None = None, textures: Mapping[str, Tensor] | None = None
+    ) -> Tensor:
+        """(p, 3) colours at the covered pixels.
+
+        :param weights: (p, 3) barycentric coordinates
+        :param tint: (m, 3) what the colour of each material is multiplied by
+        :param textures: (h, w, 3) linear texels instead of a material's own, by its name
+        """
+        material = self._materials[raster.triangles]
+        result = take(self.colors if tint is None else self.colors * tint, material)
+        images = {**self.textures, **(textures or {})}
+        for number, source in self._inputs.items():
+            pixels = (material == number).nonzero()[:, 0]
+            if not len(pixels):
+                continue
+            part = Raster(
+                height=raster.height,
+                width=raster.width,
+                pixels=raster.pixels[pixels],
+                triangles=raster.triangles[pixels],
+                nearness=raster.nearness,
+            )
+            uv = interpolate(self._uv, self._corners, part, weights.index_select(0, pixels))
+            texels = bilinear(images[self.names[number]], uv, source.wrap_s, source.wrap_t)
+            factor = torch.ones_like(result).index_copy(0, pixels, texels)
+            result = result * factor
+        return result
+
+
+def linear_texels(source: TextureInput, largest: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """(h, w, 3) linear colours of a texture's input, top row first: 8-bit sRGB decoded (IEC 61966-2-1).
+
+    :raises InputError: the bytes are not an image that can be read
+    """
+    from PIL import Image
+
+    try:
+        image = Image.open(io.BytesIO(source.texture.data)).convert("RGB")
+        factor = max(1, max(image.size) // max(largest, 1))
+        pixels = np.asarray(image.reduce(factor) if factor > 1 else image)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"texture {source.texture.name}", f"can't be read as an image: {error}") from error
+    levels = np.arange(256) / 255.0
+    table = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+    return np.asarray((table[pixels] * source.scale[:3] + source.bias[:3]).astype(np.float32))

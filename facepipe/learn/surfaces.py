@@ -1,0 +1,96 @@
+"""The opaque triangles of a face with their materials, ready to draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import TopologyError
+from facepipe.geometry.polygons import triangulate
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surfaces:
+    """Triangles of all meshes, points numbered in mesh order."""
+
+    triangles: IntArray  # (t, 3) point numbers, counter-clockwise outside
+    materials: IntArray  # (t,) into `names`
+    names: tuple[str, ...]  # of the materials; "" for surfaces without one
+    colors: FloatArray  # (m, 3) linear, of each material; (1, 1, 1) where it has a texture
+    textures: tuple[TextureInput | None, ...]  # (m,) diffuse textures
+    uv: FloatArray  # (u, 2) texture coordinates, v up
+    uv_corners: IntArray  # (t, 3) rows of `uv`
+
+
+def opaque_surfaces(parts: FaceParts) -> Surfaces:
+    """Everything with an opacity of 1; what lets light through, like corneas and lashes on cards, is left out.
+
+    :raises TopologyError: a mesh refers to materials that are not there
+    """
+    materials = (Material(name=""), *parts.materials)
+    number = {material.name: i for i, material in enumerate(materials)}
+    pieces = []
+    uv: list[FloatArray] = [np.zeros((1, 2))]
+    first = 0
+    for mesh in parts.meshes:
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        own = _materials(mesh, number)[faces]
+        opaque = np.array([material.opacity == 1.0 for material in materials])[own]
+        corners, own = corners[opaque], own[opaque]
+        points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
+        pieces.append((points + first, own, _uv_rows(mesh, corners, points, materials, own, uv)))
+        first += len(mesh.points)
+    pieces.append((np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64)))
+    triangles, of_triangle, uv_corners = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    textures = tuple(one.diffuse_color if isinstance(one.diffuse_color, TextureInput) else None for one in materials)
+    plain = [(1.0, 1.0, 1.0) if isinstance(one.diffuse_color, TextureInput) else one.diffuse_color for one in materials]
+    return Surfaces(
+        triangles=triangles,
+        materials=of_triangle,
+        names=tuple(material.name for material in materials),
+        colors=np.array(plain, dtype=np.float64),
+        textures=textures,
+        uv=np.concatenate(uv),
+        uv_corners=uv_corners,
+    )
+
+
+def _materials(mesh: Mesh, number: dict[str, int]) -> IntArray:
+    """(faces,) material of each face."""
+    bound = [(mesh.material or "", np.arange(len(mesh.face_vertex_counts)))]
+    bound += [(one.material, np.asarray(one.faces, dtype=np.int64)) for one in mesh.material_faces]
+    own = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
+    for name, faces in bound:
+        if name not in number:
+            raise TopologyError(mesh.name, f"material '{name}' is not among the face's materials")
+        own[faces] = number[name]
+    return own
+
+
+def _uv_rows(
+    mesh: Mesh,
+    corners: IntArray,
+    points: IntArray,
+    materials: tuple[Material, ...],
+    own: IntArray,
+    table: list[FloatArray],
+) -> IntArray:
+    """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
+    rows = np.zeros(corners.shape, dtype=np.int64)
+    for uv_set in mesh.uv_sets:
+        used = [i for i, one in enumerate(materials) if _reads(one, uv_set.name)]
+        chosen = np.isin(own, used)
+        within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
+        rows[chosen] = within[chosen] + sum(map(len, table))
+        table.append(np.asarray(uv_set.values, dtype=np.float64))
+    return rows
+
+
+def _reads(material: Material, uv_set: str) -> bool:
+    return isinstance(material.diffuse_color, TextureInput) and material.diffuse_color.uv_set == uv_set

@@ -1,0 +1,14 @@
+"""torch for tests: skips the file that asks for it where it is not installed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+torch.set_num_threads(1)  # tests run side by side, one on each core
+
+
+def tensor(values: object, **options: object) -> torch.Tensor:
+    """A float64 tensor."""
+    return torch.tensor(np.asarray(values, dtype=np.float64), **options)
