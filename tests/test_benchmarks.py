@@ -94,3 +94,16 @@ def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: P
     if "py-dem-bones" not in result["skipped"]:
         rigid = six["best"]
         assert rigid["plain"]["rms_mm"] <= (1 + 1e-4) * rigid["dem-bones"]["rms_mm"], "the same least squares"
+
+
+def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    out = tmp_path / "out.json"
+    printed = run("--runs", "1", "--size", "64", "--threads", "1", "--json", out, benchmark="photo_fit.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    seconds = {row["step"]: row["processor_s"] for row in result["rows"]}
+    assert 15_000 < result["triangles"] < 25_000
+    assert set(seconds) == {
+        f"{step} {way}" for step in ("rig", "image", "whole") for way in ("forward", "forward + backward")
+    }
+    assert all(name in printed for name in seconds)
