@@ -28,7 +28,7 @@ _KEPT = 0.5  # of the slope: what a step may leave of it for the model to stay
 _SLOW = 0.2  # fall of the objective, relative: below it a model takes in the curvature
 _FLAT = 1e-9  # of the largest diagonal element: damping of coefficients that move nothing
 _ROUNDING = 1e-13  # of the objective: differences that mean nothing
-SETTLED = 1e-7  # cosine between what is left and what the coefficients can still do about it
+SETTLED = 2e-7  # cosine between what is left and what the coefficients can still do about it
 
 
 @dataclass(frozen=True)
