@@ -195,3 +195,11 @@ def test_limits_of_the_rig_that_cross_are_named(folder: Path, capsys: Capsys) ->
     saved(replace(small(), bone_limits=BoneLimits(lower=lower, upper=upper)), Path("limited.usda"))
     line = failed(capsys, "limited.usda", "--target", "jawOpen", "-o", "a.usda")
     assert "bone limits -> root/jaw -> ry: lower limit 0.5 above the upper 0.25" in line
+
+
+@pytest.mark.parametrize(("option", "suffix"), [("--coefficients", ".fpb"), ("--heatmap", ".png")])
+def test_where_one_file_cannot_be_written_none_is(folder: Path, capsys: Capsys, option: str, suffix: str) -> None:
+    before, name = sorted(folder.rglob("*")), 250 * "a" + suffix  # a name that is too long shows late
+    message = failed(capsys, "rig.usda", "--target", "goal.usda", "-o", "a.usda", option, name)
+    assert message.startswith(f"{name}: can't be written")
+    assert sorted(folder.rglob("*")) == before

@@ -154,7 +154,7 @@ def test_half_scales_hardly_cost_points(name: str) -> None:
     one, found = report.targets["nose"].residual, coefficients(face, "nose")[0]
     assert one is not None
     least, most = (off(rig, values, target, threshold) for values in (exact, plain))
-    assert one.points == off(rig, found, target, threshold)
+    assert one.points == off(face.rig(), found, target, threshold)
     assert most > least + 100
     assert one.points - least <= 0.2 * (most - least)
     assert ((lower <= found) & (found <= upper)).all()

@@ -28,10 +28,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from facepipe.atomic import replacing
 from facepipe.cli.fit_bones_request import Request, request_of
 from facepipe.cli.fit_bones_text import as_text
 from facepipe.cli.parser import add_options, check_input
@@ -41,10 +44,8 @@ from facepipe.errors import FacepipeError, InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from PIL.Image import Image
-
     from facepipe.parts import FaceParts
-    from facepipe.payload import PayloadContent, Precision
+    from facepipe.payload import Precision
     from facepipe.processors.fit_bones import FitBones, FitBonesReport, Target
     from facepipe.stage import Face
 
@@ -99,17 +100,12 @@ def run(arguments: argparse.Namespace) -> int:
     result = {"path": str(request.out), **json.loads(report.to_json())}
     result["warnings"] = [*request.warnings, *report.warnings]
     text = [as_text(request.out, report)]
-    if made.picture is not None and request.picture is not None:
-        from facepipe.render import save_png
-
-        save_png(made.picture, request.picture)
+    if made.drawn:
         result["picture"] = str(request.picture)
         text.append(str(request.picture))
-    if made.payload is not None and request.payload is not None:
-        from facepipe.processors.bone_payload import write_payload
-
-        result["coefficients"] = json.loads(write_payload(request.payload, made.payload, face.rig()).to_json())
-        text.append(f"{request.payload}: {result['coefficients']['bytes']:,} bytes")
+    if made.payload is not None:
+        result["coefficients"] = made.payload
+        text.append(f"{request.payload}: {made.payload['bytes']:,} bytes")
     emit(result, "\n".join(text), as_json=arguments.json)
     return 1 if report.missed else 0
 
@@ -126,37 +122,56 @@ def _load(path: Path, face: Face) -> FaceParts:
 
 
 class _Made(NamedTuple):
-    """What is on the saved stage, and what to write beside it."""
+    """What is on the saved stage, and beside it."""
 
     report: FitBonesReport
-    picture: Image | None
-    payload: PayloadContent | None
+    drawn: bool
+    payload: dict[str, Any] | None  # report of the payload
 
 
 def _author(face: Face, fit: FitBones, targets: Sequence[Target], request: Request, precision: Precision) -> _Made:
-    """Fit and save; picture and payload are made before anything is saved."""
+    """Fit and save: the stage, picture and payload, or none of them."""
     from facepipe.processors.fit_bones import fit_bones_recipe
     from facepipe.stage import Face
 
     recipe = fit_bones_recipe(request.rig, request.targets, request.out, fit, request.initial)
-    frames = sum(len(target.points) for target in targets)
-    with face.deriving(request.out, flatten=request.flatten) as derived:
+    frames, payload = sum(len(target.points) for target in targets), None
+    with ExitStack() as files:
+        picture, coefficients = (
+            None if path is None else files.enter_context(replacing(path))
+            for path in (request.picture, request.payload)
+        )
+        derived = files.enter_context(face.deriving(request.out, flatten=request.flatten))
         try:
             with progress("fit", frames) as bar:
                 report = fit(derived, targets, recipe=recipe, done=bar.update)
         except FacepipeError as error:  # the layer being made has no file yet: name its source
             raise error.under(request.rig) if error.where.startswith(("<", "/")) else error from None
         result = Face(derived.stage, derived.prim)
-        image = None if request.picture is None else _draw(result, targets, report)
-        payload = None if request.payload is None else _payload(result, report, precision, request.payload)
-    return _Made(report, image, payload)
+        if picture is not None and request.picture is not None:
+            with _named(request.picture):
+                _draw(result, targets, report, picture)
+        if coefficients is not None and request.payload is not None:
+            with _named(request.payload):
+                payload = _payload(result, report, precision, coefficients)
+            payload["path"] = str(request.payload)
+    return _Made(report, picture is not None, payload)
 
 
-def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport) -> Image:
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors about a temporary file, as those of the file that it is for."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(path, error.what) from None
+
+
+def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport, path: Path) -> None:
     """The targets that bones miss most, in the pose of their worst frame, on one scale."""
     import numpy as np
 
-    from facepipe.render import HeatMap, PictureOptions, contact_sheet, picture
+    from facepipe.render import HeatMap, PictureOptions, contact_sheet, picture, save_png
 
     order = sorted(zip(targets, report.targets.items(), strict=True), key=lambda pair: -pair[1][1].distances.max_mm)
     largest = max(order[0][1][1].distances.max_mm, report.threshold_mm)
@@ -168,14 +183,15 @@ def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport) -> Imag
         heatmap = HeatMap(values=off[worst], label=name, range=(0.0, float(largest)))
         image = picture(parts, posed[worst], PictureOptions(heatmap=heatmap))
         images.append((f"{name}: {one.distances.max_mm:.3g} mm", image))
-    return images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images)))
+    save_png(images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images))), path)
 
 
-def _payload(face: Face, report: FitBonesReport, precision: Precision, where: Path) -> PayloadContent:
-    """The coefficients on the stage: one clip, one pose, or one pose a target."""
+def _payload(face: Face, report: FitBonesReport, precision: Precision, path: Path) -> dict[str, Any]:
+    """Write the coefficients on the stage: one clip, one pose, or one pose a target."""
     import numpy as np
 
-    from facepipe.payload import PayloadContent, encode
+    from facepipe.payload import PayloadContent
+    from facepipe.processors.bone_payload import write_payload
 
     found = {one.name: one for one in face.animations}
     poses = [found[name] for name in report.targets]
@@ -188,8 +204,5 @@ def _payload(face: Face, report: FitBonesReport, precision: Precision, where: Pa
         meters_per_unit=face.meters_per_unit,
         precision=precision,
     )
-    try:
-        encode(content)
-    except InputError as error:
-        raise error.under(where) from None
-    return content
+    written: dict[str, Any] = json.loads(write_payload(path, content, face.rig()).to_json())
+    return written
