@@ -1,0 +1,48 @@
+"""What a fit to photos found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+Stopped = Literal["iterations", "loss-threshold", "no-progress", "not-finite"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedCamera:
+    """A pinhole camera: ``camera point = R(rotation) world point + translation``, as `facepipe.learn.camera`."""
+
+    rotation: FloatArray  # (3,) rotation vector, radians
+    translation: FloatArray  # (3,) stage units
+    focal: float  # pixels of the photo
+    center: tuple[float, float]  # principal point, pixels of the photo from its top left corner
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedView:
+    """One photo as the fit sees it."""
+
+    expressions: Mapping[str, float]  # shape -> weight, of the shapes that were free
+    camera: FittedCamera
+    light: FloatArray  # (9, 3) spherical harmonics in camera coordinates, as `facepipe.learn.light`
+    landmarks: FloatArray  # (68, 2) of the fitted face, pixels of the photo
+    targets: FloatArray  # (68, 2) that the fit was given
+    landmark_error: float  # mean distance of the two, pixels; contour points count across the contour
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFit:
+    """A person in terms of a face's sliders, and what each photo adds to that."""
+
+    sliders: Mapping[str, float]  # name -> value in the slider's range, of the sliders that were free
+    views: tuple[FittedView, ...]
+    tint: Mapping[str, tuple[float, float, float]]  # material -> linear factor of its colour
+    history: tuple[Mapping[str, float], ...]  # by step: "total" and each weighted term of the joint loss
+    steps: int  # of gradient descent that were made; the result is the best of them
+    stopped: Stopped
+    warnings: tuple[str, ...] = ()
