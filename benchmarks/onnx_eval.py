@@ -18,9 +18,9 @@ few bytes, like MakeHuman without targets, is bound by its nodes and arithmetic,
 A second table, in microseconds, is of graphs of sliders (`facepipe export --sliders`); aim: 100 on one thread.
 
   moving  joints that some slider moves; the others are constants in the graph
-  onnx    onnxruntime `run`: coefficients, joint matrices and morph weights
+  onnx    onnxruntime `run`: coefficients, skinning matrices and morph weights
   points  the same and the points
-  rig     facepipe's own coefficients and joint matrices: numpy float64
+  rig     facepipe's own coefficients and skinning matrices: numpy float64
 """
 
 # ruff: noqa: E402  (threads are pinned before numpy is imported)

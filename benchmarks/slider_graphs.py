@@ -39,7 +39,7 @@ class SliderRow:
     onnx_cold: float  # after 256 MB of other work
     points: float  # the same with the option points
     rig: float  # facepipe.rig.slide and the joint tree, numpy float64
-    error: float  # largest difference of joint matrices to the rig, in head heights
+    error: float  # largest difference of skinning matrices to the rig, in head heights
 
 
 def slider_rows(makehuman: FaceParts | None, runs: int, other: np.ndarray[Any, Any]) -> list[SliderRow]:
@@ -72,7 +72,7 @@ def _measure(name: str, parts: FaceParts, runs: int, other: np.ndarray[Any, Any]
         path, with_points = Path(folder) / "sliders.onnx", Path(folder) / "points.onnx"
         report = export_parts(parts, path, Options(sliders=True))
         export_parts(parts, with_points, Options(sliders=True, points=True))
-        found = Deformer(path).evaluate(sliders=values)["joint_matrices"]
+        found = Deformer(path).evaluate(sliders=values)["skinning_matrices"]
         sessions = [start(path), start(with_points)]
     feeds = {"sliders": np.array([list(values.values())], np.float32)}
     if rig.shapes:

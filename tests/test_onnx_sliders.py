@@ -56,7 +56,7 @@ def check(one: Made, values: dict[str, float], weights: dict[str, float], *, ble
     assert errors[:3].max() < TOLERANCE * height
     assert errors[3:].max() < TOLERANCE
     matrices = one.rig.joint_worlds(one.rig.rest @ coefficient_matrices(coefficients)) @ one.rig.inverse_bind
-    assert np.abs(found["joint_matrices"] - matrices).max() < TOLERANCE * height
+    assert np.abs(found["skinning_matrices"] - matrices).max() < TOLERANCE * height
     if one.rig.shapes:
         activations = one.rig.activations(one.rig.weight_vector(total))
         assert np.abs(found["morph_weights"] - activations).max() < TOLERANCE
@@ -68,12 +68,12 @@ def check(one: Made, values: dict[str, float], weights: dict[str, float], *, ble
 
 
 def blended(one: Made, found: dict[str, np.ndarray]) -> np.ndarray:
-    """(n, 3) points as a GPU makes them of morph weights and joint matrices."""
+    """(n, 3) points as a GPU makes them of morph weights and skinning matrices."""
     points = one.rig.points
     if one.rig.targets:
         points = points + (one.rig.deltas @ found["morph_weights"].astype(np.float64)).reshape(-1, 3)
     own = one.rig.parent_world[None]
-    return one.rig.skin(points, np.concatenate([found["joint_matrices"].astype(np.float64), own]))
+    return one.rig.skin(points, np.concatenate([found["skinning_matrices"].astype(np.float64), own]))
 
 
 @pytest.mark.parametrize("name", FACES)
@@ -202,7 +202,7 @@ def test_joints_that_nothing_moves_are_constants(joints: tuple[str, ...], parent
         found = one.graph.evaluate(sliders=dict.fromkeys(one.graph.sliders, 0.8), parent=body)
         coefficients, weights = slide(one.parts.sliders, one.rig.joints, dict.fromkeys(one.graph.sliders, 0.8))
         worlds = one.rig.joint_worlds(one.rig.local_transforms(coefficients), body)
-        assert np.abs(found["joint_matrices"] - worlds @ one.rig.inverse_bind).max() < 1e-5
+        assert np.abs(found["skinning_matrices"] - worlds @ one.rig.inverse_bind).max() < 1e-5
         expected = one.rig.evaluate(weights, coefficients=coefficients, parent_world=body)
         assert np.abs(found["points"] - expected).max() < TOLERANCE * one.face.head_height * np.abs(body).max()
 
@@ -221,7 +221,7 @@ def test_moving_fewer_joints_takes_a_smaller_graph(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("up_axis", ["Y", "Z"])
 def test_drives_the_vertices_of_the_glb(up_axis: str, tmp_path: Path) -> None:
-    """Joint matrices and morph weights applied to what the GLB holds, by the recipe in the sidecar."""
+    """Skinning matrices and morph weights applied to what the GLB holds, by the recipe in the sidecar."""
     parts = tiny_face()
     turned = np.eye(4)
     turned[:3, :3] = [[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
@@ -239,14 +239,14 @@ def test_drives_the_vertices_of_the_glb(up_axis: str, tmp_path: Path) -> None:
     facepipe_gltf.export(one.face, tmp_path / "face.glb")
     glb = gltf_reader.read(tmp_path / "face.glb")
     outputs = {entry["name"]: entry for entry in one.graph.metadata["outputs"]}
-    described = outputs["joint_matrices"]
+    described = outputs["skinning_matrices"]
     for values in ({"jaw": 0.6, "smile": 0.9}, {"jaw": 1.0, "smile": 0.2}):
         found = one.graph.evaluate({"jawOpen": 0.1}, sliders=values)
         numbers = one.graph.metadata["meshes"][0]["targets"]
         names = [outputs["morph_weights"]["targets"][number]["name"] for number in numbers]
         assert names == glb.targets("Head")
         back = np.array(described["skeleton_from_gltf"])
-        matrices = np.array(described["gltf_from_world"]) @ found["joint_matrices"] @ back
+        matrices = np.array(described["gltf_from_world"]) @ found["skinning_matrices"] @ back
         skin = glb.list("skins")[0]
         assert [path.rpartition("/")[2] for path in described["joints"]] == glb.joint_names()
         worlds = glb.worlds()
@@ -277,12 +277,12 @@ def test_a_face_without_shapes(tmp_path: Path) -> None:
     bare = tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes)
     slider = Slider(name="jaw", channels=(("root/jaw", "rx", 0.5),))
     one = made(replace(parts, meshes=bare, sliders=(slider,)), tmp_path, points=True)
-    assert one.graph.outputs == ("coefficients", "joint_matrices", "points")
+    assert one.graph.outputs == ("coefficients", "skinning_matrices", "points")
     check(one, {"jaw": 0.4}, {})
 
 
 def test_skeleton_alone(tmp_path: Path) -> None:
-    """Joint matrices need no mesh."""
+    """Skinning matrices need no mesh."""
     parts = tiny_face()
     slider = Slider(name="jaw", channels=(("root/jaw", "rx", 0.5),))
     skeleton = Skeleton(

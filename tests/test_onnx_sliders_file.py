@@ -59,7 +59,7 @@ def test_graph_keeps_to_the_convention(points: bool, tmp_path: Path) -> None:
     assert {node.op_type for node in model.graph.node} <= ALLOWED
     assert {value.type.tensor_type.elem_type for value in (*model.graph.input, *model.graph.output)} == {1}
     assert [value.name for value in model.graph.input] == ["sliders", "weights", "parent"]
-    outputs = ["coefficients", "joint_matrices", "morph_weights", *(["points"] if points else [])]
+    outputs = ["coefficients", "skinning_matrices", "morph_weights", *(["points"] if points else [])]
     assert [value.name for value in model.graph.output] == outputs
     assert validate(path) == ()
 
@@ -89,7 +89,7 @@ def test_sidecar_is_the_metadata_and_tells_the_sliders(exported: Path) -> None:
     assert smile["shape_curves"] == [None, [list(knot) for knot in CURVE]]
     outputs = {one["name"]: one for one in beside["outputs"]}
     joints = ["root", "root/jaw", "root/jaw/lip"]
-    assert outputs["joint_matrices"]["joints"] == outputs["coefficients"]["joints"] == joints
+    assert outputs["skinning_matrices"]["joints"] == outputs["coefficients"]["joints"] == joints
     assert len(outputs["coefficients"]["units"]) == 9
     names = [one["name"] for one in outputs["morph_weights"]["targets"]]
     assert sorted(names) == ["jawOpen", "jawOpen", "jawOpen_half", "mouthSmileLeft"]  # Teeth have no inbetween
@@ -213,7 +213,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert main(["eval", str(model), *words, "-o", str(out)]) == 0
     expected = Deformer(model).evaluate({"jawOpen": 0.1}, sliders={"jawRight": 0.5, "smile": 1.0})
     with np.load(out) as arrays:
-        assert set(arrays) == {"coefficients", "joint_matrices", "morph_weights", "points"}
+        assert set(arrays) == {"coefficients", "skinning_matrices", "morph_weights", "points"}
         for name, values in expected.items():
             assert np.array_equal(arrays[name], values)
     capsys.readouterr()

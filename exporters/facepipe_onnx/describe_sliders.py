@@ -17,8 +17,8 @@ CONVENTIONS = {
     "sliders": "clamped to their ranges; what each adds to channels and shapes is gain * (value - default), or "
     "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond",
     "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
-    "joint_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
-    "For vertices of the face's GLB, not quantised: gltf_from_world @ joint matrix @ skeleton_from_gltf",
+    "skinning_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
+    "For vertices of the face's GLB, not quantised: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
     "morph_weights": "activations of the morph targets, inbetweens among them; meshes[i].targets numbers those of a "
     "mesh in the order of its GLB targets",
 }
@@ -68,7 +68,7 @@ def output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Jso
     own: Json = {"name": name, "shape": list(shape), "type": "float32"}
     if name == "coefficients":
         return own | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": units()}
-    if name == "joint_matrices":
+    if name == "skinning_matrices":
         world = _gltf_from_world(parts)
         back = np.linalg.inv(world @ rig.parent_world)
         return own | {

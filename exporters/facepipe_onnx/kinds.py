@@ -28,7 +28,7 @@ DEFORMER = Kind(
 SLIDERS = Kind(
     "facepipe sliders",
     frozenset({"sliders", "weights", "parent"}),
-    frozenset({"coefficients", "joint_matrices", "morph_weights", "points", "normals"}),
-    frozenset({"sliders", "coefficients", "joint_matrices"}),
+    frozenset({"coefficients", "skinning_matrices", "morph_weights", "points", "normals"}),
+    frozenset({"sliders", "coefficients", "skinning_matrices"}),
 )
 KINDS = (DEFORMER, SLIDERS)

@@ -17,9 +17,7 @@ class Options:
 
     sliders: bool = field(
         default=False,
-        metadata={
-            "help": "a graph of the face's sliders: bone coefficients, joint matrices for skinning, morph weights"
-        },
+        metadata={"help": "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights"},
     )
     points: bool = field(default=False, metadata={"help": "with --sliders: also output the points"})
     inputs: Literal["coefficients", "matrices"] = field(
@@ -62,7 +60,7 @@ class Options:
             raise InputError("option inputs", "is not for graphs of sliders, which make the coefficients themselves")
         if self.joint_matrices:
             raise InputError(
-                "option joint_matrices", "is not for graphs of sliders, which always have them, times inverse bind"
+                "option joint_matrices", "is not for graphs of sliders, which always have skinning_matrices"
             )
         if self.normals and not self.points:
             raise InputError("option normals", "without points, expected the option points too")

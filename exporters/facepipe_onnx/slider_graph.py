@@ -1,8 +1,8 @@
 """From the sliders of a rig to an ONNX graph.
 
 Inputs: ``sliders`` [batch, sliders]; ``weights`` [batch, shapes], added to what the sliders drive, if there are shapes;
-``parent`` [batch, 4, 4] by option. Outputs: ``coefficients`` [batch, joints, 9]; ``joint_matrices`` [batch, joints, 4,
-4], world times inverse bind: from skeleton space at bind time to world space, what a GPU blends by skin weights;
+``parent`` [batch, 4, 4] by option. Outputs: ``coefficients`` [batch, joints, 9]; ``skinning_matrices`` [batch, joints,
+4, 4], world times inverse bind: from skeleton space at bind time to world space, what a GPU blends by skin weights;
 ``morph_weights`` [batch, targets], if there are shapes; ``points`` and ``normals`` [batch, points, 3] by option.
 Matrices are for column vectors, row by row (the translation is the last column), in stage units.
 """
@@ -53,7 +53,7 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
     chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
     coefficients = _coefficients(nodes, ramps, chains, risen, batch)
     worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=batch)
-    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="joint_matrices")
+    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
     activations = None
     if rig.targets:
         activations = activation_nodes(nodes, rig, _weights(nodes, ramps, risen), name="morph_weights")
@@ -112,7 +112,10 @@ def signature(
         inputs["weights"] = (batch, len(rig.shapes))
     if options.parent:
         inputs["parent"] = (batch, 4, 4)
-    outputs: dict[str, tuple[int, ...]] = {"coefficients": (batch, joints, 9), "joint_matrices": (batch, joints, 4, 4)}
+    outputs: dict[str, tuple[int, ...]] = {
+        "coefficients": (batch, joints, 9),
+        "skinning_matrices": (batch, joints, 4, 4),
+    }
     if rig.targets:
         outputs["morph_weights"] = (batch, len(rig.targets))
     if options.points:
