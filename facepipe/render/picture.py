@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from facepipe.render.camera import Camera, Frame, View, portrait
 from facepipe.render.draw import draw
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.landmarks import draw_landmarks
+from facepipe.render.lighting import Studio
 from facepipe.render.regions import RegionColors, draw_legend, legend_width
 from facepipe.render.scene import Scene, build_scene, world_points
 from facepipe.render.shade import Shader
@@ -38,7 +40,7 @@ LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corn
 class PictureOptions:
     """How a picture is taken.
 
-    :raises InputError: a size, sample count or background out of range, or a heat map and regions
+    :raises InputError: a size, sample count, background or camera out of range, or settings that exclude each other
     """
 
     size: int = 800  # pixels a side, 16 to 4096
@@ -50,6 +52,9 @@ class PictureOptions:
     landmarks: str | None = None  # scheme whose points get dots with their number in the scheme, from 0
     title: str = ""
     framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
+    camera: Camera | None = None  # of a picture `size` pixels a side, in the Y-up world; instead of view and framing
+    studio: Studio | None = None  # lights; None: portrait light, or even light where colours must be read
+    backdrop: FloatArray | None = None  # (size, size, 3) sRGB 0..1 picture behind the face, instead of `background`
 
     def __post_init__(self) -> None:
         if not SMALLEST <= self.size <= LARGEST:
@@ -61,6 +66,22 @@ class PictureOptions:
         colors = np.array(self.background, dtype=np.float64)
         if colors.shape not in ((3,), (2, 3)) or not ((colors >= 0) & (colors <= 1)).all():
             raise InputError("background", f"{self.background}, expected one or two sRGB colours in 0..1")
+        if self.backdrop is not None:
+            self._check_backdrop(np.asarray(self.backdrop))
+        if self.camera is not None:
+            self._check_camera(self.camera)
+
+    def _check_backdrop(self, image: FloatArray) -> None:
+        expected = (self.size, self.size, 3)
+        if image.shape != expected or not ((image >= 0) & (image <= 1)).all():
+            raise InputError("backdrop", f"shape {image.shape}, expected {expected} sRGB values in 0..1")
+
+    def _check_camera(self, camera: Camera) -> None:
+        if self.framing is not None or self.view != "front":
+            raise InputError("camera", "given with a view or framing, expected only one of them")
+        numbers = (*np.ravel(camera.axes), *np.ravel(camera.eye), *camera.center, camera.focal)
+        if not np.isfinite(numbers).all() or camera.focal <= 0:
+            raise InputError("camera", f"focal length {camera.focal} pixels, expected finite numbers and one above 0")
 
     @property
     def written(self) -> bool:
@@ -86,9 +107,8 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
         raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
     camera = _camera(parts, scene, options)
     textures = TextureCache(largest=2 * options.size)
-    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap, paint)
-    behind = partial(backdrop, options.size, options.background)
-    image = Image.fromarray(draw(shader, options.size, behind, options.samples))
+    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap, paint, options.studio)
+    image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples))
     if options.landmarks is not None:
         draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.written:
@@ -118,7 +138,17 @@ def backdrop(size: int, colors: Color | tuple[Color, Color], top: int, bottom: i
     return np.asarray(srgb_to_linear(middle + (corner - middle) * share), dtype=np.float32)
 
 
+def _behind(options: PictureOptions) -> Callable[[int, int], FloatArray]:
+    """Gives rows of the linear background."""
+    if options.backdrop is None:
+        return partial(backdrop, options.size, options.background)
+    image = srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32))
+    return lambda top, bottom: image[top:bottom]
+
+
 def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
+    if options.camera is not None:
+        return options.camera
     used = np.unique(scene.triangles)
     points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
     frame = Frame(

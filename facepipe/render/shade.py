@@ -34,10 +34,13 @@ class Shader:
     textures: TextureCache
     heatmap: HeatMap | None = None
     paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
+    lights: Studio | None = None  # instead of those of `studio`
 
     @cached_property
     def studio(self) -> Studio:
-        """Even light where colours must be read, portrait light otherwise."""
+        """The lights given; else even light where colours must be read, portrait light otherwise."""
+        if self.lights is not None:
+            return self.lights
         return PORTRAIT if self.heatmap is None and self.paint is None else EVEN
 
     @cached_property
@@ -70,7 +73,7 @@ class Shader:
     @cached_property
     def shadow(self) -> DepthMap | None:
         """The key light's view."""
-        if not self.studio.shadows or not len(self._occluders):
+        if not self.studio.shadows or not self.studio.lights or not len(self._occluders):
             return None
         towards = self.studio.lights[0].unit.astype(np.float64) @ self.camera.axes
         return depth_map(self.scene.points, self._occluders, towards, SHADOW_RESOLUTION)
