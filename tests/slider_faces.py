@@ -9,7 +9,7 @@ import numpy as np
 from import_data import shared
 
 from facepipe.importers import load, makehuman
-from facepipe.parts import Curve, FaceParts, Slider
+from facepipe.parts import Curve, FaceParts, Skeleton, Slider
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import channel_entries, shape_entries, with_entries
 from facepipe.sample import make
@@ -78,6 +78,13 @@ def without_scales(parts: FaceParts) -> FaceParts:
         for slider in parts.sliders
     )
     return replace(parts, sliders=sliders)
+
+
+def jointless(parts: FaceParts) -> FaceParts:
+    """The face without joints and skin: blendshapes alone move it."""
+    skeleton = Skeleton(transform=parts.skeleton.transform)
+    meshes = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
+    return replace(parts, skeleton=skeleton, meshes=meshes, animations=(), bone_limits=None)
 
 
 def random_values(parts: FaceParts, rng: np.random.Generator) -> dict[str, float]:

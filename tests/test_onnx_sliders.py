@@ -16,7 +16,7 @@ from faces import tiny_face
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import bake_all
-from slider_faces import BEND, makehuman_with_sliders, random_values, sample_with_sliders, without_scales
+from slider_faces import BEND, jointless, makehuman_with_sliders, random_values, sample_with_sliders, without_scales
 
 from facepipe.parts import FaceParts, Skeleton, Slider
 from facepipe.rig import Rig, build, coefficient_matrices, slide
@@ -52,11 +52,12 @@ def check(one: Made, values: dict[str, float], weights: dict[str, float], *, ble
     found = one.graph.evaluate(weights, sliders=values)
     coefficients, driven = slide(one.parts.sliders, one.rig.joints, values)
     total = {name: driven.get(name, 0.0) + weights.get(name, 0.0) for name in one.rig.shapes}
-    errors = np.abs(found["coefficients"] - coefficients).max(axis=0)
-    assert errors[:3].max() < TOLERANCE * height
-    assert errors[3:].max() < TOLERANCE
-    matrices = one.rig.joint_worlds(one.rig.rest @ coefficient_matrices(coefficients)) @ one.rig.inverse_bind
-    assert np.abs(found["skinning_matrices"] - matrices).max() < TOLERANCE * height
+    if one.rig.joints:
+        errors = np.abs(found["coefficients"] - coefficients).max(axis=0)
+        assert errors[:3].max() < TOLERANCE * height
+        assert errors[3:].max() < TOLERANCE
+        matrices = one.rig.joint_worlds(one.rig.rest @ coefficient_matrices(coefficients)) @ one.rig.inverse_bind
+        assert np.abs(found["skinning_matrices"] - matrices).max() < TOLERANCE * height
     if one.rig.shapes:
         activations = one.rig.activations(one.rig.weight_vector(total))
         assert np.abs(found["morph_weights"] - activations).max() < TOLERANCE
@@ -73,7 +74,8 @@ def blended(one: Made, found: dict[str, np.ndarray]) -> np.ndarray:
     if one.rig.targets:
         points = points + (one.rig.deltas @ found["morph_weights"].astype(np.float64)).reshape(-1, 3)
     own = one.rig.parent_world[None]
-    return one.rig.skin(points, np.concatenate([found["skinning_matrices"].astype(np.float64), own]))
+    matrices = found.get("skinning_matrices", np.zeros((0, 4, 4))).astype(np.float64)
+    return one.rig.skin(points, np.concatenate([matrices, own]))
 
 
 @pytest.mark.parametrize("name", FACES)
@@ -293,3 +295,35 @@ def test_skeleton_alone(tmp_path: Path) -> None:
     export_parts(FaceParts(skeleton=skeleton, sliders=(slider,)), tmp_path / "s.onnx", Options(sliders=True))
     found = Deformer(tmp_path / "s.onnx").evaluate(sliders={"jaw": 1.0})
     assert found["coefficients"][1, 3] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("points", [False, True])
+@pytest.mark.parametrize("name", ["tiny", "sample"])
+def test_a_face_without_joints(name: str, points: bool, tmp_path: Path) -> None:
+    """Morph weights alone; a body joint can carry the points."""
+    whole = tiny_face() if name == "tiny" else sample_with_sliders()
+    parts = jointless(whole)
+    moved = np.eye(4)
+    moved[:3] = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, -2.0], [0.0, 0.0, 2.0, 3.0]]
+    sliders = (
+        Slider(
+            name="smile", minimum=-1.0, shapes=(("mouthSmileLeft", 0.7), ("jawOpen", 0.6)), shape_curves=(BEND, None)
+        ),
+        Slider(name="open", default=0.2, shapes=(("jawOpen", 0.5),)),
+    )
+    parts = replace(parts, sliders=sliders, skeleton=Skeleton(transform=moved))
+    one = made(parts, tmp_path, points=points)
+    assert one.graph.outputs == ("morph_weights", *(("points",) if points else ()))
+    assert one.graph.joints == ()
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        check(one, random_values(parts, rng), some_weights(one.rig, rng))
+    if points:
+        carried = tmp_path / "carried"
+        carried.mkdir()
+        body = np.eye(4)
+        body[:3] = rng.normal(size=(3, 4))
+        values = random_values(parts, rng)
+        found = made(parts, carried, points=True, parent=True).graph.evaluate(sliders=values, parent=body)["points"]
+        expected = one.rig.evaluate(slide(sliders, (), values)[1], parent_world=body)
+        assert np.abs(found - expected).max() < TOLERANCE * one.face.head_height * np.abs(body).max()

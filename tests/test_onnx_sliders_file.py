@@ -13,10 +13,11 @@ import onnx
 import pytest
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from faces import tiny_face
+from slider_faces import jointless
 
 from facepipe.cli import main
 from facepipe.errors import ExportError, InputError
-from facepipe.parts import FaceParts, Skeleton, Slider
+from facepipe.parts import FaceParts, Slider
 from facepipe.stage import save_parts
 
 ALLOWED = set(
@@ -125,10 +126,10 @@ def test_what_can_not_be_exported(tmp_path: Path) -> None:
     for message, sliders in refused.items():
         with pytest.raises((ExportError, InputError), match=message):
             export_parts(face(sliders), path, Options(sliders=True))
-    jointless = replace(face(SLIDERS[2:]), skeleton=Skeleton())
-    meshes = tuple(replace(mesh, skin=None) for mesh in jointless.meshes)
     with pytest.raises(ExportError, match="no joints"):
-        export_parts(replace(jointless, meshes=meshes), path, Options(sliders=True))
+        export_parts(jointless(face(SLIDERS[2:])), path, Options(sliders=True, parent=True))
+    with pytest.raises(InputError, match="no joint 'root/jaw'"):
+        export_parts(jointless(face()), path, Options(sliders=True))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -57,7 +57,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     if rig.joints or options.parent:
         skinned(nodes, rig, None if worlds is None else _ends(nodes, rig, worlds), options)
     else:
-        _rigid(nodes, rig, options.batch)
+        rigid(nodes, rig, options.batch)
     if worlds and options.joint_matrices:
         nodes.add(
             "Gather", worlds, nodes.indices(np.argsort(tree_order(rig.parents)[0])), axis=1, name="joint_matrices"
@@ -82,14 +82,17 @@ def checked_triangles(rig: Rig, triangles: IntArray | None) -> IntArray:
     return triangles
 
 
-def _rigid(nodes: Nodes, rig: Rig, batch: int) -> None:
-    """`points` of a face that only blendshapes move: the skeleton's place is part of the constants."""
+def rigid(nodes: Nodes, rig: Rig, batch: int, activations: str | None = None) -> None:
+    """`points` of a face that only blendshapes move: the skeleton's place is part of the constants.
+
+    :param activations: of the targets; None: those of the input ``weights``
+    """
     linear, offset = rig.parent_world[:3, :3], rig.parent_world[:3, 3]
     targets = tuple(dataclasses.replace(t, offsets=t.offsets @ linear.T) for t in rig.targets)
     world = dataclasses.replace(rig, targets=targets)
     moved = morph.moved(world)
     parts = partition(moved, block_size([(moved, morph.ENTRY_BYTES)], len(rig.points)), morph.ENTRY_BYTES)
-    blocks = morph.morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch)
+    blocks = morph.morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch, activations)
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
 
 

@@ -11,7 +11,7 @@ class Kind(NamedTuple):
     name: str
     inputs: frozenset[str]
     outputs: frozenset[str]
-    needed: frozenset[str]  # inputs and outputs that are always there
+    needed: tuple[frozenset[str], ...]  # inputs and outputs of which one of these sets is always there
 
     @property
     def format(self) -> dict[str, object]:
@@ -23,12 +23,12 @@ DEFORMER = Kind(
     "facepipe deformer",
     frozenset({"weights", "coefficients", "joint_transforms", "parent"}),
     frozenset({"points", "joint_matrices", "normals"}),
-    frozenset({"points"}),
+    (frozenset({"points"}),),
 )
 SLIDERS = Kind(
     "facepipe sliders",
     frozenset({"sliders", "weights", "parent"}),
     frozenset({"coefficients", "skinning_matrices", "morph_weights", "points", "normals"}),
-    frozenset({"sliders", "coefficients", "skinning_matrices"}),
+    (frozenset({"sliders", "coefficients", "skinning_matrices"}), frozenset({"sliders", "morph_weights"})),
 )
 KINDS = (DEFORMER, SLIDERS)

@@ -61,7 +61,7 @@ def _described(
         yield where, "expected a list of objects"
         return
     known = kind.inputs if side == "inputs" else kind.outputs
-    if not known & kind.needed <= set(values) <= known:
+    if not set(values) <= known or not any(known & needed <= set(values) for needed in kind.needed):
         yield side, f"{', '.join(sorted(values))[:100]}: expected some of {', '.join(sorted(known))}"
         return
     shapes = {str(one.get("name")): one.get("shape") for one in described}

@@ -1,9 +1,10 @@
 """From the sliders of a rig to an ONNX graph.
 
 Inputs: ``sliders`` [batch, sliders]; ``weights`` [batch, shapes], added to what the sliders drive, if there are shapes;
-``parent`` [batch, 4, 4] by option. Outputs: ``coefficients`` [batch, joints, 9]; ``skinning_matrices`` [batch, joints,
-4, 4], world times inverse bind: from skeleton space at bind time to world space, what a GPU blends by skin weights;
-``morph_weights`` [batch, targets], if there are shapes; ``points`` and ``normals`` [batch, points, 3] by option.
+``parent`` [batch, 4, 4] by option. Outputs, of a face with joints: ``coefficients`` [batch, joints, 9] and
+``skinning_matrices`` [batch, joints, 4, 4], world times inverse bind: from skeleton space at bind time to world space,
+what a GPU blends by skin weights; ``morph_weights`` [batch, targets], if there are shapes; ``points`` and ``normals``
+[batch, points, 3] by option.
 Matrices are for column vectors, row by row (the translation is the last column), in stage units.
 """
 
@@ -20,7 +21,7 @@ from facepipe.parts import IntArray, Slider
 from facepipe.rig import Rig, rest_coefficients, slide
 from facepipe.rig.sliders import kept
 from facepipe_onnx.chains import Chains, chain_nodes, chains_of, end_nodes
-from facepipe_onnx.graph import checked_triangles, select_shapes, skinned
+from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
 from facepipe_onnx.joints import tree_order
 from facepipe_onnx.model import make_model
 from facepipe_onnx.morph import activation_nodes
@@ -28,6 +29,7 @@ from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
 from facepipe_onnx.ramps import Ramps, ramp_nodes, ramps_of
+from facepipe_onnx.skin import Ends
 
 
 def select_sliders(rig: Rig, sliders: Sequence[Slider], names: tuple[str, ...]) -> tuple[Slider, ...]:
@@ -41,7 +43,7 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
 
     :param triangles: (t, 3) point indices; needed for the `normals` option
     :raises InputError: an option out of range, a shape glob that matches nothing, or a slider of an unknown joint
-    :raises ExportError: no sliders, no joints, a slider of an unknown shape, or more than the 2 GB that a file can hold
+    :raises ExportError: no sliders, none that moves anything, one of an unknown shape, or more than 2 GB
     """
     options.check()
     _check(rig, sliders, options)
@@ -50,16 +52,14 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
     nodes, batch = Nodes(), options.batch
     ramps = ramps_of(rig, sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
-    chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
-    coefficients = _coefficients(nodes, ramps, chains, risen, batch)
-    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=batch)
-    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
+    ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
     activations = None
     if rig.targets:
         activations = activation_nodes(nodes, rig, _weights(nodes, ramps, risen), name="morph_weights")
-    if options.points:
-        order = tree_order(rig.parents)[0]
-        skinned(nodes, rig, lambda ends: end_nodes(nodes, chains, worlds, ends, order), options, activations)
+    if options.points and (rig.joints or options.parent):
+        skinned(nodes, rig, ends, options, activations)
+    elif options.points:
+        rigid(nodes, rig, batch, activations)
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), batch)
     return make_model(nodes, "sliders", rig.name, *signature(rig, sliders, options))
@@ -68,11 +68,21 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
 def _check(rig: Rig, sliders: Sequence[Slider], options: Options) -> None:
     if not sliders:
         raise ExportError(rig.name, "no sliders, expected some for the option sliders")
-    if not rig.joints:
-        raise ExportError(rig.name, "no joints, expected some for the option sliders")
+    if options.parent and not (rig.joints or options.points):
+        raise ExportError(rig.name, "no joints, expected some, or the option points, for the option parent")
     if options.points and not len(rig.points):
         raise ExportError(rig.name, "no points, expected a mesh for the option points")
     slide(sliders, rig.joints)  # says what is wrong with them
+
+
+def _joints(nodes: Nodes, rig: Rig, ramps: Ramps, risen: str, options: Options) -> Ends:
+    """The outputs of the joints; returns what multiplies their world matrices with constants."""
+    chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
+    coefficients = _coefficients(nodes, ramps, chains, risen, options.batch)
+    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
+    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
+    order = tree_order(rig.parents)[0]
+    return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
 
 
 def _moving(ramps: Ramps) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -112,10 +122,9 @@ def signature(
         inputs["weights"] = (batch, len(rig.shapes))
     if options.parent:
         inputs["parent"] = (batch, 4, 4)
-    outputs: dict[str, tuple[int, ...]] = {
-        "coefficients": (batch, joints, 9),
-        "skinning_matrices": (batch, joints, 4, 4),
-    }
+    outputs: dict[str, tuple[int, ...]] = {}
+    if joints:
+        outputs |= {"coefficients": (batch, joints, 9), "skinning_matrices": (batch, joints, 4, 4)}
     if rig.targets:
         outputs["morph_weights"] = (batch, len(rig.targets))
     if options.points:
