@@ -1,4 +1,4 @@
-"""Node programs that the tests call: the Khronos glTF validator and three.js."""
+"""Node programs that the tests call: the Khronos glTF validator, three.js and onnxruntime-web."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 HERE = Path(__file__).parent / "js"
@@ -57,6 +58,18 @@ def three_load(file: Path, weights: Mapping[str, float], joints: Mapping[str, Se
     return answer
 
 
+def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
+    """The outputs of an ONNX model in onnxruntime-web for each of `feeds`, float32."""
+    requests = [
+        {name: {"dims": values.shape, "data": values.ravel().tolist()} for name, values in one.items()} for one in feeds
+    ]
+    answers = _run("onnx_run.mjs", [str(file)], json.dumps(requests))
+    return [
+        {name: np.array(one["data"], np.float32).reshape(one["dims"]) for name, one in answer.items()}
+        for answer in answers
+    ]
+
+
 def _run(script: str, arguments: Sequence[str], request: str = "") -> Any:
     command = [node_packages(), str(HERE / script), *arguments]
     done = subprocess.run(command, input=request, capture_output=True, text=True, encoding="utf-8", check=False)
@@ -75,7 +88,12 @@ def _is_installed() -> bool:
 
 def _install(npm: str) -> None:
     done = subprocess.run(
-        [npm, "ci", "--no-audit", "--no-fund"], cwd=HERE, capture_output=True, text=True, check=False, timeout=_PATIENCE
+        [npm, "ci", "--no-audit", "--no-fund", "--ignore-scripts"],
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=_PATIENCE,
     )
     if done.returncode:
         pytest.fail(f"npm ci failed in {HERE}: {done.stderr[-2000:]}")

@@ -234,10 +234,8 @@ def test_drives_the_vertices_of_the_glb(up_axis: str, tmp_path: Path) -> None:
         Slider(name="smile", shapes=(("mouthSmileLeft", 0.7), ("jawOpen", 0.6))),
     )
     head = parts.meshes[0]
-    one = made(
-        replace(parts, skeleton=skeleton, sliders=sliders, meshes=(head,), up_axis=up_axis),
-        tmp_path,  # type: ignore[arg-type]
-    )
+    turned_face = replace(parts, skeleton=skeleton, sliders=sliders, meshes=(head,), up_axis=up_axis)  # type: ignore[arg-type]
+    one = made(turned_face, tmp_path)
     facepipe_gltf.export(one.face, tmp_path / "face.glb")
     glb = gltf_reader.read(tmp_path / "face.glb")
     outputs = {entry["name"]: entry for entry in one.graph.metadata["outputs"]}
