@@ -180,6 +180,23 @@ class Slider:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SliderNetwork:
+    """A learned network that adds to what the sliders do, from the values of several at once.
+
+    ``x`` is the clamped values of `sliders`. Every layer makes it ``weight @ x + bias``, and every layer but the last
+    then applies the activation; what the last one gives is added to `channels`, then `shapes`.
+    """
+
+    sliders: tuple[str, ...]
+    channels: tuple[tuple[str, str], ...] = ()  # (joint path, tx ty tz rx ry rz sx sy sz)
+    shapes: tuple[str, ...] = ()  # blendshape names
+    weights: tuple[FloatArray, ...]  # (out, in) of each layer
+    biases: tuple[FloatArray, ...]  # (out,) of each layer
+    activation: Literal["tanh", "relu"] = "tanh"
+    info: Mapping[str, object] = field(default_factory=dict)  # how it was made: JSON values
+
+
+@dataclass(frozen=True, kw_only=True)
 class BoneLimits:
     """Allowed bone coefficients, joints in skeleton order, channels tx ty tz rx ry rz sx sy sz."""
 
@@ -228,6 +245,28 @@ class Material:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PhotoView:
+    """What the face was fitted to: a photo, with the pinhole camera that sees the face as the photo does.
+
+    Camera coordinates are x right, y up, z towards the viewer. Pixels count from the photo's top left corner, x right
+    and y down: what is at camera coordinates (x, y, z) shows at ``center + focal * (x, -y) / -z``.
+    """
+
+    name: str  # of the camera
+    image: str = ""  # file name of the photo
+    width: int
+    height: int
+    transform: FloatArray  # (4, 4) camera -> world
+    focal: float  # pixels
+    center: tuple[float, float]  # principal point, pixels
+    clipping: tuple[float, float]  # nearest and farthest depth that a viewer shows, stage units
+    light: FloatArray  # (9, 3) spherical harmonics of red, green and blue, in camera coordinates
+    tint: Mapping[str, Color] = field(default_factory=dict)  # material -> linear factor of its colour
+    landmark_error: float = 0.0  # mean distance of the face's landmarks from the photo's, pixels
+    animation: str | None = None  # the pose that the face has in the photo
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recipe:
     """How a stage was made, so that it can be made again."""
 
@@ -249,8 +288,10 @@ class FaceParts:
     skeleton: Skeleton = field(default_factory=Skeleton)
     animations: tuple[Animation, ...] = ()
     sliders: tuple[Slider, ...] = ()
+    slider_network: SliderNetwork | None = None
     bone_limits: BoneLimits | None = None
     materials: tuple[Material, ...] = ()
     attach_joint: str | None = None  # path of the body joint that the root joints hang under
     attribution: str = ""  # copyright and license line that stays with the face
+    photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None

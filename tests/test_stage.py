@@ -28,6 +28,25 @@ PNG = bytes.fromhex(
 )
 
 
+def full_photo() -> p.PhotoView:
+    """Every field of a photo filled; floats are those of float32."""
+    turn = np.array([[0.0, 0.0, 1.0, 2.0], [0.0, 1.0, 0.0, -3.0], [-1.0, 0.0, 0.0, 40.0], [0.0, 0.0, 0.0, 1.0]])
+    return p.PhotoView(
+        name="portrait",
+        image="my portrait.png",
+        width=640,
+        height=960,
+        transform=turn,
+        focal=1234.0625,
+        center=(300.25, 500.5),
+        clipping=(1.5, 400.0),
+        light=np.random.default_rng(3).normal(size=(9, 3)).astype(np.float32),
+        tint={"Skin": (1.25, 0.875, 0.75)},
+        landmark_error=2.5,
+        animation="pose",
+    )
+
+
 def full_face() -> p.FaceParts:
     """Every field of the parts filled."""
     parts = tiny_face()
@@ -73,6 +92,7 @@ def full_face() -> p.FaceParts:
         ),
         attach_joint="root/spine/head",
         attribution="(c) somebody, CC0",
+        photos=(full_photo(),),
         recipe=p.Recipe(verb="import x", sources=("a",), digests=("sha256:0",), options={"b": [1, 2]}, version="0"),
     )
 

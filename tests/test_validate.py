@@ -203,6 +203,7 @@ def wrong_type(stage: Usd.Stage) -> None:
 
 HEAD, SHAPE, SKELETON = "/Tiny/Head.", "/Tiny/Head/jawOpen.", "/Tiny/Skeleton."
 POSE, SLIDER = "/Tiny/Animations/pose.", "/Tiny.facepipe:slider:open:"
+PHOTO = "/Tiny/Photos/portrait."
 WEIGHTS, INDICES = HEAD + "primvars:skel:jointWeights", HEAD + "primvars:skel:jointIndices"
 SINGULAR = Gf.Matrix4d().SetScale(Gf.Vec3d(1, 0, 1))
 PROJECTIVE = Gf.Matrix4d(1)
@@ -359,6 +360,15 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "curves of fewer channels than a slider has": (value(SLIDER + "channelKnots", [0, 0]), {"SliderCurves"}),
     "slider whose mirror is unknown": (value(SLIDER + "mirror", "shut"), {"SliderMirrors"}),
     "slider that is its own mirror": (value(SLIDER + "mirror", "open"), {"SliderMirrors"}),
+    "photo without size": (value(PHOTO + "facepipe:photo:size", Gf.Vec2i(0, 960)), {"PhotoCameras"}),
+    "photo of an orthographic camera": (value(PHOTO + "projection", "orthographic"), {"PhotoCameras"}),
+    "photo of a camera without lens": (value(PHOTO + "focalLength", 0.0), {"PhotoCameras"}),
+    "photo clipped away": (value(PHOTO + "clippingRange", Gf.Vec2f(4, 4)), {"PhotoCameras"}),
+    "photo of oblong pixels": (value(PHOTO + "verticalAperture", 1.0), {"PhotoCameras"}),
+    "photo with little light": (changed(PHOTO + "facepipe:photo:light", shorter), {"PhotoLight"}),
+    "photo without a tint": (value(PHOTO + "facepipe:photo:tints", []), {"PhotoLight"}),
+    "photo with a negative tint": (changed(PHOTO + "facepipe:photo:tints", scaled(-1)), {"PhotoLight"}),
+    "photo of an unknown pose": (value(PHOTO + "facepipe:photo:animation", "gone"), {"PhotoPoses"}),
     "recipe that is no JSON": (value("/Tiny.facepipe:recipe:options", "{"), {"RecipeOptions"}),
     "recipe without digest": (value("/Tiny.facepipe:recipe:digests", []), {"RecipeDigests"}),
 }

@@ -60,6 +60,7 @@ def summarise(face: Face) -> dict[str, Any]:
         "animations": [animation.name for animation in parts.animations],
         "sliders": [slider.name for slider in parts.sliders],
         "materials": [material.name for material in parts.materials],
+        "photos": [photo.name for photo in parts.photos],
         "attach_joint": parts.attach_joint,
         "attribution": parts.attribution,
         "recipe": parts.recipe.verb if parts.recipe else None,
@@ -79,6 +80,7 @@ def as_text(summary: dict[str, Any]) -> str:
             (key, _listing(summary[key]))
             for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
         ],
+        *[("photos", _listing(summary["photos"])) for _ in summary["photos"][:1]],
         ("inbetweens", summary["inbetweens"] or "none"),
         ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in summary["landmarks"].items()) or "none"),
         ("attach joint", summary["attach_joint"] or "none"),

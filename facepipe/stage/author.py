@@ -15,6 +15,7 @@ from facepipe.parts import FaceParts
 from facepipe.stage.author_animations import author_animation, author_time_range
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
+from facepipe.stage.author_photos import author_photo_changes, check_photos
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider, check_sliders
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.textures import TextureFolder, texture_home
@@ -65,6 +66,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
             prim.GetAttribute(name).Set(value)
     _author_below(stage, root, parts, textures or {})
     check_sliders(parts.name, parts.sliders)
+    check_photos(parts.name, parts.photos)
     for slider in parts.sliders:
         author_slider(prim, slider)
     if parts.recipe:
@@ -80,6 +82,7 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
     scope = path.AppendChild(tokens.MATERIALS_SCOPE)
     materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
     taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
+    taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
     names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
     for mesh, name in zip(parts.meshes, names, strict=True):
         author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
@@ -91,3 +94,4 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
         ):
             author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
         author_time_range(stage, parts.animations)
+    author_photo_changes(root.GetPrim(), (), (), parts.photos)

@@ -7,16 +7,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdSkel
 
 from facepipe import tokens
 from facepipe.errors import InputError
-from facepipe.names import unique_identifiers
 from facepipe.parts import Animation, FloatArray, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
 from facepipe.stage.differences import same
-from facepipe.stage.opinions import editable, put
+from facepipe.stage.opinions import editable, free_path, put
 from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
 
 _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
@@ -51,7 +50,9 @@ def author_animation_changes(
     for animation in new:
         own = next((i for i, (_, one) in enumerate(there) if one.name == animation.name), None)
         if own is None:
-            author_animation(face.GetStage(), _new_path(face, animation.name), animation, skeleton)
+            author_animation(
+                face.GetStage(), free_path(face, tokens.ANIMATIONS_SCOPE, animation.name), animation, skeleton
+            )
             lines.append(f"{animation.name}: added")
             continue
         prim, before = there.pop(own)
@@ -66,16 +67,6 @@ def author_animation_changes(
     if not same([one.times for one in old], [one.times for one in new]):
         author_time_range(face.GetStage(), new)
     return tuple(lines)
-
-
-def _new_path(face: Usd.Prim, name: str) -> Sdf.Path:
-    """A path for an animation, which is called as its prim: that of a deactivated one where there is one."""
-    folder = face.GetPath().AppendChild(tokens.ANIMATIONS_SCOPE)
-    scope = face.GetStage().GetPrimAtPath(folder) or UsdGeom.Scope.Define(face.GetStage(), folder).GetPrim()
-    children = {str(child.GetName()): child for child in editable(scope, below=True).GetAllChildren()}
-    if name in children and not children[name].IsActive():
-        children.pop(name).SetActive(True)
-    return folder.AppendChild(unique_identifiers([*children, name])[-1])
 
 
 def _differing(before: Animation, done: Animation) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from facepipe.parts import FaceParts, FloatArray
 from facepipe.stage.author_animations import author_animation_changes
 from facepipe.stage.author_mesh import author_point_values
 from facepipe.stage.author_mesh_changes import author_mesh_changes, check_mesh_change
+from facepipe.stage.author_photos import author_photo_changes, check_photos
 from facepipe.stage.author_rig_changes import (
     author_limit_changes,
     author_skeleton_changes,
@@ -27,6 +28,7 @@ from facepipe.stage.face import Face
 from facepipe.stage.opinions import editable, put
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.read_mesh import read_point_values
+from facepipe.stage.read_photos import is_photo
 from facepipe.stage.traversal import prims_below
 
 _FIXED = ("name", "meters_per_unit", "up_axis", "materials")
@@ -54,7 +56,8 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
     animations = _paths(face, UsdSkel.Animation)
     at, shared = face.stage.GetPrimAtPath, _shared_targets(face, meshes)  # prims of instances change
-    if len(animations) != len(old.animations):
+    photos = [prim.GetPath() for prim in prims_below(face.prim, face.where) if is_photo(prim)]
+    if (len(animations), len(photos)) != (len(old.animations), len(old.photos)):
         raise InputError(face.where, "its stage has changed since it was read, expected a new Face of it")
     lines: list[str] = []
     for path, before, after in zip(meshes, old.meshes, parts.meshes, strict=True):
@@ -66,6 +69,7 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     lines += author_limit_changes(at(skeleton), old.bone_limits, parts.bone_limits)
     prims = [at(path) for path in animations]
     lines += author_animation_changes(face.prim, prims, old.animations, parts.animations, parts.skeleton)
+    lines += author_photo_changes(face.prim, [at(path) for path in photos], old.photos, parts.photos)
     lines += author_slider_changes(face.prim, old.sliders, parts.sliders)
     return (*lines, *author_text_changes(face.prim, old, parts))
 
@@ -79,6 +83,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
         check_mesh_change(f"{face.where} -> {before.name}", before, after)
     check_skeleton_change(face.where, old.skeleton, new.skeleton)
     check_sliders(face.where, new.sliders)
+    check_photos(face.where, new.photos)
     for field in ("name", "transform"):
         if not same(getattr(old.skeleton, field), getattr(new.skeleton, field)):
             raise InputError(f"{face.where} -> {old.skeleton.name} -> {field}", "differs, expected as on the face")

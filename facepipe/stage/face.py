@@ -17,13 +17,14 @@ from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.finite import require_finite
 from facepipe.names import unique_identifiers
-from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, Skeleton, Slider
+from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
 from facepipe.stage.files import derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
+from facepipe.stage.read_photos import is_photo, read_photo
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.read_sliders import read_sliders
 from facepipe.stage.standalone import save_standalone
@@ -123,6 +124,12 @@ class Face:
             read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self._material_names.items())
             return self._finite(tuple(material for material in read if material is not None))
 
+    @cached_property
+    def photos(self) -> tuple[PhotoView, ...]:
+        """Photos that it was fitted to."""
+        with self._trail():
+            return self._finite(tuple(read_photo(one) for one in self._below() if is_photo(one)))
+
     @property
     def shapes(self) -> tuple[str, ...]:
         """Names of its blendshapes, each once, in the order the meshes bring them."""
@@ -160,6 +167,7 @@ class Face:
             materials=self.materials,
             attach_joint=self.attach_joint,
             attribution=self._text(tokens.ATTRIBUTION),
+            photos=self.photos,
             recipe=recipe,
         )
         return self._finite(parts)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pxr import Usd
+from pxr import Sdf, Usd, UsdGeom
+
+from facepipe.names import unique_identifiers
 
 
 def editable(prim: Usd.Prim, *, below: bool = False) -> Usd.Prim:
@@ -20,6 +22,16 @@ def editable(prim: Usd.Prim, *, below: bool = False) -> Usd.Prim:
         instance.SetInstanceable(False)
         prim = stage.GetPrimAtPath(path)
     return prim
+
+
+def free_path(face: Usd.Prim, folder: str, name: str) -> Sdf.Path:
+    """A path in a scope of a face for what is called as its prim: that of a deactivated prim where there is one."""
+    path = face.GetPath().AppendChild(folder)
+    scope = face.GetStage().GetPrimAtPath(path) or UsdGeom.Scope.Define(face.GetStage(), path).GetPrim()
+    children = {str(child.GetName()): child for child in editable(scope, below=True).GetAllChildren()}
+    if name in children and not children[name].IsActive():
+        children.pop(name).SetActive(True)
+    return path.AppendChild(unique_identifiers([*children, name])[-1])
 
 
 def put(attribute: Usd.Attribute, value: Any) -> None:

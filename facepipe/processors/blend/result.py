@@ -45,6 +45,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
             _without_tracks(one, gone) for one in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
         sliders=tuple(_without_shapes(one, gone) for one in base.sliders),
+        photos=(),  # they show the person of one source
     )
 
 

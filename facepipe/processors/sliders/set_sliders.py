@@ -57,6 +57,16 @@ class SetSliders:
         :raises InputError: sliders that the face has not, values out of range, no twin to mirror to, sliders that drive
             joints, channels or shapes that the face has not, or a clip of that name
         """
+        changed, report = self.changed(face)
+        authored = author_changes(face, replace(changed, recipe=recipe or changed.recipe))
+        play(face, self.name)
+        return replace(report, authored=authored)
+
+    def changed(self, face: Face) -> tuple[FaceParts, SetSlidersReport]:
+        """The face with its values and the pose, for who authors more beside them; and what the report says of that.
+
+        :raises InputError: as a call does
+        """
         if identifier(self.name) != self.name:
             raise InputError(face.where, f"'{self.name[:40]}' is no name of a prim, expected one like sliders")
         parts = face.parts()
@@ -70,19 +80,16 @@ class SetSliders:
             raise error.under(face.where) from None
         animations = _with(face.where, parts.animations, animation)
         beyond = _beyond(face, sliders)
-        changed = replace(parts, sliders=sliders, animations=animations, recipe=recipe or parts.recipe)
-        authored = author_changes(face, changed)
-        play(face, self.name)
         rest = np.array([0.0] * 6 + [1.0] * 3)
-        return SetSlidersReport(
+        report = SetSlidersReport(
             values=values,
             animation=self.name,
             joints=0 if animation.coefficients is None else int((animation.coefficients[0] != rest).any(axis=1).sum()),
             shapes=sum(weight != 0 for weight in _weights(animation)),
             beyond_limits=beyond,
-            authored=authored,
             warnings=limit_warnings(beyond, clamped=False),
         )
+        return replace(parts, sliders=sliders, animations=animations), report
 
     def _all_values(self, where: str, sliders: Sequence[Slider]) -> dict[str, float]:
         if not self.mirror:
