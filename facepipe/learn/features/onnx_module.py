@@ -1,0 +1,166 @@
+"""An ONNX graph as a module of torch, with gradients (onnxruntime gives none)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from facepipe.errors import InputError
+from facepipe.learn.features.node import Node, Operator
+from facepipe.learn.features.onnx_file import array, opset, read_model
+from facepipe.learn.features.operators import OPERATORS
+
+_RUN_ERRORS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+_TENSOR, _PLAIN = 4, {1, 2, 3, 6, 7, 8}  # AttributeProto.TENSOR; FLOAT, INT, STRING and lists of them
+
+
+class OnnxModule(nn.Module):  # type: ignore[misc]
+    """The nodes of a graph, run one after the other; weights and constants are buffers.
+
+    Only what the outputs need is kept. Weights are frozen: gradients flow to the inputs.
+    """
+
+    def __init__(self, model: Any, outputs: Sequence[str] | None = None, where: object = "model") -> None:
+        """:param model: `onnx.ModelProto`
+        :param outputs: names of values to give, also inner ones; default the graph's own outputs
+        :param where: the file, for messages
+        :raises InputError: operators that are not known here, values that nothing makes, bad weights
+        """
+        super().__init__()
+        self._where, graph = str(where), model.graph
+        weights = {one.name: one for one in graph.initializer}
+        self.inputs: tuple[str, ...] = tuple(one.name for one in graph.input if one.name not in weights)
+        self.outputs: tuple[str, ...] = tuple(outputs or (one.name for one in graph.output))
+        nodes = list(_needed(list(graph.node), self.outputs))
+        self._buffer_of: dict[str, str] = {}
+        used = {name for one in nodes for name in one.input} | set(self.outputs)
+        try:
+            for name in sorted(used & set(weights)):
+                self._keep(name, torch.from_numpy(array(weights[name])))
+            version = opset(model)
+            self._steps = [self._step(one, version) for one in nodes]
+            _check_order(self._steps, {*self.inputs, *self._buffer_of}, self.outputs)
+        except InputError as error:
+            raise error.under(where) from None
+        self._last = _last_uses(self._steps, self.outputs)
+        self.eval()
+
+    @classmethod
+    def load(cls, path: Path, outputs: Sequence[str] | None = None) -> OnnxModule:
+        """The graph in a file.
+
+        :raises InputError: as `read_model` and the constructor
+        """
+        return cls(read_model(path), outputs, path)
+
+    def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
+        """`outputs` of `inputs`, in their order.
+
+        :raises InputError: a node that can't work on what it is given
+        """
+        known: dict[str, Tensor] = dict(zip(self.inputs, values, strict=True))
+        known.update({name: self.get_buffer(buffer) for name, buffer in self._buffer_of.items()})
+        for (node, operator), done in zip(self._steps, self._last, strict=True):
+            try:
+                found = operator(node, *[known[name] if name else None for name in node.inputs])
+            except InputError as error:
+                raise error.under(self._where) from None
+            except _RUN_ERRORS as error:
+                what = f"can't work on its inputs ({str(error).splitlines()[0] if str(error) else error!r})"
+                raise node.refuse(what).under(self._where) from error
+            known.update(zip(node.outputs, found if isinstance(found, tuple) else (found,), strict=False))
+            for name in done:
+                known.pop(name, None)
+        return tuple(self._given(known, name) for name in self.outputs)
+
+    def _given(self, known: Mapping[str, Tensor], name: str) -> Tensor:
+        if name not in known:
+            raise InputError(f"{self._where} -> output {name!r}", "its node does not make it")
+        return known[name]
+
+    def _keep(self, name: str, value: Tensor) -> None:
+        buffer = f"value_{len(self._buffer_of)}"
+        self._buffer_of[name] = buffer
+        self.register_buffer(buffer, value)
+
+    def _step(self, proto: Any, version: int) -> tuple[Node, Operator]:
+        node = _node(proto, version)
+        if proto.domain not in ("", "ai.onnx"):
+            raise node.refuse(f"of domain {proto.domain!r}, expected the operators of ONNX itself")
+        if node.op_type == "Constant":
+            return node, _constant
+        if node.op_type not in OPERATORS:
+            raise node.refuse("is not supported in feature networks")
+        return node, OPERATORS[node.op_type]
+
+
+def _constant(node: Node) -> Tensor:
+    """A node without inputs: its value is its only attribute."""
+    for name in ("value", "value_float", "value_int", "value_floats", "value_ints"):
+        if name in node.attributes:
+            kind = np.float32 if "float" in name else np.int64
+            value = node.attributes[name]
+            return torch.as_tensor(value if name == "value" else np.asarray(value, dtype=kind))
+    raise node.refuse("no dense value of numbers, expected one")
+
+
+def _node(proto: Any, version: int) -> Node:
+    attributes = {}
+    plain = Node(
+        name=proto.name, op_type=proto.op_type, opset=version, inputs=tuple(proto.input), outputs=tuple(proto.output)
+    )
+    for one in proto.attribute:
+        if one.type == _TENSOR:
+            attributes[one.name] = array(one.t)
+        elif one.type in _PLAIN and not one.ref_attr_name:
+            attributes[one.name] = _plain(one)
+        else:
+            raise plain.refuse(f"attribute {one.name!r} is a graph or of another kind, expected numbers")
+    return Node(**{**plain.__dict__, "attributes": attributes})
+
+
+def _plain(attribute: Any) -> Any:
+    from onnx import helper
+
+    return helper.get_attribute_value(attribute)
+
+
+def _needed(nodes: Sequence[Any], outputs: Sequence[str]) -> Iterator[Any]:
+    """The nodes that `outputs` depend on, in their order."""
+    wanted, kept = set(outputs), []
+    for node in reversed(nodes):
+        if wanted.intersection(node.output):
+            wanted.update(name for name in node.input if name)
+            kept.append(node)
+    yield from reversed(kept)
+
+
+def _check_order(steps: Sequence[tuple[Node, Operator]], given: set[str], outputs: Sequence[str]) -> None:
+    known = set(given)
+    for node, _ in steps:
+        for name in node.inputs:
+            if name and name not in known:
+                raise node.refuse(f"input {name!r}, which nothing before it makes")
+        for name in node.outputs:
+            if name in known:
+                raise node.refuse(f"output {name!r}, which there is already")
+            if name:
+                known.add(name)
+    for name in outputs:
+        if name not in known:
+            raise InputError(f"output {name!r}", "no value of the graph, expected the name of one")
+
+
+def _last_uses(steps: Sequence[tuple[Node, Operator]], outputs: Sequence[str]) -> list[list[str]]:
+    """By step, the values that nothing after it reads, so that a forward without gradients frees them."""
+    later, found = set(outputs), []
+    for node, _ in reversed(steps):
+        done = [name for name in (*node.inputs, *node.outputs) if name and name not in later]
+        later.update(done)
+        found.append(done)
+    return found[::-1]
