@@ -23,17 +23,25 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
 
 
-def read_json_object(path: Path, most: int) -> dict[str, object]:
-    """The JSON object in a file of at most `most` bytes, as people write them: a key twice is a mistake.
+def read_json(path: Path, most: int) -> object:
+    """The JSON in a file of at most `most` bytes, as people write it: a key twice is a mistake.
 
-    :raises InputError: not readable, not JSON, another value than an object, or a key twice
+    :raises InputError: not readable, not JSON, or a key twice
     """
     try:
-        content = json.loads(read_bytes(path, most).decode("utf-8-sig"), object_pairs_hook=_object)
+        return json.loads(read_bytes(path, most).decode("utf-8-sig"), object_pairs_hook=_object)
     except (ValueError, RecursionError) as error:  # bad UTF-8 too
         raise InputError(path, f"is not JSON ({error})") from None
     except _TwiceError as error:
         raise InputError(path, f"'{error}' twice, expected each key once") from None
+
+
+def read_json_object(path: Path, most: int) -> dict[str, object]:
+    """The JSON object in a file, as `read_json`.
+
+    :raises InputError: as `read_json`, or another value than an object
+    """
+    content = read_json(path, most)
     if not isinstance(content, dict):
         raise InputError(path, f"{str(content)[:40]}, expected a JSON object")
     return content
