@@ -1,16 +1,25 @@
 """Photo fit: the photo and its landmarks in, a face with fitted sliders out."""
 
+from facepipe.processors.photo_fit.author import AuthorPhotoFit
 from facepipe.processors.photo_fit.landmark_file import read_landmarks, write_landmarks
 from facepipe.processors.photo_fit.landmarker import mediapipe_landmarks, own_landmarks
 from facepipe.processors.photo_fit.landmarks68 import Landmarks68
 from facepipe.processors.photo_fit.photo_file import Photo, read_photo
+from facepipe.processors.photo_fit.recipe import PhotoRecipe, photo_recipe, read_photo_recipe
+from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport
 
 __all__ = [
+    "AuthorPhotoFit",
     "Landmarks68",
     "Photo",
+    "PhotoFitReport",
+    "PhotoRecipe",
+    "PhotoReport",
     "mediapipe_landmarks",
     "own_landmarks",
+    "photo_recipe",
     "read_landmarks",
     "read_photo",
+    "read_photo_recipe",
     "write_landmarks",
 ]

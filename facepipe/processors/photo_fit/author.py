@@ -1,0 +1,156 @@
+"""Authors what a photo fit found on the stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from facepipe import tokens
+from facepipe.names import unique_identifiers
+from facepipe.parts import Animation, FaceParts, FloatArray, PhotoView, Recipe
+from facepipe.processors.photo_fit.camera_views import camera_to_world, clipping_range
+from facepipe.processors.photo_fit.fit_checks import check_fit, mixed_sliders
+from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, eye_distance, loss_ends
+from facepipe.processors.sliders import SetSliders, SetSlidersReport
+from facepipe.stage import Face
+from facepipe.stage.animation_source import play
+from facepipe.stage.author_changes import author_changes
+
+if TYPE_CHECKING:
+    from facepipe.learn.photo.result import FittedView, PhotoFit
+    from facepipe.processors.photo_fit.photo_file import Photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorPhotoFit:
+    """A person's slider values, and what each photo adds to them.
+
+    Slider values, and as `SetSliders` makes it the pose that they stand for: the neutral, without any expression. The
+    face's skeleton plays it. Beside it, for each photo and called as its file, a pose with the expression of the photo
+    and a camera that sees the stage as the photo does, with light and tint of materials. Photos that the face had, and
+    their poses, are replaced.
+
+    >>> with facepipe.open("head.usda").deriving("person.usda") as face:
+    ...     report = AuthorPhotoFit()(face, fit, [photo])
+
+    :param name: of the neutral's animation
+    """
+
+    name: str = "sliders"
+
+    def __call__(
+        self, face: Face, fit: PhotoFit, photos: Sequence[Photo], *, recipe: Recipe | None = None
+    ) -> PhotoFitReport:
+        """Author the fit.
+
+        :param photos: that were fitted, one a view
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: NaN or infinity, another number of photos than views, sliders, shapes or materials that the
+            face has not, values out of range, or what `SetSliders` refuses
+        :raises FitError: a camera that looks away from the face
+        """
+        check_fit(face, fit, photos)
+        values = {name: float(fit.sliders[name]) for name in sorted(fit.sliders)}
+        changed, posed = SetSliders(values=values, name=self.name).changed(face)
+        changed = _without_photos(changed, self.name)
+        names = _names(face, changed, photos)
+        neutral = next(one for one in changed.animations if one.name == self.name)
+        points = face.evaluate(sliders=values)
+        views = tuple(_view(face, *one, fit, points) for one in zip(names, photos, fit.views, strict=True))
+        poses = (_pose(neutral, name, view) for name, view in zip(names, fit.views, strict=True))
+        result = replace(
+            changed,
+            animations=(*changed.animations, *poses),
+            photos=views,
+            recipe=recipe or changed.recipe,
+        )
+        authored = author_changes(face, result)
+        play(face, self.name)
+        return replace(
+            _report(fit, photos, names, posed),
+            authored=authored,
+            warnings=(*fit.warnings, *posed.warnings, *mixed_sliders(changed.sliders, fit.views), *_ended(fit)),
+        )
+
+
+def _without_photos(parts: FaceParts, neutral: str) -> FaceParts:
+    """Without the photos of a fit before, and their poses."""
+    gone = {photo.animation for photo in parts.photos} - {neutral}
+    return replace(parts, animations=tuple(one for one in parts.animations if one.name not in gone), photos=())
+
+
+def _names(face: Face, parts: FaceParts, photos: Sequence[Photo]) -> tuple[str, ...]:
+    """A name for pose and camera of each photo."""
+    taken = {one.name for one in parts.animations}
+    removed = {one.name for one in face.animations} | {one.name for one in face.photos}
+    for scope in (tokens.ANIMATIONS_SCOPE, tokens.PHOTOS_SCOPE):
+        folder = face.prim.GetChild(scope)
+        taken |= {str(one.GetName()) for one in folder.GetChildren()} - removed if folder else set()
+    return unique_identifiers([*sorted(taken), *(Path(one.name).stem for one in photos)], "photo")[len(taken) :]
+
+
+def _pose(neutral: Animation, name: str, view: FittedView) -> Animation:
+    """The neutral with the expression of a photo on it."""
+    weights = {} if neutral.shape_weights is None else dict(zip(neutral.shapes, neutral.shape_weights[0], strict=True))
+    for shape, weight in view.expressions.items():
+        weights[shape] = weights.get(shape, 0.0) + float(weight)
+    shapes = tuple(sorted(weights))
+    return replace(
+        neutral,
+        name=name,
+        shapes=shapes,
+        shape_weights=np.array([[weights[shape] for shape in shapes]]) if shapes else None,
+    )
+
+
+def _view(face: Face, name: str, photo: Photo, view: FittedView, fit: PhotoFit, points: FloatArray) -> PhotoView:
+    to_world = camera_to_world(view.camera)
+    height, width = photo.pixels.shape[:2]
+    x, y = view.camera.center
+    return PhotoView(
+        name=name,
+        image=photo.name,
+        width=width,
+        height=height,
+        transform=to_world,
+        focal=float(view.camera.focal),
+        center=(float(x), float(y)),
+        clipping=clipping_range(f"{face.where} -> photo {photo.name}", to_world, points),
+        light=np.asarray(view.light, dtype=np.float64),
+        tint={material: (float(r), float(g), float(b)) for material, (r, g, b) in fit.tint.items()},
+        landmark_error=float(view.landmark_error),
+        animation=name,
+    )
+
+
+def _ended(fit: PhotoFit) -> tuple[str, ...]:
+    """A line where the fit ended before its time."""
+    if fit.stopped != "not-finite":
+        return ()
+    return (f"the loss was not finite after {fit.steps} steps: this is the best until then",)
+
+
+def _report(fit: PhotoFit, photos: Sequence[Photo], names: Sequence[str], posed: SetSlidersReport) -> PhotoFitReport:
+    reports = {}
+    for photo, name, view in zip(photos, names, fit.views, strict=True):
+        height, width = photo.pixels.shape[:2]
+        reports[photo.name if photo.name not in reports else name] = PhotoReport(
+            animation=name,
+            size=(width, height),
+            expressions={shape: float(view.expressions[shape]) for shape in sorted(view.expressions)},
+            landmark_error_px=float(view.landmark_error),
+            eye_distance_px=eye_distance(view.targets),
+        )
+    return PhotoFitReport(
+        animation=posed.animation,
+        sliders=posed.values,
+        photos=reports,
+        steps=fit.steps,
+        stopped=fit.stopped,
+        losses=loss_ends(fit.history),
+        beyond_limits=posed.beyond_limits,
+    )

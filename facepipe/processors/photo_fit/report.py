@@ -1,0 +1,72 @@
+"""What a photo fit found, as it was authored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from facepipe.parts import FloatArray
+from facepipe.reports import Report
+
+if TYPE_CHECKING:
+    from facepipe.learn.photo.result import Stopped
+
+_EYES = (slice(36, 42), slice(42, 48))  # of the 68 landmarks
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoReport:
+    """One photo."""
+
+    animation: str  # the pose of the face in the photo; its camera has the same name
+    size: tuple[int, int]  # width and height of the photo as it was fitted
+    expressions: Mapping[str, float]  # shape -> weight, beside what sliders drive
+    landmark_error_px: float  # mean distance of the face's landmarks from the photo's
+    eye_distance_px: float  # between the middles of the eyes in the photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """A term of the joint loss, weighted."""
+
+    first: float  # at the first step that had it
+    last: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFitReport(Report):
+    """What a photo fit did."""
+
+    animation: str  # the neutral: the pose of the sliders alone
+    sliders: Mapping[str, float]  # that were free
+    photos: Mapping[str, PhotoReport]  # by file name
+    steps: int
+    stopped: Stopped
+    losses: Mapping[str, Loss] = field(default_factory=dict)  # "total" and each term
+    beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the neutral is beyond the face's limits
+    authored: tuple[str, ...] = ()
+
+    @property
+    def missed(self) -> bool:
+        """Whether the fit ended before its time."""
+        return self.stopped == "not-finite"
+
+
+def loss_ends(history: Sequence[Mapping[str, float]]) -> dict[str, Loss]:
+    """First and last value of each term, by name; steps with a loss that is not finite don't count."""
+    found: dict[str, Loss] = {}
+    for step in history:
+        if np.isfinite([float(one) for one in step.values()]).all():
+            for name, value in step.items():
+                first = found[name].first if name in found else float(value)
+                found[name] = Loss(first=first, last=float(value))
+    return {name: found[name] for name in sorted(found)}
+
+
+def eye_distance(landmarks: FloatArray) -> float:
+    """Pixels between the middles of the eyes of (68, 2) landmarks."""
+    left, right = (np.asarray(landmarks, dtype=np.float64)[eye].mean(axis=0) for eye in _EYES)
+    return float(np.linalg.norm(left - right))

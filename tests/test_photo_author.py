@@ -1,0 +1,435 @@
+"""What a photo fit found, on the stage: sliders, neutral, poses and cameras of photos, recipe."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import facepipe_gltf
+import facepipe_onnx
+import gltf_reader
+import numpy as np
+import pytest
+from faces import tiny_face
+from learned import tensor
+from oracle import played
+from pxr import Gf, Usd, UsdGeom
+from scipy.spatial.transform import Rotation
+
+import facepipe
+from facepipe.errors import FitError, InputError, SchemaError
+from facepipe.learn.camera import Camera
+from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
+from facepipe.parts import FaceParts, Material, Slider
+from facepipe.processors.photo_fit import AuthorPhotoFit, Photo, photo_recipe, read_photo_recipe
+from facepipe.processors.sliders import SetSliders
+from facepipe.sample import make
+from facepipe.stage import Face, save_parts
+from facepipe.validate import validate
+
+PHOTOS = ("my photo.png", "my-photo.jpg", "2.png")
+SIZE = (500, 640)  # width and height
+PIXELS = 1e-4
+NAN = float("nan")
+
+
+def photo(name: str, size: tuple[int, int] = SIZE) -> Photo:
+    """A photo of which only name and size count."""
+    return Photo(pixels=np.zeros((size[1], size[0], 3), np.float32), path=Path("somewhere") / name, size=size)
+
+
+def camera(rng: np.random.Generator, points: np.ndarray, backward: np.ndarray, up: np.ndarray) -> FittedCamera:
+    """A camera that sees all points (n, 3) from about `backward`, its principal point off the middle."""
+    axes = np.stack([np.cross(up, backward), up, backward])
+    rotation = Rotation.from_rotvec(rng.uniform(-0.4, 0.4, 3)) * Rotation.from_matrix(axes)
+    middle, radius = points.mean(axis=0), np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+    offset = np.array([*rng.uniform(-0.1, 0.1, 2), -rng.uniform(3, 8)]) * radius
+    return FittedCamera(
+        rotation=rotation.as_rotvec(),
+        translation=offset - rotation.apply(middle),
+        focal=float(rng.uniform(800, 1600)),
+        center=(float(rng.uniform(150, 350)), float(rng.uniform(200, 450))),
+    )
+
+
+def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
+    """Random values in their ranges, of all sliders over bones and of expressions beside them."""
+    rng = np.random.default_rng(seed)
+    sliders = [one for one in face.sliders if not one.shapes]
+    backward, up = ([0, -1, 0], [0, 0, 1]) if face.up_axis == "Z" else ([0, 0, 1], [0, 1, 0])
+    points = face.evaluate()
+    targets = rng.uniform(100, 400, (68, 2))
+    return PhotoFit(
+        sliders={one.name: float(rng.uniform(one.minimum, one.maximum)) for one in sliders},
+        views=tuple(
+            FittedView(
+                expressions={name: float(rng.uniform(0, 1)) for name in face.shapes[:6]},
+                camera=camera(rng, points, np.array(backward, float), np.array(up, float)),
+                light=rng.normal(size=(9, 3)),
+                landmarks=targets + 1,
+                targets=targets,
+                landmark_error=float(rng.uniform(0, 3)),
+            )
+            for _ in range(views)
+        ),
+        tint={one.name: (1.25, 0.9, 0.8) for one in face.materials[:1]},
+        history=({"total": 3.0, "landmarks": 2.0}, {"total": 1.5, "landmarks": 1.0, "identity": 0.5}),
+        steps=2,
+        stopped="iterations",
+    )
+
+
+def fitted(source: Path, out: Path, fit: PhotoFit, names: tuple[str, ...] = PHOTOS, **more: object) -> Face:
+    with facepipe.open(source).deriving(out, **more) as face:  # type: ignore[arg-type]
+        AuthorPhotoFit()(face, fit, [photo(name) for name in names])
+    return facepipe.open(out)
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample."""
+    path = tmp_path_factory.mktemp("head") / "head.usdc"
+    save_parts(make(0), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def fit(head: Path) -> PhotoFit:
+    return fit_of(facepipe.open(head), len(PHOTOS))
+
+
+@pytest.fixture(scope="module")
+def person(head: Path, fit: PhotoFit) -> Face:
+    """The sample, fitted to three photos."""
+    return fitted(head, head.parent / "person.usda", fit)
+
+
+def tiny(up_axis: str, meters_per_unit: float) -> FaceParts:
+    """A small face with a slider over bones."""
+    slider = Slider(name="jawLeft", channels=(("root/jaw", "tx", 0.5),))
+    parts = replace(tiny_face(), sliders=(slider,), materials=(Material(name="Skin"),))
+    return replace(parts, up_axis=up_axis, meters_per_unit=meters_per_unit)  # type: ignore[arg-type]
+
+
+def test_the_neutral_is_the_sliders_alone(head: Path, person: Face, fit: PhotoFit) -> None:
+    """What opens the stage shows the identity, as `facepipe sliders --set` makes it: no photo's expression is in it."""
+    values = {one.name: one.value for one in person.sliders if one.name in fit.sliders}
+    assert values == {name: float(np.float32(value)) for name, value in fit.sliders.items()}
+    expected = person.evaluate(sliders={})
+    np.testing.assert_allclose(expected, facepipe.open(head).evaluate(sliders=fit.sliders), atol=1e-5)
+    shown = played(Path(str(person.stage.GetRootLayer().realPath)))[0]
+    assert np.abs(shown - expected).max() < 1e-3 * person.head_height  # scales of SkelAnimation are halves
+    with facepipe.open(head).deriving(head.parent / "set.usda") as other:
+        SetSliders(values=fit.sliders)(other)
+    both = [facepipe.open(head.parent / name).sample("sliders") for name in ("person.usda", "set.usda")]
+    np.testing.assert_array_equal(both[0][0], both[1][0])
+    assert both[0][1] == both[1][1]
+    assert not any(both[0][1].values())
+
+
+def test_a_pose_is_the_neutral_with_the_expression_of_its_photo(person: Face, fit: PhotoFit) -> None:
+    names = [one.animation for one in person.photos]
+    assert len({*names}) == len(names) == len(PHOTOS)
+    assert [one.image for one in person.photos] == list(PHOTOS)
+    for name, view in zip(names, fit.views, strict=True):
+        assert name is not None
+        transforms, weights = person.sample(name)
+        expected = person.evaluate(view.expressions, sliders={})
+        np.testing.assert_allclose(person.evaluate(weights, joint_transforms=transforms), expected, atol=1e-5)
+
+
+def test_sliders_can_be_set_afterwards(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
+    with person.deriving(tmp_path / "edited.usda") as face:
+        SetSliders(values={"noseWidth": 1.0})(face)
+    edited = facepipe.open(tmp_path / "edited.usda")
+    np.testing.assert_allclose(
+        edited.evaluate(sliders={}), person.evaluate(sliders={**fit.sliders, "noseWidth": 1.0}), atol=1e-5
+    )
+    assert [one.name for one in edited.animations] == [one.name for one in person.animations]
+    assert len(edited.photos) == len(PHOTOS)
+    assert validate(tmp_path / "edited.usda") == ()
+
+
+def pixels_of(stage: Usd.Stage, name: str, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(n, 2) pixels where USD's own camera shows world points, which it must not clip."""
+    prim = next(one for one in stage.Traverse() if one.IsA(UsdGeom.Camera) and one.GetName() == name)
+    frustum = UsdGeom.Camera(prim).GetCamera(Usd.TimeCode.Default()).frustum
+    matrix = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+    seen = np.array([matrix.Transform(Gf.Vec3d(*map(float, point))) for point in points])
+    assert (np.abs(seen[:, 2]) < 1).all()
+    return (seen[:, :2] * (1, -1) + 1) / 2 * size
+
+
+def expected_pixels(found: FittedCamera, points: np.ndarray) -> np.ndarray:
+    """(n, 2) pixels as the fit's differentiable camera has them."""
+    numbers = (found.rotation, found.translation, found.focal, found.center)
+    rotation, translation, focal, center = map(tensor, numbers)
+    own = Camera(rotation=rotation, translation=translation, focal=focal, center=center)
+    return own.project(tensor(points))[:, :2].numpy()
+
+
+@pytest.mark.parametrize("up_axis", ["Y", "Z"])
+@pytest.mark.parametrize("meters_per_unit", [0.001, 0.01, 0.0254, 1.0])
+def test_cameras_see_the_stage_as_the_fit_does(tmp_path: Path, up_axis: str, meters_per_unit: float) -> None:
+    save_parts(tiny(up_axis, meters_per_unit), tmp_path / "face.usda")
+    found = fit_of(facepipe.open(tmp_path / "face.usda"), 3, seed=5)
+    face = fitted(tmp_path / "face.usda", tmp_path / "out.usda", found)
+    points = face.evaluate(sliders={})
+    for view, own in zip(found.views, face.photos, strict=True):
+        expected = expected_pixels(view.camera, points)
+        assert np.abs(pixels_of(face.stage, own.name, points, SIZE) - expected).max() < PIXELS
+        film = UsdGeom.Camera(face.stage.GetPrimAtPath(f"/Tiny/Photos/{own.name}")).GetHorizontalApertureAttr().Get()
+        assert 0.018 < film / 10 * meters_per_unit < 0.052  # metres: near the film of a 35 mm camera
+
+
+def test_cameras_of_a_face_that_is_moved_and_scaled(tmp_path: Path) -> None:
+    """They stand in the world, below the face: whoever moves the face moves them with it."""
+    save_parts(tiny("Y", 0.01), tmp_path / "face.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "face.usda"))
+    place = UsdGeom.Xformable(stage.GetDefaultPrim()).AddTransformOp()
+    place.Set(Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1, 2, 3), 40)) * Gf.Matrix4d().SetScale(2.5))
+    stage.Save()
+    found = fit_of(facepipe.open(tmp_path / "face.usda"), 1, seed=6)
+    face = fitted(tmp_path / "face.usda", tmp_path / "out.usda", found, PHOTOS[:1])
+    points = face.evaluate(sliders={})
+    before = expected_pixels(found.views[0].camera, points)
+    assert np.abs(pixels_of(face.stage, face.photos[0].name, points, SIZE) - before).max() < PIXELS
+    turn = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 1, 0), 25)) * Gf.Matrix4d().SetTranslate(Gf.Vec3d(7, 8, 9))
+    attribute = UsdGeom.Xformable(face.prim).GetOrderedXformOps()[0].GetAttr()
+    attribute.Set(attribute.Get() * turn)
+    moved = np.array([turn.Transform(Gf.Vec3d(*map(float, point))) for point in points])
+    assert np.abs(pixels_of(face.stage, face.photos[0].name, moved, SIZE) - before).max() < PIXELS
+
+
+@pytest.mark.parametrize(("suffix", "flatten"), [(".usda", False), (".usdc", True), (".usdz", False)])
+def test_every_kind_of_file_is_valid_and_keeps_photos(
+    head: Path, person: Face, fit: PhotoFit, tmp_path: Path, suffix: str, flatten: bool
+) -> None:
+    out = tmp_path / f"out{suffix}"
+    face = fitted(head, out, fit, flatten=flatten)
+    assert validate(out) == ()
+    for view, expected, own in zip(fit.views, person.photos, face.photos, strict=True):
+        assert (own.name, own.image, own.width, own.height) == (expected.name, expected.image, *SIZE)
+        np.testing.assert_allclose(own.light, view.light, rtol=1e-6)
+        assert own.tint.keys() == fit.tint.keys()
+        assert own.landmark_error == pytest.approx(view.landmark_error)
+        assert own.focal == pytest.approx(view.camera.focal, rel=1e-7)
+        assert own.center == pytest.approx(view.camera.center, abs=1e-4)
+
+
+def test_exports(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
+    """GLB and slider graph show the fitted face, alone and as in each photo; that cameras are left out is told."""
+    report = facepipe_gltf.export(person, tmp_path / "person.glb", facepipe_gltf.Options(animations=True))
+    assert facepipe_gltf.validate(tmp_path / "person.glb", khronos=False) == ()
+    assert any("cameras of photos" in line for line in report.dropped)
+    file = gltf_reader.read(tmp_path / "person.glb")
+    poses = {"sliders": {}, **{own.name: view.expressions for own, view in zip(person.photos, fit.views, strict=True)}}
+    for name, weights in poses.items():
+        expected = person.split(person.evaluate(weights, sliders={}) / 100)  # centimetres, glTF has metres
+        for mesh, points in file.pose(name, 0.0).items():
+            assert np.nanmax(np.abs(points - expected[mesh])) < 1e-5 * person.head_height / 100
+    facepipe_onnx.export(person, tmp_path / "face.onnx")
+    facepipe_onnx.export(person, tmp_path / "sliders.onnx", facepipe_onnx.Options(sliders=True, points=True))
+    graph = facepipe_onnx.Deformer(tmp_path / "sliders.onnx")
+    found = graph.evaluate(sliders=fit.sliders)["points"]
+    assert np.abs(found - person.evaluate(sliders={})).max() < 1e-5 * person.head_height
+
+
+def test_names_of_photos_are_valid_and_free(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
+    """Also where files of several folders have one name, or that of a clip of the face."""
+    source = facepipe.open(head)
+    taken = [one.name for one in source.animations]
+    face = fitted(head, tmp_path / "out.usda", fit, (f"{taken[0]}.png", "sliders.png", f"{taken[0]}.jpg"))
+    assert [one.name for one in face.animations][: len(taken)] == taken
+    assert len({one.name for one in face.animations}) == len(face.animations) == len(taken) + 4
+    assert [one.animation for one in face.photos] == [one.name for one in face.photos]
+    assert validate(tmp_path / "out.usda") == ()
+
+
+def test_a_new_fit_replaces_the_photos(person: Face, tmp_path: Path) -> None:
+    again = fit_of(person, 1, seed=9)
+    path = Path(str(person.stage.GetRootLayer().realPath))
+    face = fitted(path, tmp_path / "again.usda", again, PHOTOS[1:2])
+    assert [one.image for one in face.photos] == [PHOTOS[1]]
+    assert len(face.animations) == len(person.animations) - 2
+    assert face.photos[0].focal == pytest.approx(again.views[0].camera.focal, rel=1e-7)
+    np.testing.assert_allclose(face.evaluate(sliders={}), person.evaluate(sliders=again.sliders), atol=1e-5)
+    assert validate(tmp_path / "again.usda") == ()
+
+
+def on_view(**changes: object) -> Callable[[PhotoFit], PhotoFit]:
+    """A change of the second view."""
+    return lambda fit: replace(fit, views=(fit.views[0], replace(fit.views[1], **changes), *fit.views[2:]))
+
+
+def on_camera(**changes: object) -> Callable[[PhotoFit], PhotoFit]:
+    return lambda fit: on_view(camera=replace(fit.views[1].camera, **changes))(fit)
+
+
+def behind(fit: PhotoFit) -> PhotoFit:
+    """The second camera, turned about."""
+    own = fit.views[1].camera
+    half = Rotation.from_rotvec([0, np.pi, 0])
+    turned = half * Rotation.from_rotvec(own.rotation)
+    return on_camera(rotation=turned.as_rotvec(), translation=half.apply(own.translation))(fit)
+
+
+REFUSED: dict[str, tuple[Callable[[PhotoFit], PhotoFit], str]] = {
+    "unknown slider": (lambda fit: replace(fit, sliders={"beard": 0.5}), "slider beard: unknown"),
+    "slider out of range": (lambda fit: replace(fit, sliders={"noseWidth": 1.5}), "slider noseWidth: value 1.5"),
+    "NaN of a slider": (lambda fit: replace(fit, sliders={"noseWidth": NAN}), "noseWidth: NaN"),
+    "fewer views": (lambda fit: replace(fit, views=fit.views[:2]), "3 photos of 2 views"),
+    "unknown shape": (on_view(expressions={"wink": 0.5}), "my-photo.jpg -> wink: no such shape"),
+    "weight above 1": (on_view(expressions={"jawOpen": 1.5}), "my-photo.jpg -> jawOpen: weight 1.5"),
+    "weight below 0": (on_view(expressions={"jawOpen": -0.1}), "my-photo.jpg -> jawOpen: weight -0.1"),
+    "NaN of a weight": (on_view(expressions={"jawOpen": NAN}), "my-photo.jpg -> expressions -> jawOpen: NaN"),
+    "infinite light": (on_view(light=np.full((9, 3), np.inf)), "my-photo.jpg -> light: NaN or infinity"),
+    "light of few rows": (on_view(light=np.ones((4, 3))), "my-photo.jpg -> light: shape (4, 3), expected (9, 3)"),
+    "light beyond float32": (on_view(light=np.full((9, 3), 1e300)), "beyond float32"),
+    "negative error": (on_view(landmark_error=-1.0), "my-photo.jpg -> landmark_error: -1"),
+    "NaN of a camera": (on_camera(rotation=np.full(3, NAN)), "my-photo.jpg -> camera -> rotation: NaN"),
+    "matrix for a rotation": (on_camera(rotation=np.eye(3)), "my-photo.jpg -> camera -> rotation: shape (3, 3)"),
+    "no focal length": (on_camera(focal=0.0), "my-photo.jpg -> camera: focal length 0"),
+    "camera that looks away": (behind, "my-photo.jpg: the camera looks away"),
+    "unknown material": (lambda fit: replace(fit, tint={"Fur": (1.0, 1.0, 1.0)}), "tint Fur: no such material"),
+    "negative tint": (lambda fit: replace(fit, tint={"": (1.0, -1.0, 1.0)}), "expected 3 factors"),
+    "NaN of a tint": (lambda fit: replace(fit, tint={"": (1.0, NAN, 1.0)}), "NaN"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_fits_are_refused_and_nothing_is_authored(head: Path, fit: PhotoFit, tmp_path: Path, name: str) -> None:
+    change, message = REFUSED[name]
+    with facepipe.open(head).deriving(tmp_path / "untouched.usda") as face:
+        before = face.stage.GetRootLayer().ExportToString()
+        with pytest.raises(InputError if name != "camera that looks away" else FitError) as caught:
+            AuthorPhotoFit()(face, change(fit), [photo(one) for one in PHOTOS])
+        assert face.stage.GetRootLayer().ExportToString() == before
+    assert message in str(caught.value)
+
+
+def test_the_report(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
+    history = (*fit.history, {"total": NAN, "landmarks": 7.0})
+    ended = replace(fit, history=history, stopped="not-finite", warnings=("the photo is dark",))
+    with facepipe.open(head).deriving(tmp_path / "out.usda") as face:
+        reports = [AuthorPhotoFit()(face, ended, [photo(one) for one in PHOTOS])]
+    with facepipe.open(head).deriving(tmp_path / "good.usda") as face:
+        reports.append(AuthorPhotoFit()(face, fit, [photo(one) for one in PHOTOS]))
+    assert [one.missed for one in reports] == [True, False]
+    assert reports[0].warnings[0] == "the photo is dark"
+    assert "not finite after 2 steps" in " ".join(reports[0].warnings)
+    for report in reports:
+        content = json.loads(report.to_json(), parse_constant=pytest.fail)
+        assert content["sliders"] == fit.sliders
+        assert content["losses"] == {
+            "total": {"first": 3.0, "last": 1.5},
+            "landmarks": {"first": 2.0, "last": 1.0},
+            "identity": {"first": 0.5, "last": 0.5},
+        }
+        for name, view in zip(PHOTOS, fit.views, strict=True):
+            own = content["photos"][name]
+            assert own["landmark_error_px"] == view.landmark_error
+            assert own["expressions"] == view.expressions
+            eyes = [view.targets[first : first + 6].mean(axis=0) for first in (36, 42)]
+            assert own["eye_distance_px"] == pytest.approx(np.hypot(*(eyes[0] - eyes[1])))
+
+
+def test_sliders_of_expressions_are_told(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
+    """A slider over the shapes that photos add would put an expression into the identity."""
+    source = facepipe.open(head)
+    slider = next(one for one in source.sliders if one.shapes)
+    shape = slider.shapes[0][0]
+    views = tuple(replace(view, expressions={shape: 0.5}) for view in fit.views)
+    lines = []
+    for value in (slider.default, slider.maximum):
+        changed = replace(fit, views=views, sliders={**fit.sliders, slider.name: value})
+        with source.deriving(tmp_path / "out.usda") as face:
+            report = AuthorPhotoFit()(face, changed, [photo(one) for one in PHOTOS])
+        lines.append([line for line in report.warnings if "expression" in line])
+    assert lines[0] == []
+    assert slider.name in lines[1][0]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a face, photos, landmarks and a model."""
+    save_parts(tiny("Y", 0.01), tmp_path / "face.usda")
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "b.png", "a.json", "net.onnx"):
+        (tmp_path / "in" / name).write_bytes(name.encode())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def recorded(folder: Path, **changes: object) -> Path:
+    """A fit with a recipe, in a folder beside."""
+    (folder / "out").mkdir()
+    out = folder / "out" / "person.usda"
+    recipe = photo_recipe(
+        "face.usda",
+        ["in/a.png", "in/b.png"],
+        out,
+        landmarks=["in/a.json", None],
+        files={"identity_model": "in/net.onnx"},
+        options={"iterations": 20, "weights": {"identity": 0.5}, "regions": ("nose",)},
+    )
+    source = facepipe.open("face.usda")
+    with source.deriving(out) as face:
+        changed = replace(recipe, options={**recipe.options, **changes})
+        AuthorPhotoFit()(face, fit_of(source, 2), [photo("a.png"), photo("b.png")], recipe=changed)
+    return out
+
+
+def test_the_recipe_is_read_back(folder: Path) -> None:
+    found = read_photo_recipe(recorded(folder))
+    assert found.face == folder / "face.usda"
+    assert found.photos == (folder / "in/a.png", folder / "in/b.png")
+    assert found.landmarks == (folder / "in/a.json", None)
+    assert found.files == {"identity_model": folder / "in/net.onnx"}
+    assert found.options == {"iterations": 20, "weights": {"identity": 0.5}, "regions": ["nose"]}
+    assert not found.standalone
+    assert found.warnings == ()
+    assert validate(folder / "out" / "person.usda") == ()
+
+
+def test_changed_and_lost_sources_of_a_recipe(folder: Path) -> None:
+    out = recorded(folder)
+    (folder / "in/b.png").write_bytes(b"another")
+    assert read_photo_recipe(out).warnings == ("b.png changed since person.usda was made",)
+    assert read_photo_recipe(out, replaced=("PHOTO",)).warnings == ()
+    (folder / "in/net.onnx").unlink()
+    with pytest.raises(InputError, match=r"net\.onnx: no such file, .*--identity-model"):
+        read_photo_recipe(out)
+    assert read_photo_recipe(out, replaced=("--identity-model",)).photos[1].read_bytes() == b"another"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"photos": []}, "photos: damaged"),
+        ({"photos": ["../in/a.png", "../in/a.png"]}, "photos: damaged"),
+        ({"photos": ["../in/b.png", "../in/a.png"]}, "expected the face and the files"),
+        ({"landmarks": [None]}, "landmarks: damaged"),
+        ({"files": {"identity_model": 3}}, "files: damaged"),
+        ({"options": []}, "options: damaged"),
+        ({"more": 1}, "expected an object of"),
+    ],
+)
+def test_damaged_recipes(folder: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(SchemaError, match=message):
+        read_photo_recipe(recorded(folder, **changes))
+
+
+def test_recipes_that_can_not_be(folder: Path) -> None:
+    with pytest.raises(InputError, match="given twice"):
+        photo_recipe("face.usda", ["in/a.png", "./in/a.png"], "out.usda")
+    with pytest.raises(InputError, match="no photos"):
+        photo_recipe("face.usda", [], "out.usda")
+    with pytest.raises(InputError, match="1 files of landmarks of 2 photos"):
+        photo_recipe("face.usda", ["in/a.png", "in/b.png"], "out.usda", landmarks=["in/a.json"])
+    with pytest.raises(InputError, match="rate: NaN"):
+        photo_recipe("face.usda", ["in/a.png"], "out.usda", options={"rate": NAN})
+    with pytest.raises(InputError, match="can't be read"):
+        photo_recipe("face.usda", ["in/none.png"], "out.usda")
