@@ -1,0 +1,149 @@
+"""What a feature network says about itself, in its metadata or in a JSON file beside it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from facepipe.errors import InputError
+from facepipe.reading import read_json_object
+
+Kind = Literal["content", "identity", "attributes", "landmarks"]
+Crop = Literal["face", "arcface"]
+Order = Literal["RGB", "BGR"]
+Triple = tuple[float, float, float]
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+PROPERTY = "facepipe.features"  # key of the metadata in an ONNX file
+
+_MAX_BYTES = 1 << 20
+_SIZES = (8, 2048)
+_IMAGENET: tuple[Triple, Triple] = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+_HALF: tuple[Triple, Triple] = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """How a network wants its pictures, and what its outputs are."""
+
+    kinds: Mapping[Kind, tuple[str | int, ...]]  # outputs of each kind by name or position; none named: all there are
+    size: int | None = None  # pixels a side; None: what the network's input or the kind says
+    mean: Triple  # of red, green and blue in 0..1, taken away
+    std: Triple  # of red, green and blue, divided by
+    order: Order = "RGB"
+    crop: Crop = "face"
+    names: tuple[str, ...] = ()  # of attributes
+    labels: tuple[str, ...] = ()  # of the channels of the last content output; none: the eleven, or CelebAMask's
+    logits: bool | None = None  # probabilities are yet to be made; None: for content, judged by a run
+    trained_on: str = ""
+
+
+DEFAULTS: Mapping[Kind, Description] = {
+    "content": Description(kinds={"content": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+    "identity": Description(kinds={"identity": ()}, mean=_HALF[0], std=_HALF[1], crop="arcface"),
+    "attributes": Description(kinds={"attributes": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+    "landmarks": Description(kinds={"landmarks": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+}
+DEFAULT_SIZES: Mapping[Kind, int] = {"content": 512, "identity": 112, "attributes": 224, "landmarks": 224}
+
+
+def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description:
+    """The description of a network: ``<path>.json``, or else `metadata`, or else what is usual for `kind`.
+
+    :param metadata: JSON text in the file itself
+    :param kind: that it is wanted for; None: what it says itself
+    :raises InputError: no description where `kind` is None, another kind, or values that can't be
+    """
+    if kind is not None and kind not in KINDS:
+        raise InputError("kind", f"{kind!r}, expected one of {', '.join(KINDS)}")
+    beside = path.with_name(f"{path.name}.json")
+    if beside.is_file():
+        return _described(beside, read_json_object(beside, _MAX_BYTES), kind)
+    if metadata is not None:
+        where = f"{path} -> {PROPERTY}"
+        try:
+            values = json.loads(metadata)
+        except (ValueError, RecursionError) as error:
+            raise InputError(where, f"is not JSON ({error})") from None
+        if not isinstance(values, dict):
+            raise InputError(where, "expected a JSON object")
+        return _described(where, values, kind)
+    if kind is None:
+        raise InputError(path, f"does not say what it gives, expected {beside.name} or metadata {PROPERTY}")
+    return DEFAULTS[kind]
+
+
+def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Description:
+    kinds = _kinds(where, values, wanted)
+    if wanted is not None and wanted not in kinds:
+        raise InputError(where, f"gives {', '.join(kinds)}, expected {wanted}")
+    usual = DEFAULTS[next(iter(kinds))]  # whichever is wanted: one forward serves them all
+    return Description(
+        kinds=kinds,
+        size=_size(where, values.get("size")),
+        mean=_triple(where, values, "mean", usual.mean),
+        std=_triple(where, values, "std", usual.std),
+        order=_choice(where, values, "order", get_args(Order), usual.order),
+        crop=_choice(where, values, "crop", get_args(Crop), usual.crop),
+        names=_texts(where, values, "names"),
+        labels=_texts(where, values, "labels"),
+        logits=_logits(where, values.get("logits")),
+        trained_on=str(values.get("trained_on", "")),
+    )
+
+
+def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> dict[Kind, tuple[str | int, ...]]:
+    several = values.get("kinds")
+    if several is None:
+        one = values.get("kind", wanted)
+        several = {} if one is None else {one: []}
+    if not isinstance(several, Mapping) or not several:
+        raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
+    found: dict[Kind, tuple[str | int, ...]] = {}
+    for kind, outputs in several.items():
+        if kind not in KINDS:
+            raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
+        if not isinstance(outputs, list) or not all(type(one) in (str, int) for one in outputs):
+            raise InputError(f"{where} -> kinds -> {kind}", "expected a list of output names or positions")
+        found[kind] = tuple(outputs)
+    if len(found) > 1 and not all(found.values()):
+        raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
+    return found
+
+
+def _size(where: object, value: object) -> int | None:
+    if value is None or (type(value) is int and _SIZES[0] <= value <= _SIZES[1]):
+        return value
+    raise InputError(f"{where} -> size", f"{value!r}, expected a whole number from {_SIZES[0]} to {_SIZES[1]}")
+
+
+def _triple(where: object, values: Mapping[str, Any], key: str, usual: Triple) -> Triple:
+    value = values.get(key, usual)
+    plain = isinstance(value, Sequence) and len(value) == 3 and all(type(one) in (int, float) for one in value)
+    if not plain or not all(math.isfinite(one) and (key == "mean" or one > 0) for one in value):
+        raise InputError(f"{where} -> {key}", f"{str(value)[:40]}, expected 3 numbers for red, green, blue in 0..1")
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+def _choice(where: object, values: Mapping[str, Any], key: str, choices: Sequence[str], usual: str) -> Any:
+    value = values.get(key, usual)
+    if value not in choices:
+        raise InputError(f"{where} -> {key}", f"{str(value)[:40]!r}, expected {' or '.join(choices)}")
+    return value
+
+
+def _texts(where: object, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    value = values.get(key, [])
+    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        raise InputError(f"{where} -> {key}", "expected a list of texts")
+    return tuple(value)
+
+
+def _logits(where: object, value: object) -> bool | None:
+    if value is None or isinstance(value, bool):
+        return value
+    raise InputError(f"{where} -> logits", f"{value!r}, expected true or false")
