@@ -1,0 +1,379 @@
+"""The report sheet of a photo fit: marks where the landmarks are, bars and curves as long and high as the numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from faces import grid_mesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts, Mesh, Slider
+from facepipe.render import photo_pictures as pictures
+from facepipe.render.curves import COLORS, HEIGHT, best_step, loss_curves, spread
+from facepipe.render.photo_sheet import WIDTH, PhotoSheet, SheetPhoto, photo_sheet
+from facepipe.render.slider_table import ABOVE, MOST_SLIDERS, TRACK, UNDER, shape_table, slider_table
+from facepipe.render.typesetting import MUTED, fitted, text_width
+from facepipe.render.wireframe import wireframe
+
+NAN = float("nan")
+
+
+def pixels(image: Image.Image) -> np.ndarray:
+    return np.asarray(image.convert("RGB")).astype(int)
+
+
+def near(image: np.ndarray, color: tuple[int, int, int], slack: int = 12) -> np.ndarray:
+    """(h, w) where pixels have a colour."""
+    return np.asarray(np.abs(image - np.array(color)).max(axis=2) <= slack)
+
+
+def noise(width: int, height: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
+
+
+def face(*meshes: Mesh, sliders: tuple[Slider, ...] = ()) -> FaceParts:
+    return FaceParts(name="Someone", meshes=meshes or (grid_mesh(),), sliders=sliders)
+
+
+def slider(name: str, minimum: float = -1.0, default: float = 0.0, maximum: float = 1.0, group: str = "") -> Slider:
+    return Slider(name=name, minimum=minimum, default=default, maximum=maximum, group=group)
+
+
+def one_photo(width: int = 90, height: int = 70, name: str = "someone.png", seed: int = 0) -> SheetPhoto:
+    """A photo of noise; the face is the grid of 36 points in its middle."""
+    rng = np.random.default_rng(seed)
+    grid = grid_mesh().points * (width / 12, -height / 12, 0) + (width / 2, height * 0.7, 50)
+    landmarks = grid[::5, :2]
+    return SheetPhoto(
+        name=name,
+        photo=noise(width, height, seed),
+        render=rng.random((20, 30, 4)),
+        screen=grid,
+        targets=landmarks + rng.normal(0, 1, landmarks.shape),
+        landmarks=landmarks,
+        landmark_error=1.25,
+        eye_distance=20.0,
+        expressions={"smile": 0.5, "jawOpen": 0.0},
+    )
+
+
+def sheet(*photos: SheetPhoto, **changes: object) -> PhotoSheet:
+    sliders = tuple(slider(name, group="nose") for name in ("noseWidth", "noseLength", "noseTip"))
+    made = PhotoSheet(
+        parts=face(sliders=sliders),
+        neutral=grid_mesh().points,
+        photos=photos or (one_photo(),),
+        sliders={"noseWidth": 0.7, "noseLength": 0.0},
+        history=[{"total": 3.0 / (step + 1), "landmarks": 1.0 / (step + 1)} for step in range(12)],
+        seconds=1.5,
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def test_same_sheet_same_bytes() -> None:
+    first, second = photo_sheet(sheet()), photo_sheet(sheet())
+    assert first.width == WIDTH
+    assert first.tobytes() == second.tobytes()
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_every_photo_is_shown(count: int) -> None:
+    plain = [(10, 200, 30), (200, 20, 20), (30, 40, 220), (220, 210, 20)][:count]
+    photos = [
+        replace(one_photo(name=str(number)), photo=np.full((70, 90, 3), color, np.uint8))
+        for number, color in enumerate(plain)
+    ]
+    page = pixels(photo_sheet(sheet(*photos)))
+    rows = [np.flatnonzero(near(page[:, : WIDTH // 6], color, 0).sum(axis=1) > 300) for color in plain]
+    assert all(len(each) for each in rows)
+    assert all(above.max() < under.min() for above, under in pairwise(rows))
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 64), (4000, 60), (48, 900), (4000, 3000)])
+def test_photos_of_any_shape(width: int, height: int) -> None:
+    assert photo_sheet(sheet(one_photo(width, height))).width == WIDTH
+
+
+def test_a_face_that_is_out_of_sight() -> None:
+    one = one_photo()
+    away = replace(one, screen=one.screen * (1, 1, -1), targets=one.targets + 5000, landmarks=one.landmarks - 5000)
+    assert photo_sheet(sheet(away, sliders={}, history=[])).width == WIDTH
+
+
+def test_sheet_says_what_does_not_fit() -> None:
+    one = one_photo()
+    wrong = [
+        (sheet(photos=()), "no photos"),
+        (sheet(sliders={"noseHue": 0.1}), "no slider 'noseHue'"),
+        (sheet(sliders={"noseWidth": NAN}), "noseWidth: NaN"),
+        (sheet(replace(one, screen=one.screen[1:])), "screen: shape (35, 3), expected (36, 3)"),
+        (sheet(replace(one, targets=one.targets[1:])), "landmarks"),
+        (sheet(replace(one, render=one.render[..., :3])), "render: shape (20, 30, 3)"),
+        (sheet(replace(one, photo=one.photo[..., 0])), "someone.png: photo uint8 (70, 90)"),
+        (sheet(replace(one, landmarks=one.landmarks * NAN)), "someone.png -> landmarks: NaN"),
+        (sheet(replace(one, eye_distance=0.0)), "eye distance"),
+    ]
+    for made, message in wrong:
+        with pytest.raises(InputError) as caught:
+            photo_sheet(made)
+        assert message in str(caught.value)
+
+
+def test_crop_keeps_pixels_where_the_scale_is_one() -> None:
+    photo = noise(60, 40)
+    inner = pictures.cut(photo, pictures.Crop(left=7, top=5, side=20, size=20), (60, 40))
+    np.testing.assert_allclose(inner, photo[5:25, 7:27], atol=1e-3)
+    whole = pictures.cut(photo, pictures.whole(60, 40, 60), (60, 40))
+    np.testing.assert_allclose(whole[10:50], photo, atol=1e-3)
+    assert np.isnan(whole[:10]).all()
+    assert np.isnan(whole[50:]).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    width=st.integers(8, 4000), height=st.integers(8, 4000), x=st.floats(-50, 4050), y=st.floats(-50, 4050),
+    reach=st.floats(0, 3000),
+)  # fmt: skip
+def test_crops_show_the_face_and_stay_in_the_photo(width: int, height: int, x: float, y: float, reach: float) -> None:
+    landmarks = np.array([(x, y), (x + reach, y + reach / 2), (x, y + reach)])
+    for crop in (
+        pictures.close_up(landmarks, width, height, 300),
+        pictures.portrait(landmarks, landmarks + 3 * reach, width, height, 300),
+    ):
+        low, high = crop.place(np.clip(landmarks, 0, (width, height))).T.min(), crop.place(landmarks[:0])
+        assert low >= -1e-6
+        assert not len(high)
+        assert (crop.place(np.clip(landmarks, 0, (width, height))) <= 300 + 1e-6).all()
+        for start, length in ((crop.left, width), (crop.top, height)):
+            inside = start >= -1e-6 and start + crop.side <= length + 1e-6
+            around = start <= 1e-6 and start + crop.side >= length - 1e-6
+            assert inside or around
+
+
+def test_marks_stand_at_the_landmarks() -> None:
+    photo, size = np.full((100, 100, 3), 90, np.uint8), 800
+    crop = pictures.Crop(left=10, top=20, side=50, size=size)
+    given_points = np.array([(20.3, 30.1), (50.2, 60.4)])
+    fitted_points = np.array([(20.3, 30.1), (35.2, 60.4)])
+    drawn = pixels(pictures.landmark_picture(photo, crop, given_points, fitted_points))
+    for color, points, spot in (
+        (pictures.FITTED, fitted_points, 0.0),
+        (pictures.GIVEN, given_points, 1.95),
+    ):
+        for x, y in crop.place(points) + np.array((spot * size / 200, 0)):
+            assert near(drawn, color, 30)[int(y), int(x)], (color, x, y)
+    line = crop.place((given_points[1:] + fitted_points[1:]) / 2)[0]
+    assert near(drawn, pictures.ERROR, 30)[int(line[1]), int(line[0])]
+    # dots are centred on their landmarks
+    red = np.argwhere(near(drawn, pictures.FITTED, 60))
+    found = np.stack([red[red[:, 0] < 400].mean(axis=0), red[red[:, 0] > 400].mean(axis=0)])[:, ::-1] + 0.5
+    np.testing.assert_allclose(found, crop.place(fitted_points), atol=0.35)
+
+
+def test_render_lies_over_the_photo_by_its_coverage() -> None:
+    photo = np.full((40, 40, 3), 188, np.uint8)  # 0.503 linear
+    cover = np.repeat(np.repeat([[0.0, 0.5, 1.0, 1.0]], 4, axis=0)[..., None], 4, axis=2)
+    cover[..., :3] *= (0.2, 0.4, 0.8)
+    crop = pictures.whole(40, 40, 80)
+    drawn = pixels(pictures.render_picture(cover, photo, crop, on_photo=True))
+    alone = pixels(pictures.render_picture(cover, photo, crop, on_photo=False))
+    np.testing.assert_allclose(drawn[:, 2], 188, atol=1)
+    np.testing.assert_allclose(alone[:, 2], np.tile(pictures.GROUND, (80, 1)), atol=1)
+    for picture in (drawn, alone):
+        np.testing.assert_allclose(picture[40, 78], (124, 170, 231), atol=1)  # sRGB of 0.2, 0.4, 0.8
+    np.testing.assert_allclose(drawn[40, 30], (159, 180, 212), atol=2)  # of the linear mean
+
+
+def plate(name: str, z: float, size: float, flip: bool = False) -> Mesh:
+    """A square polygon around the view axis."""
+    points = np.array([(-size, -size, z), (size, -size, z), (size, size, z), (-size, size, z)])
+    corners = np.arange(4, dtype=np.int32)
+    return Mesh(
+        name=name,
+        points=points,
+        face_vertex_counts=np.array([4], np.int32),
+        face_vertex_indices=corners[::-1] if flip else corners,
+    )
+
+
+def seen(*meshes: Mesh) -> np.ndarray:
+    """(100, 100) wireframe of plates whose points are pixels from the middle, and depths."""
+    screen = np.concatenate([mesh.points * (1, -1, 1) + (50, 50, 0) for mesh in meshes])
+    return np.asarray(wireframe(face(*meshes), screen, (100, 100))).astype(int)
+
+
+def test_wireframe_draws_edges_where_they_are() -> None:
+    found = seen(plate("A", 10.0, 30.5))
+    ys, xs = np.nonzero(found > 100)
+    at_border = np.maximum(np.abs(xs + 0.5 - 50), np.abs(ys + 0.5 - 50))
+    np.testing.assert_allclose(at_border, 30.5, atol=1.0)
+    assert (found[50] > 200).sum() in (2, 4)  # the polygon's sides, no diagonal of its triangles
+
+
+def test_wireframe_hides_what_lies_behind() -> None:
+    behind, before = plate("Behind", 20.0, 20.5), plate("Before", 10.0, 30.5)
+    np.testing.assert_array_equal(seen(behind, before), seen(before))
+    both = seen(replace(behind, name="Front", points=behind.points * (1, 1, 0.2)), before)
+    assert (both[50] > 100).sum() > (seen(before)[50] > 100).sum()
+
+
+def test_wireframe_leaves_out_backs_and_what_is_behind_the_camera() -> None:
+    assert not seen(plate("Back", 10.0, 30.5, flip=True)).any()
+    assert not seen(plate("Away", -10.0, 30.5)).any()
+
+
+def bar_rows(image: np.ndarray, color: tuple[int, int, int]) -> list[tuple[int, int]]:
+    """Columns (first, behind the last) of the bars of a colour, from top to bottom."""
+    marked = near(image, color, 0)
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], marked.any(axis=1).astype(int)])) == 1)
+    return [
+        (int(columns.min()), int(columns.max()) + 1) for columns in (np.flatnonzero(marked[row + 8]) for row in starts)
+    ]
+
+
+def test_bars_are_as_long_as_the_distance_from_the_default() -> None:
+    sliders = [slider("up"), slider("down"), slider("odd", -0.5, 1.0, 3.5), slider("rest"), slider("fixed")]
+    values = {"up": 0.75, "down": -0.5, "odd": 2.5, "rest": 0.01}
+    drawn = pixels(slider_table(sliders, values, 1000))
+    tracks = bar_rows(drawn, TRACK)
+    assert len(tracks) == 3
+    (_, right), tick = tracks[0], np.flatnonzero(near(drawn, MUTED, 0).sum(axis=0) > 40).mean()
+    left = tracks[1][0]
+    full = right - left
+    (first, up), (second, odd) = bar_rows(drawn, ABOVE)
+    ((down, third),) = bar_rows(drawn, UNDER)
+    assert up - first == pytest.approx(0.375 * full, abs=2)
+    assert odd - second == pytest.approx(1.5 / 4 * full, abs=2)
+    assert third - down == pytest.approx(0.25 * full, abs=2)
+    assert first == pytest.approx(left + full / 2, abs=2)
+    assert third == pytest.approx(left + full / 2, abs=2)
+    assert second == pytest.approx(left + 1.5 / 4 * full, abs=2)
+    assert left < tick < right
+
+
+def test_bars_of_values_beyond_the_range_end_with_it() -> None:
+    drawn = pixels(slider_table([slider("a")], {"a": 7.0}, 1000))
+    (((_, right)),) = bar_rows(drawn, ABOVE)
+    ((left, end),) = bar_rows(drawn, TRACK)
+    assert left < end <= right
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 16, 17, 40, 60, 90])
+def test_tables_of_any_length(count: int) -> None:
+    sliders = [slider(f"slider{number}", group=f"group {number // 7}") for number in range(count)]
+    table = slider_table(sliders, {each.name: 0.5 for each in sliders}, 1000)
+    bars = near(pixels(table), ABOVE, 0)
+    starts = (np.diff(np.pad(bars.any(axis=1).astype(int), 1)) == 1).sum()
+    halves = [(np.diff(np.pad(half.any(axis=1).astype(int), 1)) == 1).sum() for half in np.split(bars, [500], axis=1)]
+    assert max(starts, sum(halves)) == min(count, MOST_SLIDERS)
+
+
+def test_long_names_keep_clear_of_the_bars() -> None:
+    names = [f"aNameOfASliderThatIsFarTooLongForItsPlaceInTheTable{number}Left" for number in range(30)]
+    drawn = pixels(slider_table([slider(name) for name in names], dict.fromkeys(names, -0.9), 1000))
+    ink = drawn.max(axis=2) < 120
+    for left, _ in {(columns[0], 0) for columns in bar_rows(drawn[:, :470], UNDER)}:
+        assert not ink[:, left - 14 : left - 4].any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    text=st.text(st.characters(codec="ascii", exclude_categories=["C"]), min_size=1, max_size=90),
+    room=st.floats(30, 400),
+)
+def test_text_is_never_wider_than_its_room(text: str, room: float) -> None:
+    shown, size = fitted(text, 25.0, room)
+    assert text_width(shown, size) <= room
+    if text_width(text, 25.0) <= room:
+        assert (shown, size) == (text, 25.0)
+    head, dots, tail = shown.partition("...")
+    if shown != text and dots:
+        assert text.startswith(head)
+        assert text.endswith(tail)
+
+
+def test_expression_bars_are_as_long_as_their_weights() -> None:
+    drawn = pixels(shape_table([{"smile": 0.8, "jawOpen": 0.4, "blink": 0.0}], ["one"], 1000))
+    (first, smile), (second, jaw) = bar_rows(drawn, ABOVE)
+    assert first == second
+    assert smile - first == pytest.approx(2 * (jaw - second), abs=2)
+    both = pixels(shape_table([{"smile": 0.8}, {"smile": -0.4}], ["one", "two"], 1000))
+    assert len(bar_rows(both, ABOVE)) == len(bar_rows(both, UNDER)) == 1
+    assert bar_rows(both, ABOVE)[0][1] < bar_rows(both, UNDER)[0][0]
+
+
+def heights(history: list[dict[str, float]], count: int, columns: slice = slice(200, 500)) -> list[float]:
+    """Mean row of the first curves beside the total in part of a plot; NaN where there is nothing."""
+    drawn = pixels(loss_curves(history, 1000))[:, columns]
+    rows = [np.nonzero(near(drawn, color, 40))[0] for color in COLORS[:count]]
+    return [float(each.mean()) if len(each) else NAN for each in rows]
+
+
+def test_curves_are_as_high_as_the_losses() -> None:
+    one, two, three = heights([{"total": 4.0, "a": 1.0, "b": 2.0, "c": 3.0}] * 50, 3)
+    assert one - two == pytest.approx(two - three, abs=1)
+    assert one - two > HEIGHT / 8
+    one, two, three = heights([{"total": 1.0, "a": 0.1, "b": 0.01, "c": 0.001}] * 50, 3)
+    assert two - one == pytest.approx(three - two, abs=1)
+    assert two - one > HEIGHT / 8
+
+
+def test_losses_that_are_not_known_leave_gaps() -> None:
+    known = {"total": 4.0, "a": 1.0, "b": 2.0}
+    history = [{**known, "a": NAN if 20 <= step < 40 else 1.0} for step in range(60)]
+    left, right = 80, 850  # the plot is somewhat narrower
+    third = (right - left) // 3
+    parts = [heights(history, 2, slice(left + third * n + 60, left + third * (n + 1) - 90)) for n in range(3)]
+    assert np.isfinite([part[1] for part in parts]).all()
+    assert np.isfinite([parts[0][0], parts[2][0]]).all()
+    assert np.isnan(parts[1][0])
+    infinite = [{**each, "a": float("inf") if np.isnan(each["a"]) else each["a"]} for each in history]
+    assert loss_curves(history, 1000).tobytes() == loss_curves(infinite, 1000).tobytes()
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        [],
+        [{}],
+        [{"total": 1.0}],
+        [{"total": 0.0, "a": 0.0}] * 3,
+        [{"total": NAN, "a": NAN}] * 3,
+        [{"total": 2.0, "a": -1.0}] * 3,
+        [{"total": 1e12, "a": 1e-12}, {"total": 3.0}],
+        [{"total": 1e-300, "a": 5e-324}] * 2,
+        [{f"a term with a very long name, number {n}": 0.1 * n for n in range(40)}] * 5,
+    ],
+)
+def test_histories_of_any_kind(history: list[dict[str, float]]) -> None:
+    image = loss_curves(history, 1000, [(0, "first"), (1, "second"), (9, "third")])
+    assert image.width == 1000
+    assert pixels(image).min() < 128
+
+
+def test_best_step_is_the_least_known_total() -> None:
+    assert best_step([{"total": NAN}, {"total": 2.0}, {"total": 1.0}, {"total": 1.5}]) == 2
+    assert best_step([{"total": NAN}, {}]) is None
+    assert best_step([]) is None
+
+
+@settings(max_examples=80, deadline=None)
+@given(wanted=st.lists(st.floats(0, 600), max_size=25), apart=st.floats(5, 40))
+def test_labels_stay_apart_and_near(wanted: list[float], apart: float) -> None:
+    wanted = sorted(wanted)
+    places = spread(np.array(wanted), apart, (0.0, 600.0))
+    assert len(places) == len(wanted)
+    if not wanted:
+        return
+    reached = min(apart, 600.0 / max(len(wanted) - 1, 1))
+    assert (np.diff(places) >= reached - 1e-6).all()
+    assert places.min() >= -1e-6
+    assert places.max() <= 600 + 1e-6
+    if (np.diff(wanted) >= reached).all():
+        np.testing.assert_allclose(places, wanted, atol=1e-6)
