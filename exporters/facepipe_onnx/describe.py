@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from facepipe import __version__
-from facepipe.parts import FaceParts, Slider
+from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe_onnx import describe_sliders
 from facepipe_onnx.describe_sliders import numbers, units
@@ -30,13 +30,19 @@ _CONVENTIONS = {
 
 
 def describe(
-    parts: FaceParts, rig: Rig, options: Options, operators: list[str], sliders: Sequence[Slider] | None = None
+    parts: FaceParts,
+    rig: Rig,
+    options: Options,
+    operators: list[str],
+    sliders: Sequence[Slider] | None = None,
+    network: SliderNetwork | None = None,
 ) -> dict[str, Any]:
     """The metadata of a graph.
 
     :param rig: the rig with the exported shapes only
     :param operators: the operators of the graph, sorted
     :param sliders: of a graph of sliders, with what they do to the exported shapes only
+    :param network: of the sliders, likewise
     """
     metadata = _common(parts, rig, operators)
     if sliders is None:
@@ -62,6 +68,7 @@ def describe(
             describe_sliders.output(name, shape, parts, rig) or _output(name, shape, rig)
             for name, shape in outputs.items()
         ],
+        "slider_network": None if network is None else describe_sliders.network_record(network),
         "sliders": [describe_sliders.record(one) for one in sliders],
     }
 

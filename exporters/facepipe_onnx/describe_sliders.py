@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Mesh, Slider
+from facepipe.parts import FaceParts, FloatArray, Mesh, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.activation import curves
 
@@ -15,7 +15,8 @@ Json = dict[str, Any]
 
 CONVENTIONS = {
     "sliders": "clamped to their ranges; what each adds to channels and shapes is gain * (value - default), or "
-    "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond",
+    "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond; a "
+    "slider_network, whose weights the graph holds, adds to channels and shapes from the clamped values of its sliders",
     "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
     "skinning_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
     "For vertices of the face's GLB, not quantised: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
@@ -38,6 +39,18 @@ def record(slider: Slider) -> Json:
         "shape_curves": _curves(slider.shape_curves),
         "shapes": [list(shape) for shape in slider.shapes],
         "value": _value(slider),
+    }
+
+
+def network_record(network: SliderNetwork) -> Json:
+    """The learned network of a face's sliders, without its numbers."""
+    return {
+        "activation": network.activation,
+        "channels": [list(channel) for channel in network.channels],
+        "info": dict(network.info),
+        "layers": [len(network.sliders), *(len(bias) for bias in network.biases)],
+        "shapes": list(network.shapes),
+        "sliders": list(network.sliders),
     }
 
 

@@ -7,7 +7,7 @@ of itself, and no large numbers cancel out, however steep a curve is.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +35,10 @@ class Ramps(NamedTuple):
     shape_gains: FloatArray  # (k, shapes)
 
 
-def ramps_of(rig: Rig, sliders: Sequence[Slider]) -> Ramps:
+def ramps_of(rig: Rig, sliders: Sequence[Slider], whole: Collection[str] = ()) -> Ramps:
     """The ramps of sliders on a rig, which `facepipe.rig.slide` takes.
 
+    :param whole: sliders that have a ramp over their range in any case, unless that is a single value
     :raises ExportError: an empty range, an unknown shape, or sliders that move nothing
     """
     joint_columns = 9 * len(rig.joints)
@@ -48,6 +49,8 @@ def ramps_of(rig: Rig, sliders: Sequence[Slider]) -> Ramps:
             raise ExportError(
                 f"{rig.name} -> slider {slider.name}", f"range {slider.minimum:g} to {slider.maximum:g} is empty"
             )
+        if slider.name in whole and slider.minimum < slider.maximum:
+            rows[number, slider.minimum, slider.maximum] = np.zeros(len(base))
         for column, gain, curve in _entries(rig, slider):
             values = _values(slider, curve)
             amounts = [gain * response(curve, value, slider.default) for value in values]

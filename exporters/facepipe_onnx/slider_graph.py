@@ -17,14 +17,16 @@ import numpy as np
 
 from facepipe.errors import ExportError
 from facepipe.names import select
-from facepipe.parts import IntArray, Slider
+from facepipe.parts import IntArray, Slider, SliderNetwork
 from facepipe.rig import Rig, rest_coefficients, slide
+from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
 from facepipe_onnx.chains import Chains, chain_nodes, chains_of, end_nodes
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
 from facepipe_onnx.joints import tree_order
 from facepipe_onnx.model import make_model
 from facepipe_onnx.morph import activation_nodes
+from facepipe_onnx.network import network_nodes
 from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
@@ -38,20 +40,38 @@ def select_sliders(rig: Rig, sliders: Sequence[Slider], names: tuple[str, ...]) 
     return tuple(kept(slider, lambda _: True, lambda shape: shape not in left_out) for slider in sliders)
 
 
-def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: IntArray | None = None) -> Any:
+def select_network(rig: Rig, network: SliderNetwork | None, names: tuple[str, ...]) -> SliderNetwork | None:
+    """The network without what it does to shapes of the rig that are not in `names`; None where nothing is left."""
+    left_out = set(rig.shapes) - set(names)
+    return None if network is None else kept_outputs(network, lambda _: True, lambda shape: shape not in left_out)
+
+
+def build(
+    rig: Rig,
+    sliders: Sequence[Slider],
+    options: Options,
+    *,
+    network: SliderNetwork | None = None,
+    triangles: IntArray | None = None,
+) -> Any:
     """The graph of sliders as an `onnx.ModelProto`, without metadata.
 
+    :param network: of the face, which adds to what the sliders do
     :param triangles: (t, 3) point indices; needed for the `normals` option
-    :raises InputError: an option out of range, a shape glob that matches nothing, or a slider of an unknown joint
+    :raises InputError: an option out of range, a shape glob that matches nothing, or a slider or network of an unknown
+        joint
     :raises ExportError: no sliders, none that moves anything, one of an unknown shape, or more than 2 GB
     """
     options.check()
-    _check(rig, sliders, options)
+    _check(rig, sliders, network, options)
     names = select(rig.shapes, options.shapes, "shapes")
-    sliders, rig = select_sliders(rig, sliders, names), select_shapes(rig, names)
+    sliders, network = select_sliders(rig, sliders, names), select_network(rig, network, names)
+    rig = select_shapes(rig, names)
     nodes, batch = Nodes(), options.batch
-    ramps = ramps_of(rig, sliders)
+    ramps = ramps_of(rig, sliders, () if network is None else network.sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
+    if network is not None:
+        ramps, risen = network_nodes(nodes, rig, sliders, network, ramps, risen)
     ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
     activations = None
     if rig.targets:
@@ -65,14 +85,14 @@ def build(rig: Rig, sliders: Sequence[Slider], options: Options, *, triangles: I
     return make_model(nodes, "sliders", rig.name, *signature(rig, sliders, options))
 
 
-def _check(rig: Rig, sliders: Sequence[Slider], options: Options) -> None:
+def _check(rig: Rig, sliders: Sequence[Slider], network: SliderNetwork | None, options: Options) -> None:
     if not sliders:
         raise ExportError(rig.name, "no sliders, expected some for the option sliders")
     if options.parent and not (rig.joints or options.points):
         raise ExportError(rig.name, "no joints, expected some, or the option points, for the option parent")
     if options.points and not len(rig.points):
         raise ExportError(rig.name, "no points, expected a mesh for the option points")
-    slide(sliders, rig.joints)  # says what is wrong with them
+    slide(sliders, rig.joints, network=network)  # says what is wrong with them
 
 
 def _joints(nodes: Nodes, rig: Rig, ramps: Ramps, risen: str, options: Options) -> Ends:

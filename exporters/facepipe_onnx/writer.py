@@ -57,11 +57,12 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     names = select(whole.shapes, options.shapes, "shapes")
     rig, sliders = select_shapes(whole, names), None
     if options.sliders:
-        model = slider_graph.build(whole, parts.sliders, options, triangles=triangles)
+        model = slider_graph.build(whole, parts.sliders, options, network=parts.slider_network, triangles=triangles)
         sliders = slider_graph.select_sliders(whole, parts.sliders, names)
     else:
         model = build(whole, options, triangles=triangles)
-    metadata = describe(parts, rig, options, operators(model), sliders)
+    network = slider_graph.select_network(whole, parts.slider_network, names)
+    metadata = describe(parts, rig, options, operators(model), sliders, network)
     data = _serialised(model, metadata, parts.name)
     with replacing(target) as graph_file, replacing(beside) as text_file:
         graph_file.write_bytes(data)
@@ -125,8 +126,10 @@ def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | Non
     """What a graph does not hold."""
     sculpted = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
     driven = sum(len(one.shapes) for one in parts.sliders) if options.sliders else 0
+    beside = parts.slider_network is not None and not options.sliders
     counts = (
         (driven - sum(len(one.shapes) for one in sliders or ()), "shapes of sliders"),
+        (int(beside), "learned network of the sliders"),
         (len(parts.meshes) if options.sliders and not options.points else 0, "meshes"),
         (len(parts.animations), "animations"),
         (len(parts.materials), "materials"),

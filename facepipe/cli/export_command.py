@@ -1,9 +1,12 @@
 """Write a face for the engine; the suffix of OUT says the format: .glb .gltf .onnx.
 
+Exit code 1: done, but sliders learned by --distil are further off than --distil-threshold-mm.
+
 examples:
   facepipe export head.usda -o head.glb
   facepipe export head.usda -o head.onnx
   facepipe export head.usda --sliders -o sliders.onnx
+  facepipe export head.usda --sliders --distil -o learned.onnx
 """
 
 from __future__ import annotations
@@ -12,6 +15,13 @@ import argparse
 from pathlib import Path
 
 from facepipe import registry
+from facepipe.cli.export_distil import (
+    DistilledFace,
+    add_distil_options,
+    distilled,
+    distilled_text,
+    with_distilled,
+)
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
@@ -29,6 +39,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     known = suffix.lower().removeprefix(".") in registry.suffixes()
     for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
         add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
+    add_distil_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,14 +51,21 @@ def run(arguments: argparse.Namespace) -> int:
     beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
     if beside and not arguments.force:
         raise InputError(beside[0], "exists and would be written too, expected a new file (or --force)")
-    with progress("export", 2) as bar:
+    with progress("export", 3 if arguments.distil else 2) as bar:
         face = facepipe.open(arguments.face)
         bar.update()
-        report: ExportReport = exporter.export(face, out, options_from(arguments, exporter.Options))
+        learned = distilled(arguments, face)
+        bar.update(learned is not None)
+        held = face if learned is None else DistilledFace(learned[0])
+        report: ExportReport = exporter.export(held, out, options_from(arguments, exporter.Options))
         bar.update()
+    text = [as_text(report)]
+    if learned is not None:
+        report = with_distilled(report, learned[1])
+        text += distilled_text(learned[1])
     warn(report.warnings)
-    emit(report, as_text(report), as_json=arguments.json)
-    return 0
+    emit(report, "\n".join(text), as_json=arguments.json)
+    return 1 if learned is not None and learned[1].missed else 0
 
 
 def as_text(report: ExportReport) -> str:

@@ -52,7 +52,14 @@ class FaceModel:
         """
         rig = build(parts)
         surfaces = opaque_surfaces(parts)
-        self.rig = DifferentiableRig(rig, parts.sliders, expressions_last=expressions_last, dtype=dtype, device=device)
+        self.rig = DifferentiableRig(
+            rig,
+            parts.sliders,
+            network=parts.slider_network,
+            expressions_last=expressions_last,
+            dtype=dtype,
+            device=device,
+        )
         self.colors = SurfaceColors(surfaces, largest_texture, dtype, device)
         self.outline = Outline.of(surfaces.triangles, len(rig.points), device)
         self.normals = PointNormals(surfaces.triangles, len(rig.points), dtype=dtype, device=device)

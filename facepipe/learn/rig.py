@@ -13,7 +13,7 @@ from facepipe.errors import InputError
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
 from facepipe.learn.sliders import DifferentiableSliders
-from facepipe.parts import Slider
+from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import Rig
 
 FloatArray = npt.NDArray[np.floating]
@@ -30,18 +30,20 @@ class DifferentiableRig:
         rig: Rig,
         sliders: Sequence[Slider] = (),
         *,
+        network: SliderNetwork | None = None,
         expressions_last: bool = False,
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
     ) -> None:
         """
+        :param network: of the face, which adds to what the sliders do
         :param expressions_last: add blendshapes after skinning, in the space of the skeleton, as
             photo-to-face-sliders [0242] does; by default they come first, as in DESIGN section 7, USD and glTF
-        :raises InputError: a slider of a joint, channel or shape that the rig has not
+        :raises InputError: a slider or network of a joint, channel or shape that the rig has not
         """
         self.joints, self.shapes, self.point_count = rig.joints, rig.shapes, len(rig.points)
         self.expressions_last, self.dtype, self.device = expressions_last, dtype, torch.device(device)
-        self.sliders = DifferentiableSliders(sliders, rig.joints, rig.shapes, dtype, device)
+        self.sliders = DifferentiableSliders(sliders, rig.joints, rig.shapes, dtype, device, network)
         self._points = self._constant(rig.points)
         self._rest = self._constant(rig.rest)
         self._inverse_bind = self._constant(rig.inverse_bind)

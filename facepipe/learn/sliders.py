@@ -10,7 +10,8 @@ from torch import Tensor
 
 from facepipe.errors import InputError
 from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
-from facepipe.parts import Curve, Slider
+from facepipe.learn.slider_network import DifferentiableNetwork
+from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries
 
@@ -25,8 +26,12 @@ class DifferentiableSliders:
         shapes: Sequence[str],
         dtype: torch.dtype,
         device: torch.device | str,
+        network: SliderNetwork | None = None,
     ) -> None:
-        """:raises InputError: a slider of a joint, channel or shape that is not there"""
+        """
+        :param network: of the face, which adds to what the sliders do
+        :raises InputError: a slider or network of a joint, channel or shape that is not there
+        """
         self.names = tuple(slider.name for slider in sliders)
         self.lower, self.upper, self.default, self.value = (
             torch.as_tensor(np.array(numbers, dtype=np.float64), dtype=dtype, device=device)
@@ -41,13 +46,20 @@ class DifferentiableSliders:
         base = np.concatenate([rest_coefficients(len(joints)).ravel(), np.zeros(len(shapes))])
         terms = [term for i, slider in enumerate(sliders) for term in _terms(i, slider, joints, shapes)]
         self._map = PiecewiseLinear(terms, len(sliders), base, dtype, device)
+        self._network: DifferentiableNetwork | None = None
+        if network is not None:
+            self._network = DifferentiableNetwork(network, self.names, joints, shapes, dtype, device)
 
     def __call__(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """Bone coefficients (..., j, 9) and shape weights (..., shapes); values are clamped to their range.
 
         A value beyond its range gets no gradient, one at its end does.
         """
-        result = self._map(torch.minimum(torch.maximum(values, self.lower), self.upper))
+        clamped = torch.minimum(torch.maximum(values, self.lower), self.upper)
+        clamped = torch.where(self.lower < self.upper, clamped, self.lower)  # a single value has no gradient
+        result = self._map(clamped)
+        if self._network is not None:
+            result = result + self._network(clamped)
         bones = 9 * self._joints
         return result[..., :bones].unflatten(-1, (self._joints, 9)), result[..., bones:]
 

@@ -12,32 +12,37 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.parts import Curve, Slider
+from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
+from facepipe.rig.slider_network import add_network
 
 FloatArray = npt.NDArray[np.floating]
 
 
 def slide(
-    sliders: Sequence[Slider], joints: Sequence[str], values: Mapping[str, float] | None = None
+    sliders: Sequence[Slider],
+    joints: Sequence[str],
+    values: Mapping[str, float] | None = None,
+    network: SliderNetwork | None = None,
 ) -> tuple[FloatArray, dict[str, float]]:
     """Bone coefficients (j, 9) and shape weights that slider values stand for.
 
     Each slider adds ``gain * (value - default)`` to its channels and shapes, or ``gain * curve(value)`` to those with a
-    curve; values are clamped to the slider's range. Sliders that are not in `values` keep their authored value. The sum
-    is clamped to nothing.
+    curve; values are clamped to the slider's range. Sliders that are not in `values` keep their authored value. The
+    `network` of the face adds what it makes of the clamped values. The sum is clamped to nothing.
 
-    :raises InputError: a value for no slider, a value that is not finite, a slider of an unknown joint or channel, or a
-        damaged curve
+    :raises InputError: a value for no slider, a value that is not finite, a slider of an unknown joint or channel, a
+        damaged curve or network, or one of sliders, joints or channels that are not there
     """
     coefficients = rest_coefficients(len(joints))
     weights: dict[str, float] = {}
     joint_index = {joint: i for i, joint in enumerate(joints)}
     settings = dict(values or {})
+    clamped: dict[str, float] = {}
     for slider in sliders:
         _check_curves(slider)
         own = slider.default if slider.value is None else slider.value
-        value = _clamped(slider, settings.pop(slider.name, own))
+        value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, own))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
                 raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")
@@ -47,6 +52,8 @@ def slide(
             weights[shape] = weights.get(shape, 0.0) + gain * response(curve, value, slider.default)
     if settings:
         raise InputError("sliders", f"no slider '{next(iter(settings))}'")
+    if network is not None:
+        add_network(network, joints, clamped, coefficients, weights)
     return coefficients, weights
 
 

@@ -1,6 +1,7 @@
-"""Sliders of a face: authored from tables, made from its blendshapes, and set."""
+"""Sliders of a face: authored from tables, made from its blendshapes, learned by a small network, and set."""
 
 from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
+from facepipe.processors.sliders.distil import DistilReport, DistilSliders
 from facepipe.processors.sliders.from_shapes import SlidersFromShapes
 from facepipe.processors.sliders.recipe import SliderRecipe, read_slider_recipe, slider_recipe
 from facepipe.processors.sliders.rules import Drive, SliderRule
@@ -12,6 +13,8 @@ from facepipe.processors.sliders.tables import SliderTable, read_table
 __all__ = [
     "AuthorSliders",
     "AuthorSlidersReport",
+    "DistilReport",
+    "DistilSliders",
     "Drive",
     "MadeSlider",
     "SetSliders",

@@ -1,0 +1,205 @@
+"""A face whose sliders do nearly what they did, by straight lines and one small learned network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts, Slider, SliderNetwork
+from facepipe.processors.sliders.effects import channel_effects
+from facepipe.reports import Report
+from facepipe.rig import CHANNELS, Rig, build, slide
+from facepipe.rig.sliders import channel_entries, shape_entries
+
+FloatArray = npt.NDArray[np.floating]
+
+ACTIVATIONS = ("relu", "tanh")
+WIDTHS, STEPS = (1, 1024), (100, 200_000)
+VECTORS = 200  # held-out slider vectors that errors are measured on
+LEVER_MM = 10.0  # what a radian, or a factor, is taken to move where a joint moves no point
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Sizes of errors."""
+
+    mean: float
+    p95: float
+    max: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistilReport(Report):
+    """What was learnt, and how far off it is on slider vectors that it has not seen."""
+
+    sliders: tuple[str, ...]  # that the network takes
+    channels: int  # that it adds to
+    shapes: int
+    width: int
+    activation: str
+    seed: int
+    steps: int
+    vectors: int  # held out: random all over the ranges
+    points_mm: Spread | None  # over all points and vectors; None for a face without points
+    coefficients: Mapping[str, Spread] = field(default_factory=dict)  # translation (stage units), rotation (rad), scale
+    shape_weights: Spread | None = None
+    threshold_mm: float = 0.0
+
+    @property
+    def missed(self) -> bool:
+        """A point is further off than the threshold."""
+        return self.points_mm is not None and self.points_mm.max > self.threshold_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistilSliders:
+    """Learns what curves and a network of a face's sliders do: they become straight, one small network does the rest.
+
+    What is straight already stays exactly so. Needs torch.
+
+    :param width: units of the network's hidden layer, 1 to 1024
+    :param activation: relu bends sharply, as curves do; tanh smoothly
+    :param seed: of samples and first weights
+    :param threshold_mm: largest error of a point that is no warning, in millimetres
+    :param steps: of training at most, 100 to 200000; each is a batch of 256 slider vectors
+    """
+
+    width: int = 32
+    activation: Literal["relu", "tanh"] = "relu"
+    seed: int = 0
+    threshold_mm: float = 0.1
+    steps: int = 6000
+
+    def __call__(self, parts: FaceParts) -> tuple[FaceParts, DistilReport]:
+        """The face with its learned sliders, and how good they are.
+
+        :raises InputError: an option out of range, no sliders, sliders of what is not there, or no torch
+        """
+        self._check(parts)
+        from facepipe.learn.distil import Learner, bent_sliders, distil
+
+        rig = build(parts)
+        bent = bent_sliders(parts.sliders, parts.slider_network)
+        if not bent:
+            warning = "all sliders are straight: there is nothing to learn, the graph is exact"
+            return parts, self._report(0, None, Errors(), (warning,))
+        learner = Learner(
+            width=self.width, activation=self.activation, seed=self.seed, steps=self.steps, patience=self.steps // 4
+        )
+        driven = _driven(rig, parts, bent)
+        sliders, network, steps = distil(parts.sliders, parts.slider_network, rig.joints, rig.shapes, driven, learner)
+        errors = measure(rig, parts, sliders, network, self.seed)
+        report = self._report(steps, network, errors, self._warnings(errors))
+        told = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
+        return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": told})), report
+
+    def _check(self, parts: FaceParts) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise InputError("distil activation", f"is {self.activation!r}, expected one of {', '.join(ACTIVATIONS)}")
+        for name, (low, high) in (("width", WIDTHS), ("steps", STEPS)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+                raise InputError(f"distil {name}", f"is {value!r}, expected a whole number from {low} to {high}")
+        if not 0 <= self.seed < 1 << 32:
+            raise InputError("distil seed", f"is {self.seed!r}, expected a whole number from 0 to 4294967295")
+        if not 0 < self.threshold_mm < np.inf:
+            raise InputError("distil threshold", f"is {self.threshold_mm!r} mm, expected more than 0")
+        if not parts.sliders:
+            raise InputError(parts.name, "no sliders, expected some to learn from")
+
+    def _warnings(self, errors: Errors) -> tuple[str, ...]:
+        if errors.points_mm is None or errors.points_mm.max <= self.threshold_mm:
+            return ()
+        return (
+            f"the learned sliders are up to {errors.points_mm.max:.3f} mm off, expected at most {self.threshold_mm:g} "
+            "(a larger width learns more; without distilling the graph is exact)",
+        )
+
+    def _report(
+        self, steps: int, network: SliderNetwork | None, errors: Errors, warnings: tuple[str, ...]
+    ) -> DistilReport:
+        return DistilReport(
+            sliders=network.sliders if network else (),
+            channels=len(network.channels) if network else 0,
+            shapes=len(network.shapes) if network else 0,
+            width=self.width,
+            activation=self.activation,
+            seed=self.seed,
+            steps=steps,
+            vectors=VECTORS if network else 0,
+            threshold_mm=self.threshold_mm,
+            warnings=warnings,
+            **vars(errors),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Of learned sliders."""
+
+    points_mm: Spread | None = None
+    coefficients: Mapping[str, Spread] = field(default_factory=dict)
+    shape_weights: Spread | None = None
+
+
+def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: SliderNetwork, seed: int) -> Errors:
+    """Errors of learned `sliders` with their `network` against those of a face, on vectors held out from training."""
+    random = np.random.default_rng((seed, 1))
+    columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
+    found: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
+    for _ in range(VECTORS):
+        values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
+        exact, exact_weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
+        learnt, weights = slide(sliders, rig.joints, values, network)
+        off: FloatArray = np.abs(learnt - exact)
+        for joint, channel in columns:
+            found[CHANNELS[channel][0]].append(off[joint, channel])
+        found["shape"] += [abs(weights.get(name, 0.0) - exact_weights.get(name, 0.0)) for name in network.shapes]
+        if len(rig.points):
+            moved = rig.evaluate(weights, coefficients=learnt) - rig.evaluate(exact_weights, coefficients=exact)
+            found["point"].append(np.linalg.norm(moved, axis=1) * parts.meters_per_unit * 1000.0)
+    kinds = {"translation": "t", "rotation": "r", "scale": "s"}
+    return Errors(
+        points_mm=_spread(found["point"]),
+        coefficients={name: one for name, key in kinds.items() if (one := _spread(found[key])) is not None},
+        shape_weights=_spread(found["shape"]),
+    )
+
+
+def _spread(sizes: list[Any]) -> Spread | None:
+    if not sizes:
+        return None
+    whole = np.concatenate([np.atleast_1d(one) for one in sizes])
+    mean, p95, largest = whole.mean(), np.percentile(whole, 95), whole.max()
+    return Spread(mean=float(mean), p95=float(p95), max=float(largest))
+
+
+def _driven(rig: Rig, parts: FaceParts, bent: tuple[Slider, ...]) -> list[Any]:
+    """What curves and network of the `bent` sliders add to, with what a unit of it moves the face."""
+    from facepipe.learn.distil import Driven
+
+    network = parts.slider_network
+    channels = {(joint, channel) for one in bent for (joint, channel, _), curve in channel_entries(one) if curve}
+    shapes = {shape for one in bent for (shape, _), curve in shape_entries(one) if curve}
+    if network is not None:
+        channels |= set(network.channels)
+        shapes |= set(network.shapes)
+    mm = parts.meters_per_unit * 1000.0
+    effects = channel_effects(rig) * mm if rig.joints else np.zeros((0, 9))
+    reach = dict.fromkeys(rig.shapes, 0.0)
+    for target in rig.targets:
+        name = rig.shapes[target.shape]
+        reach[name] = max(reach[name], float(np.linalg.norm(target.offsets, axis=1).max(initial=0.0)) * mm)
+    found = []
+    for joint, channel in sorted(channels):
+        if joint not in rig.joints or channel not in CHANNELS:
+            raise InputError("sliders", f"no joint '{joint}' with a channel '{channel}'")
+        effect = float(effects[rig.joints.index(joint), CHANNELS.index(channel)])
+        least = mm if channel.startswith("t") else LEVER_MM
+        found.append(Driven(channel=(joint, channel), shape=None, mm=effect or least))
+    return found + [Driven(channel=None, shape=shape, mm=reach.get(shape) or LEVER_MM) for shape in sorted(shapes)]
