@@ -101,9 +101,14 @@ def cut(channels: npt.NDArray[Any], crop: Crop, size: tuple[int, int]) -> FloatA
     x1, y1 = max(x1, x0 + 1), max(y1, y0 + 1)
     ratio = np.array(channels.shape[1::-1]) / size
     (left, top), (right, bottom) = (low * ratio).tolist(), (high * ratio).tolist()
+    # Only what the filter reaches is made float: photos are large, and faces small in them.
+    reach = 4 + 2 * int(max((right - left) / (x1 - x0), (bottom - top) / (y1 - y0)))
+    column, row = max(int(left) - reach, 0), max(int(top) - reach, 0)
+    used = channels[row : int(bottom) + reach, column : int(right) + reach]
+    box = (left - column, top - row, right - column, bottom - row)
     for number in range(channels.shape[2]):
-        plane = Image.fromarray(np.ascontiguousarray(channels[..., number], dtype=np.float32))
-        resized = plane.resize((x1 - x0, y1 - y0), Image.Resampling.BICUBIC, box=(left, top, right, bottom))
+        plane = Image.fromarray(np.ascontiguousarray(used[..., number], dtype=np.float32))
+        resized = plane.resize((x1 - x0, y1 - y0), Image.Resampling.BICUBIC, box=box)
         part = np.asarray(resized)[: crop.size - y0, : crop.size - x0]
         found[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1], number] = part
     return found
