@@ -34,7 +34,7 @@ def near(image: np.ndarray, color: tuple[int, int, int], slack: int = 12) -> np.
 
 
 def noise(width: int, height: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
+    return np.random.default_rng(seed).random((height, width, 3)).astype(np.float32)
 
 
 def face(*meshes: Mesh, sliders: tuple[Slider, ...] = ()) -> FaceParts:
@@ -86,7 +86,7 @@ def test_same_sheet_same_bytes() -> None:
 def test_every_photo_is_shown(count: int) -> None:
     plain = [(10, 200, 30), (200, 20, 20), (30, 40, 220), (220, 210, 20)][:count]
     photos = [
-        replace(one_photo(name=str(number)), photo=np.full((70, 90, 3), color, np.uint8))
+        replace(one_photo(name=str(number)), photo=np.full((70, 90, 3), color) / 255)
         for number, color in enumerate(plain)
     ]
     page = pixels(photo_sheet(sheet(*photos)))
@@ -115,7 +115,8 @@ def test_sheet_says_what_does_not_fit() -> None:
         (sheet(replace(one, screen=one.screen[1:])), "screen: shape (35, 3), expected (36, 3)"),
         (sheet(replace(one, targets=one.targets[1:])), "landmarks"),
         (sheet(replace(one, render=one.render[..., :3])), "render: shape (20, 30, 3)"),
-        (sheet(replace(one, photo=one.photo[..., 0])), "someone.png: photo uint8 (70, 90)"),
+        (sheet(replace(one, photo=one.photo[..., 0])), "photo: shape (70, 90)"),
+        (sheet(replace(one, photo=one.photo * 255)), "expected sRGB in 0..1"),
         (sheet(replace(one, landmarks=one.landmarks * NAN)), "someone.png -> landmarks: NaN"),
         (sheet(replace(one, eye_distance=0.0)), "eye distance"),
     ]
@@ -128,9 +129,9 @@ def test_sheet_says_what_does_not_fit() -> None:
 def test_crop_keeps_pixels_where_the_scale_is_one() -> None:
     photo = noise(60, 40)
     inner = pictures.cut(photo, pictures.Crop(left=7, top=5, side=20, size=20), (60, 40))
-    np.testing.assert_allclose(inner, photo[5:25, 7:27], atol=1e-3)
+    np.testing.assert_allclose(inner, photo[5:25, 7:27], atol=1e-5)
     whole = pictures.cut(photo, pictures.whole(60, 40, 60), (60, 40))
-    np.testing.assert_allclose(whole[10:50], photo, atol=1e-3)
+    np.testing.assert_allclose(whole[10:50], photo, atol=1e-5)
     assert np.isnan(whole[:10]).all()
     assert np.isnan(whole[50:]).all()
 
@@ -168,7 +169,7 @@ def test_crops_show_the_face_and_stay_in_the_photo(width: int, height: int, x: f
 
 
 def test_marks_stand_at_the_landmarks() -> None:
-    photo, size = np.full((100, 100, 3), 90, np.uint8), 800
+    photo, size = np.full((100, 100, 3), 0.35), 800
     crop = pictures.Crop(left=10, top=20, side=50, size=size)
     given_points = np.array([(20.3, 30.1), (50.2, 60.4)])
     fitted_points = np.array([(20.3, 30.1), (35.2, 60.4)])
@@ -188,7 +189,7 @@ def test_marks_stand_at_the_landmarks() -> None:
 
 
 def test_render_lies_over_the_photo_by_its_coverage() -> None:
-    photo = np.full((40, 40, 3), 188, np.uint8)  # 0.503 linear
+    photo = np.full((40, 40, 3), 188 / 255)  # 0.503 linear
     cover = np.repeat(np.repeat([[0.0, 0.5, 1.0, 1.0]], 4, axis=0)[..., None], 4, axis=2)
     cover[..., :3] *= (0.2, 0.4, 0.8)
     crop = pictures.whole(40, 40, 80)

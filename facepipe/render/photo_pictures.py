@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FloatArray = npt.NDArray[np.floating]
-Image8 = npt.NDArray[np.uint8]
 
 GROUND: Color = (236, 237, 240)  # where there is no photo
 GIVEN: Color = (255, 255, 255)  # rings
@@ -26,6 +25,7 @@ ERROR: Color = (255, 214, 64)  # lines between the two
 CASING: Color = (24, 26, 32)  # dark outline that keeps light marks legible
 WIRE: Color = (196, 240, 255)
 CLOSE, HEAD, FAR = 0.16, 0.42, 0.9  # margins around the landmarks, shares of their size
+AROUND = 0.03  # margin around the points of a head, share of their size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,9 @@ def portrait(landmarks: FloatArray, fitted: FloatArray, width: int, height: int,
     low, high = _extended(landmarks, (width, height), HEAD)
     least, most = _extended(landmarks, (width, height), FAR)
     reached = np.clip(np.vstack([fitted, low, high]), least, most)
-    return _square(reached.min(axis=0), reached.max(axis=0), width, height, size)
+    low, high = reached.min(axis=0), reached.max(axis=0)
+    edge = AROUND * float((high - low).max())
+    return _square(low - edge, high + edge, width, height, size)
 
 
 def _extended(landmarks: FloatArray, reach: tuple[int, int], share: float) -> tuple[FloatArray, FloatArray]:
@@ -87,7 +89,7 @@ def _within(start: float, side: float, reach: float) -> float:
     return (reach - side) / 2 if side >= reach else min(max(start, 0.0), reach - side)
 
 
-def cut(channels: npt.NDArray[Any], crop: Crop, size: tuple[int, int]) -> FloatArray:
+def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
     """(crop.size, crop.size, c) resampled part of an image (h, w, c) that covers a photo of `size` (width, height).
 
     Outside the photo all channels are NaN.
@@ -114,9 +116,9 @@ def cut(channels: npt.NDArray[Any], crop: Crop, size: tuple[int, int]) -> FloatA
     return found
 
 
-def photo_picture(photo: Image8, crop: Crop) -> Image:
-    """The photo (h, w, 3) in sRGB, as it is."""
-    return _image(cut(photo, crop, photo.shape[1::-1]) / 255)
+def photo_picture(photo: FloatArray, crop: Crop) -> Image:
+    """The photo (h, w, 3), sRGB 0..1, as it is."""
+    return _image(cut(photo, crop, photo.shape[1::-1]))
 
 
 def framed(image: Image, crop: Crop, part: Crop) -> Image:
@@ -130,9 +132,9 @@ def framed(image: Image, crop: Crop, part: Crop) -> Image:
     return image
 
 
-def landmark_picture(photo: Image8, crop: Crop, given: FloatArray, fitted: FloatArray) -> Image:
+def landmark_picture(photo: FloatArray, crop: Crop, given: FloatArray, fitted: FloatArray) -> Image:
     """Rings at the landmarks given, dots at those of the fitted face, and lines from the one to the other."""
-    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]) / 255, 0.86))
+    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.86))
     radius = max(2.0, crop.size / 200)
     rings, dots = crop.place(given), crop.place(fitted)
     casings, lines = Shapes(image.size), Shapes(image.size)
@@ -164,25 +166,25 @@ def fitted_mark(image: Image, centers: FloatArray, radius: float) -> None:
     dots.paint(image, FITTED)
 
 
-def wireframe_picture(photo: Image8, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
+def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
     """The photo, darker, with the edges of the fitted face that are not hidden.
 
     :param screen: (n, 3) pixel x, pixel y of the photo and depth of all points, in mesh order
     """
-    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]) / 255, 0.68))
+    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.68))
     at = np.column_stack([crop.place(screen[:, :2]), screen[:, 2]])
     image.paste(WIRE, (0, 0), wireframe(parts, at, image.size))
     return image
 
 
-def render_picture(render: FloatArray, photo: Image8, crop: Crop, *, on_photo: bool) -> Image:
+def render_picture(render: FloatArray, photo: FloatArray, crop: Crop, *, on_photo: bool) -> Image:
     """A render from the photo's camera, alone or over the photo.
 
     :param render: (h, w, 4) linear colour on black and coverage 0..1, of all that the photo shows
     """
     pixels = cut(np.asarray(render), crop, photo.shape[1::-1])
     cover = np.clip(pixels[..., 3:], 0, 1)
-    ground = cut(photo, crop, photo.shape[1::-1]) / 255 if on_photo else np.array(GROUND) / 255
+    ground = cut(photo, crop, photo.shape[1::-1]) if on_photo else np.array(GROUND) / 255
     behind = srgb_to_linear(np.clip(ground, 0, 1))
     return _image(linear_to_srgb(np.clip(np.maximum(pixels[..., :3], 0) + behind * (1 - cover), 0, 1)))
 

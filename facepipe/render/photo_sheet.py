@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FloatArray = npt.NDArray[np.floating]
-Image8 = npt.NDArray[np.uint8]
 
 WIDTH, BORDER, GAP = 2400, 84, 36  # pixels
 INNER = WIDTH - 2 * BORDER
@@ -39,7 +38,7 @@ class SheetPhoto:
     """One photo, and what the fit makes of it. Pixels count from the photo's top left corner, y down."""
 
     name: str
-    photo: Image8  # (h, w, 3) sRGB
+    photo: FloatArray  # (h, w, 3) sRGB 0..1
     render: FloatArray  # (rh, rw, 4) linear colour on black and coverage 0..1, of all that the photo shows, any size
     screen: FloatArray  # (n, 3) pixel x, y and depth of the posed points of all meshes, in mesh order
     targets: FloatArray  # (l, 2) landmarks that the fit was given, pixels
@@ -189,8 +188,10 @@ def _check(sheet: PhotoSheet) -> None:
     count = sum(len(mesh.points) for mesh in sheet.parts.meshes)
     for one in sheet.photos:
         require_finite(one, one.name)
-        if one.photo.ndim != 3 or one.photo.shape[2] != 3 or one.photo.dtype != np.uint8 or not one.photo.size:
-            raise InputError(one.name, f"photo {one.photo.dtype} {one.photo.shape}, expected uint8 (height, width, 3)")
+        if one.photo.ndim != 3 or one.photo.shape[2] != 3 or not one.photo.size:
+            raise InputError(f"{one.name} -> photo", f"shape {one.photo.shape}, expected (height, width, 3)")
+        if one.photo.min() < 0 or one.photo.max() > 1:
+            raise InputError(f"{one.name} -> photo", f"values up to {one.photo.max():g}, expected sRGB in 0..1")
         if one.render.ndim != 3 or one.render.shape[2] != 4 or not one.render.size:
             raise InputError(f"{one.name} -> render", f"shape {one.render.shape}, expected (height, width, 4)")
         if one.screen.shape != (count, 3):

@@ -19,7 +19,7 @@ ACTIVE = 0.02  # share of the range (of 1 for a weight) beyond which a control c
 MOST_SLIDERS, MOST_SHAPES = 60, 24  # rows; what has moved least is counted instead
 ROW, BAR = 38, 16  # pixels
 ONE_COLUMN = 16  # rows up to which sliders stand in one column
-TORN = 3.5  # rows of height that are given for a group that stays together
+TORN = 2.5  # rows of height that are given for a group that stays together
 GAP = 56  # between the columns
 
 Row = Slider | str  # a slider, or the heading of a group
