@@ -185,3 +185,10 @@ def test_a_value_is_freed_after_its_last_use_but_kept_where_it_is_given() -> Non
     image = torch.from_numpy(picture(4))
     found = OnnxModule(model)(image)
     torch.testing.assert_close(found, (-image, torch.relu(-image)))
+
+
+def test_constants_follow_the_precision_of_the_module() -> None:
+    weight = numpy_helper.from_array(np.float32([[0.5, 2.0], [1.0, -1.0], [3.0, 0.0], [0.0, 1.0]]))
+    model = faulty(node("Constant", [], ["w"], value=weight), node("MatMul", ["x", "w"], ["y"]))
+    (found,) = OnnxModule(model).double()(torch.ones(1, 2, 4, 4, dtype=torch.float64))
+    torch.testing.assert_close(found[0, 0, 0], torch.tensor([4.5, 2.0], dtype=torch.float64))

@@ -43,7 +43,7 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
             for name in sorted(used & set(weights)):
                 self._keep(name, torch.from_numpy(array(weights[name])))
             version = opset(model)
-            self._steps = [self._step(one, version) for one in nodes]
+            self._steps = [step for one in nodes for step in self._step(one, version)]
             _check_order(self._steps, {*self.inputs, *self._buffer_of}, self.outputs)
         except InputError as error:
             raise error.under(where) from None
@@ -88,19 +88,21 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         self._buffer_of[name] = buffer
         self.register_buffer(buffer, value)
 
-    def _step(self, proto: Any, version: int) -> tuple[Node, Operator]:
+    def _step(self, proto: Any, version: int) -> Iterator[tuple[Node, Operator]]:
+        """The node with what it does; a constant is kept as a weight is."""
         node = _node(proto, version)
         if proto.domain not in ("", "ai.onnx"):
             raise node.refuse(f"of domain {proto.domain!r}, expected the operators of ONNX itself")
         if node.op_type == "Constant":
-            return node, _constant
-        if node.op_type not in OPERATORS:
+            self._keep(node.outputs[0], _constant(node))
+        elif node.op_type not in OPERATORS:
             raise node.refuse("is not supported in feature networks")
-        return node, OPERATORS[node.op_type]
+        else:
+            yield node, OPERATORS[node.op_type]
 
 
 def _constant(node: Node) -> Tensor:
-    """A node without inputs: its value is its only attribute."""
+    """The only attribute of a node without inputs."""
     for name in ("value", "value_float", "value_int", "value_floats", "value_ints"):
         if name in node.attributes:
             kind = np.float32 if "float" in name else np.int64

@@ -12,6 +12,7 @@ from facepipe.learn.features.node import Node, Operator
 from facepipe.learn.features.operators.windows import Windows, padded, windows
 
 _MAXIMA = {1: functional.max_pool1d, 2: functional.max_pool2d, 3: functional.max_pool3d}
+_MEANS = {1: functional.avg_pool1d, 2: functional.avg_pool2d, 3: functional.avg_pool3d}
 _CONVOLUTIONS = {1: functional.conv1d, 2: functional.conv2d, 3: functional.conv3d}
 
 
@@ -32,7 +33,9 @@ def _average_pool(node: Node, x: Tensor) -> Tensor:
 
 
 def _sums(x: Tensor, window: Windows) -> Tensor:
-    """The sum of each window, as a convolution of every channel by itself with ones."""
+    """The sum of each window; with gaps in it, as a convolution of every channel by itself with ones."""
+    if set(window.dilation) == {1}:
+        return _MEANS[x.ndim - 2](x, window.size, window.stride) * math.prod(window.size)
     flat = x.reshape(-1, 1, *x.shape[2:])
     ones = x.new_ones(1, 1, *window.size)
     sums = _CONVOLUTIONS[x.ndim - 2](flat, ones, None, window.stride, 0, window.dilation)
