@@ -31,7 +31,7 @@ def to_onnx(network: nn.Module, metadata: Mapping[str, object]) -> bytes:
     made = helper.make_graph(graph.nodes, "face_features", [source], outputs, graph.constants)
     model = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version, model.producer_name = IR_VERSION, "facepipe"
-    helper.set_model_props(model, {"facepipe.features": json.dumps(metadata, sort_keys=True)})
+    helper.set_model_props(model, {"facepipe.features": json.dumps(metadata)})
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 

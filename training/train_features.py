@@ -36,7 +36,7 @@ from facepipe.atomic import write_bytes
 HELD_OUT = 0.08  # share of the heads
 BATCH = 16  # heads, each seen twice
 RATE, DECAY = 2e-3, 1e-2
-WEIGHTS = {"semantics": 1.0, "identity": 0.3, "attributes": 4.0, "light": 0.3}
+WEIGHTS = {"semantics": 1.0, "identity": 0.2, "attributes": 4.0, "light": 0.3}
 
 
 def main() -> None:
@@ -134,14 +134,14 @@ class Losses(nn.Module):
 def metadata(heads: Heads, scores: dict[str, Any], command: str, seed: int) -> dict[str, object]:
     """What the file says of itself."""
     return {
-        "kind": "content",
-        "kinds": {"content": list(CONTENT), "identity": "identity", "attributes": "attributes"},
+        "kinds": {"content": list(CONTENT), "identity": ["identity"], "attributes": ["attributes"]},
         "size": SIZE,
         "mean": [MEAN] * 3,
         "std": [STD] * 3,
         "order": "RGB",
         "crop": "face",
-        "classes": list(CLASSES),
+        "labels": list(CLASSES),
+        "logits": False,
         "names": list(heads.names),
         "trained_on": f"synthetic heads only: {len(heads)} renders of {len(np.unique(heads.identities))} random heads",
         "command": command,
