@@ -1,0 +1,46 @@
+"""What a fitted camera sees, in numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from facepipe.learn.camera import Camera
+from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.photo.result import FittedCamera, FittedView
+
+FloatArray = npt.NDArray[np.floating]
+
+LARGEST = 1024  # pixels of an image's longer side
+
+
+def project(camera: FittedCamera, points: FloatArray) -> FloatArray:
+    """(n, 3) pixel x and y of the photo, and depth in stage units, of world points (n, 3)."""
+    seen = camera_of(camera, 1.0, torch.float64).project(torch.as_tensor(np.asarray(points, dtype=np.float64)))
+    return np.asarray(seen.numpy())
+
+
+def view_image(model: FaceModel, view: FittedView, points: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """(h, w, 4) linear colour on black and coverage 0..1 of a face as the photo of a view shows it.
+
+    :param points: (n, 3) world points
+    :param size: width and height of the photo; the image of a larger one than `LARGEST` is reduced to that
+    """
+    share = min(1.0, LARGEST / max(size))
+    width, height = (max(1, round(each * share)) for each in size)
+    look = Look(
+        camera=camera_of(view.camera, share, torch.float32),
+        light=torch.as_tensor(np.asarray(view.light), dtype=torch.float32),
+        background=torch.zeros(3),
+    )
+    with torch.no_grad():
+        image = model.image(torch.as_tensor(points, dtype=torch.float32), look, height=height, width=width)
+    return np.asarray(image.numpy())
+
+
+def camera_of(camera: FittedCamera, share: float, dtype: torch.dtype) -> Camera:
+    """The camera of a photo that is reduced to a share of its size."""
+    numbers = (camera.rotation, camera.translation, camera.focal * share, np.array(camera.center) * share)
+    rotation, translation, focal, center = (torch.as_tensor(np.asarray(one), dtype=dtype) for one in numbers)
+    return Camera(rotation=rotation, translation=translation, focal=focal, center=center)
