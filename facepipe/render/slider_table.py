@@ -35,7 +35,8 @@ def slider_table(sliders: Sequence[Slider], values: Mapping[str, float], width: 
     free = [slider for slider in sliders if slider.name in values]
     moved = {slider.name: _moved(slider, values[slider.name]) for slider in free}
     active = [slider for slider in free if moved[slider.name] > ACTIVE]
-    shown = _most(active, moved)
+    groups = list(dict.fromkeys(slider.group for slider in sliders))
+    shown = _most(active, moved, groups)
     note = f"{len(active)} of {len(free)} moved from the default" if free else "none fitted"
     parts = [heading(width, "Sliders", note)]
     if shown:
@@ -64,10 +65,9 @@ def shape_table(weights: Sequence[Mapping[str, float]], titles: Sequence[str], w
     return below([*parts, _foot(width, notes)], 8)
 
 
-def _most(active: Sequence[Slider], moved: Mapping[str, float]) -> list[Slider]:
+def _most(active: Sequence[Slider], moved: Mapping[str, float], groups: Sequence[str]) -> list[Slider]:
     """Those that have moved most, group by group; groups and sliders in the face's order."""
     kept = {slider.name for slider in sorted(active, key=lambda slider: -moved[slider.name])[:MOST_SLIDERS]}
-    groups = list(dict.fromkeys(slider.group for slider in active))
     return sorted((slider for slider in active if slider.name in kept), key=lambda slider: groups.index(slider.group))
 
 
