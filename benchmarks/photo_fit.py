@@ -1,6 +1,7 @@
 """Milliseconds per image of the differentiable face, forward and forward with backward, on one thread and on two.
 
-usage: python benchmarks/photo_fit.py [--runs 20] [--size 256] [--threads 1 2] [--json out.json]
+usage: python benchmarks/photo_fit.py [--runs 20] [--size 256] [--threads 1 2] [--fits 2] [--mitsuba PYTHON]
+       [--mitsuba-spp 4 16] [--json out.json]
 
 The face is the built-in sample: about 20,000 triangles with textures, seen at an angle, in float32. Steps:
 
@@ -10,15 +11,19 @@ The face is the built-in sample: about 20,000 triangles with textures, seen at a
 
 `backward` brings gradients to sliders, shape weights, pose, focal length, light and tints. Medians of `--runs` calls
 after 3 that are not counted. Wall time is worth something on a quiet machine only; processor time is of all threads.
+
+Then the renderer alone, against mitsuba's projective integrator on the same scene: gradients to all points and to the
+camera's translation. Slopes off: how far the slope of a loss along a movement of the camera or of a slider is from
+central differences of each renderer's own supersampled images. Last, seconds per fit of a portrait and microseconds per
+evaluation of the sliders' ONNX graph.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import platform
-import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +31,9 @@ from typing import Any
 import numpy as np
 import torch
 from arguments import positive
+from call_times import measured
+from photo_peer import compare, peer_table
+from slider_graphs import slider_rows
 from tables import aligned
 
 from facepipe.learn.camera import Camera
@@ -35,8 +43,6 @@ from facepipe.parts import FaceParts
 from facepipe.render.camera import Frame, portrait
 from facepipe.sample import make
 
-WARM_UP = 3
-
 
 def main() -> None:
     """Measure, print the table, write JSON."""
@@ -44,6 +50,10 @@ def main() -> None:
     parser.add_argument("--runs", type=positive, default=20, help="timed calls of each kind (default 20)")
     parser.add_argument("--size", type=positive, default=256, help="pixels a side (default 256)")
     parser.add_argument("--threads", type=positive, nargs="+", default=[1, 2], help="torch's threads (default 1 2)")
+    parser.add_argument("--fits", type=int, default=2, help="portraits to fit (default 2)")
+    parser.add_argument("--mitsuba", metavar="PYTHON", help="an interpreter with mitsuba 3.9 and numpy")
+    spp = "mitsuba's samples per pixel (default 4 16)"
+    parser.add_argument("--mitsuba-spp", type=positive, nargs="+", default=[4, 16], metavar="N", help=spp)
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
     parts = make(0)
@@ -53,18 +63,43 @@ def main() -> None:
     for threads in arguments.threads:
         torch.set_num_threads(threads)
         rows += [{"threads": threads, "step": name, **measured(call, arguments.runs)} for name, call in calls.items()]
+    peer = compare(arguments.size, arguments.threads, arguments.runs, arguments.mitsuba, arguments.mitsuba_spp)
+    fits = fit_seconds(arguments.fits, arguments.size)
+    graph = slider_rows(None, max(arguments.runs, 5), np.zeros(1 << 25))[0]
     triangles = len(model.outline.triangles)
     print(table(rows))
-    print(f"\n{triangles:,} triangles, {arguments.size} x {arguments.size} pixels, medians of {arguments.runs} calls")
+    print(f"\n{triangles:,} triangles, {arguments.size} x {arguments.size} pixels, medians of {arguments.runs} calls\n")
+    print(peer_table(peer))
+    for what, reason in peer.skipped.items():
+        print(f"skipped: {what}: {reason}")
+    if fits:
+        print(f"\nseconds per fit, one thread: {', '.join(f'{one:.1f}' for one in fits)}")
+    print(
+        f"\nsliders to skinning matrices in onnxruntime, one thread: {graph.onnx:.1f} us, cold {graph.onnx_cold:.0f} us"
+    )
     if arguments.json:
         result = {
             "rows": rows,
+            "peer": dataclasses.asdict(peer),
+            "fit_s": fits,
+            "sliders_us": {"warm": graph.onnx, "cold": graph.onnx_cold},
             "runs": arguments.runs,
             "size": arguments.size,
             "triangles": triangles,
             "versions": {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()},
         }
         arguments.json.write_text(json.dumps(result, indent=2, sort_keys=True), encoding="utf-8")
+
+
+def fit_seconds(count: int, size: int) -> list[float]:
+    """Wall seconds of fits to portraits with expressions, on one thread."""
+    if count < 1:
+        return []
+    from recovery_fit import fitted
+    from recovery_targets import targets
+
+    torch.set_num_threads(1)
+    return [fitted(one).seconds for one in targets(count, 0, size=size)]
 
 
 def steps(parts: FaceParts, model: FaceModel, size: int) -> dict[str, Callable[[], None]]:
@@ -108,18 +143,6 @@ def forward(make_it: Callable[[], torch.Tensor]) -> None:
     """The result alone."""
     with torch.no_grad():
         make_it()
-
-
-def measured(call: Callable[[], None], runs: int) -> dict[str, float]:
-    """Median wall and processor seconds of a call."""
-    wall, processor = [], []
-    for number in range(WARM_UP + runs):
-        began = time.perf_counter(), time.process_time()
-        call()
-        if number >= WARM_UP:
-            wall.append(time.perf_counter() - began[0])
-            processor.append(time.process_time() - began[1])
-    return {"wall_s": statistics.median(wall), "processor_s": statistics.median(processor), "best_wall_s": min(wall)}
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -36,6 +36,7 @@ class Recovery:
     landmark_px: float  # mean over 68: fitted sliders, expressions and camera against the landmarks without noise
     noisy_px: float  # the same against those that the fit was given
     slider: float  # mean share of the range, sliders that move the head
+    nothing_slider: float  # the same for all sliders at their default
     moving: int  # how many those are
     slider_rms: float
     sliders: Mapping[str, float]  # fitted less true value over the range, each of those
@@ -55,11 +56,13 @@ def recovery(parts: FaceParts, rig: Rig, target: RecoveryTarget, fit: PhotoFit) 
     reach = slider_reach(parts, rig, target.sliders)
     moving = [name for name, distance in reach.items() if distance * mm > MOVES_MM]
     errors = slider_errors(parts.sliders, fit.sliders, target.sliders, moving)
+    nothing = slider_errors(parts.sliders, {}, target.sliders, moving)
     wrong = np.array(list(errors.values()))
     return Recovery(
         landmark_px=mean_distance(seen, target.exact),
         noisy_px=mean_distance(seen, target.landmarks),
         slider=float(np.abs(wrong).mean()),
+        nothing_slider=float(np.abs(list(nothing.values())).mean()),
         moving=len(moving),
         slider_rms=float(np.sqrt((wrong**2).mean())),
         sliders=errors,

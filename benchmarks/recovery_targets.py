@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -54,30 +55,38 @@ class RecoveryTarget:
     neutral: FloatArray  # (n, 3) by the sliders alone
 
 
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """The face that all portraits show, with what is worth computing once."""
+
+    parts: FaceParts
+    rig: Rig
+    landmarks: FaceLandmarks
+
+
+@cache
+def sample() -> Sample:
+    """The built-in sample of seed 0."""
+    parts = make(0)
+    return Sample(parts=parts, rig=build(parts), landmarks=FaceLandmarks.of(parts))
+
+
 def targets(
     count: int, seed: int, *, size: int = 256, expressions: bool = True, noise: float = 1.0
 ) -> Iterator[RecoveryTarget]:
-    """Portraits 0 to `count` - 1; each is the same whatever the count.
+    """Portraits 0 to `count` - 1 of a seed; each is the same whatever the count.
 
     :param expressions: False: the same people, cameras, lights and noise without expressions
     :param noise: standard deviation of the landmarks' noise in pixels, of x and of y
     """
-    parts = make(0)
-    rig, landmarks = build(parts), FaceLandmarks.of(parts)
     for number in range(count):
-        yield _target(parts, rig, landmarks, (seed, number), size, expressions, noise)
+        yield target(number, seed, size=size, expressions=expressions, noise=noise)
 
 
-def _target(
-    parts: FaceParts,
-    rig: Rig,
-    landmarks: FaceLandmarks,
-    seed: tuple[int, int],
-    size: int,
-    expressions: bool,
-    noise: float,
-) -> RecoveryTarget:
-    person, looks, face, errors = (np.random.default_rng([*seed, stream]) for stream in range(4))
+def target(number: int, seed: int, *, size: int = 256, expressions: bool = True, noise: float = 1.0) -> RecoveryTarget:
+    """One of the `targets`."""
+    parts, rig = sample().parts, sample().rig
+    person, looks, face, errors = (np.random.default_rng([seed, number, stream]) for stream in range(4))
     sliders = random_sliders(parts, person)
     weights = random_expression(face) if expressions else {}
     neutral, points = posed(parts, rig, sliders, {}), posed(parts, rig, sliders, weights)
@@ -89,9 +98,9 @@ def _target(
         studio=random_studio(looks),
         backdrop=random_backdrop(looks, size),
     )
-    exact = landmarks.project(points, camera)
+    exact = sample().landmarks.project(points, camera)
     return RecoveryTarget(
-        number=seed[1],
+        number=number,
         image=np.asarray(picture(recolored(parts, looks), points, options)),
         landmarks=exact + noise * errors.normal(size=exact.shape),
         exact=exact,

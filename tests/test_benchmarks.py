@@ -99,7 +99,8 @@ def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: P
 def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     out = tmp_path / "out.json"
-    printed = run("--runs", "1", "--size", "64", "--threads", "1", "--json", out, benchmark="photo_fit.py")
+    words = ("--runs", "1", "--size", "64", "--threads", "1", "--fits", "0", "--json", out)
+    printed = run(*words, benchmark="photo_fit.py")
     result = json.loads(out.read_text(encoding="utf-8"))
     seconds = {row["step"]: row["processor_s"] for row in result["rows"]}
     assert 15_000 < result["triangles"] < 25_000
@@ -107,3 +108,8 @@ def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
         f"{step} {way}" for step in ("rig", "image", "whole") for way in ("forward", "forward + backward")
     }
     assert all(name in printed for name in seconds)
+    assert printed.count("skipped: mitsuba") == 1
+    (own,) = result["peer"]["rows"]
+    assert 0 < own["forward"]["best_wall_s"] < own["both"]["best_wall_s"]
+    assert abs(result["peer"]["slopes"]["facepipe"]["jawWidth"][0]) < 0.2, "its gradient goes the way differences do"
+    assert result["sliders_us"]["warm"] > 0

@@ -1,0 +1,68 @@
+"""One fit to one portrait of a known person, timed and measured."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from facepipe.learn.photo.fit import fit_photos
+from recovery_measures import Recovery, recovery
+from recovery_targets import RecoveryTarget, sample, target
+
+from facepipe.learn.photo.options import PhotoFitOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """What became of a target."""
+
+    number: int
+    figures: Recovery
+    seconds: float  # wall time of the fit alone
+    processor: float  # of all threads
+    steps: int
+    stopped: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A target to make and to fit."""
+
+    number: int
+    seed: int
+    size: int = 256
+    expressions: bool = True
+    sparse: bool = True  # False: neither sliders nor expressions are drawn to their defaults by L1 terms
+    noise: float = 1.0
+    iterations: int | None = None  # None: the default
+
+
+def run(task: Task) -> Fitted:
+    """Make the portrait and fit it."""
+    made = target(task.number, task.seed, size=task.size, expressions=task.expressions, noise=task.noise)
+    options = PhotoFitOptions()
+    if not task.sparse:
+        options = replace(options, sparsity=0.0, expression_sparsity=0.0)
+    if task.iterations is not None:
+        options = replace(options, iterations=task.iterations)
+    return fitted(made, options)
+
+
+def fitted(made: RecoveryTarget, options: PhotoFitOptions | None = None) -> Fitted:
+    """Fit a portrait from nothing but its image and noisy landmarks."""
+    face = sample()
+    image = made.image.astype(np.float32) / 255
+    began = time.perf_counter(), time.process_time()
+    fit = fit_photos(face.parts, [image], [made.landmarks], options or PhotoFitOptions())
+    seconds, processor = time.perf_counter() - began[0], time.process_time() - began[1]
+    return Fitted(
+        number=made.number,
+        figures=recovery(face.parts, face.rig, made, fit),
+        seconds=seconds,
+        processor=processor,
+        steps=fit.steps,
+        stopped=fit.stopped,
+        warnings=fit.warnings,
+    )
