@@ -33,7 +33,7 @@ class SurfaceColors:
         }
         for i, source in self._inputs.items():
             self.textures[self.names[i]] = torch.as_tensor(linear_texels(source, largest), dtype=dtype, device=device)
-        self._materials = torch.as_tensor(surfaces.materials, device=device)
+        self.materials = torch.as_tensor(surfaces.materials, device=device)
         self._uv = torch.as_tensor(surfaces.uv, dtype=dtype, device=device)
         self._corners = torch.as_tensor(surfaces.uv_corners, device=device)
 
@@ -46,7 +46,7 @@ class SurfaceColors:
         :param tint: (m, 3) what the colour of each material is multiplied by
         :param textures: (h, w, 3) linear texels instead of a material's own, by its name
         """
-        material = self._materials[raster.triangles]
+        material = self.materials[raster.triangles]
         result = take(self.colors if tint is None else self.colors * tint, material)
         images = {**self.textures, **(textures or {})}
         for number, source in self._inputs.items():

@@ -1,0 +1,164 @@
+"""Sliders, expressions and cameras of a face from photos of one person (photo-to-face-sliders, claims 1-6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from facepipe.errors import InputError
+from facepipe.learn.face_model import FaceModel
+from facepipe.learn.features.extractor import Extractor
+from facepipe.learn.photo.descent import Descent, descend
+from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
+from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
+from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
+from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.learn.photo.pose import PoseSpace
+from facepipe.learn.photo.relight import relight
+from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
+from facepipe.learn.photo.subject import Subject
+from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.learn.photo.working_photo import WorkingPhoto
+from facepipe.parts import FaceParts
+
+FloatArray = npt.NDArray[np.floating]
+
+EXPRESSIONS = 3.0  # L1 weight of expressions in stage one, in standard deviations of landmarks
+_NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
+
+
+def fit_photos(
+    parts: FaceParts,
+    photos: Sequence[FloatArray],
+    landmarks: Sequence[FloatArray],
+    options: PhotoFitOptions,
+    *,
+    expressions: Sequence[str] | None = None,
+    extractors: Mapping[str, Extractor] | None = None,
+    start: State | None = None,
+    done: Callable[[int], None] | None = None,
+) -> PhotoFit:
+    """The person, and the expression, camera and light of each photo.
+
+    Stage one fits landmarks, stage two descends on the joint loss from there.
+
+    :param photos: (h, w, 3) sRGB 0..1
+    :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
+    :param expressions: shapes that are expressions; None: those with ARKit's names
+    :param extractors: networks by kind (content, identity, attributes); None: our own
+    :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
+    :param done: called with 1 after each step
+    :raises InputError: no photo, arrays that don't fit, a face without the 68 landmarks or without sliders
+    """
+    _check(photos, landmarks)
+    subject = Subject.of(parts, expressions)
+    fit = LandmarkFit(subject, landmarks, _spaces(subject, photos), _priors(options))
+    state = fit.solve(fit.start() if start is None else start)
+    found = _extractors(extractors, options) if options.iterations else {}
+    model = FaceModel(parts, largest_texture=options.size)
+    working = [WorkingPhoto.of(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
+    loss = JointLoss(model, fit, working, found, options)
+    descent = descend(loss, _lit(loss, state), options, done)
+    return _result(loss, descent)
+
+
+def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> None:
+    if not photos or len(photos) != len(landmarks):
+        raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
+    for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
+        if photo.ndim != 3 or photo.shape[2] != 3 or not np.isfinite(photo).all():
+            raise InputError(f"photo {number}", f"shape {photo.shape}, expected finite (height, width, 3)")
+        if np.shape(marks) != (COUNT, 2) or not np.isfinite(marks).all():
+            raise InputError(f"landmarks {number}", f"shape {np.shape(marks)}, expected finite ({COUNT}, 2)")
+
+
+def _spaces(subject: Subject, photos: Sequence[FloatArray]) -> list[PoseSpace]:
+    points, _ = landmark_points(subject.parts)
+    axes = np.stack(front_axes(subject.parts, subject.rig), axis=1)
+    rig = subject.rig
+    world = rig.points @ rig.parent_world[:3, :3].T + rig.parent_world[:3, 3]
+    return [
+        PoseSpace(
+            middle=world[points].mean(axis=0),
+            size=float(np.ptp(axes[:, 1])),
+            center=(photo.shape[1] / 2, photo.shape[0] / 2),
+            side=float(max(photo.shape[:2])),
+        )
+        for photo in photos
+    ]
+
+
+def _priors(options: PhotoFitOptions) -> Priors:
+    return Priors(
+        landmark_sigma=options.landmark_sigma,
+        expression_sparsity=EXPRESSIONS * options.expression_sparsity,
+        slider_sparsity=options.sparsity,
+        focal_sigma=options.focal_sigma,
+    )
+
+
+def _extractors(given: Mapping[str, Extractor] | None, options: PhotoFitOptions) -> Mapping[str, Extractor]:
+    if given is not None:
+        return given
+    from facepipe.learn.networks import own_extractors
+
+    return own_extractors([kind for kind in FEATURES if getattr(options, kind)])
+
+
+def _lit(loss: JointLoss, state: State) -> Unknowns:
+    """The unknowns of a state in the light that its photos show."""
+    model, lights, tints = loss.model, [], []
+    for view, photo in enumerate(loss.photos):
+        with torch.no_grad():
+            sliders = loss.sliders(torch.as_tensor(state.shares, dtype=torch.float32))
+            weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
+            camera = photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view])))
+            light, tint = relight(model, model.rig(sliders, weights), single(camera), photo)
+        lights.append(light)
+        tints.append(tint.log())
+    return Unknowns.of(state, lights, torch.stack(tints).mean(dim=0))
+
+
+def _result(loss: JointLoss, descent: Descent) -> PhotoFit:
+    subject, best = loss.fit.subject, descent.best
+    state = best.state()
+    values = np.asarray(subject.slider_values(state.shares), dtype=np.float32)
+    names = loss.model.colors.names
+    warnings = () if descent.stopped != "not-finite" else (_NOT_FINITE.format(len(descent.history) - 1),)
+    return PhotoFit(
+        sliders={subject.parts.sliders[i].name: float(values[i]) for i in subject.sliders},
+        views=tuple(_view(loss, best, state, view) for view in range(len(loss.photos))),
+        tint={name: _color(factor) for name, factor in zip(names, best.tint.exp(), strict=True) if name},
+        history=descent.history,
+        steps=max(len(descent.history) - 1, 0),
+        stopped=descent.stopped,
+        warnings=warnings,
+    )
+
+
+def _view(loss: JointLoss, best: Unknowns, state: State, view: int) -> FittedView:
+    fit = loss.fit
+    camera = fit.spaces[view].camera(torch.as_tensor(state.poses[view]))
+    shapes = fit.subject.rig.shapes
+    weights = zip(fit.subject.expressions, state.expressions[view], strict=True)
+    return FittedView(
+        expressions={shapes[i]: float(np.float32(weight)) for i, weight in weights},
+        camera=FittedCamera(
+            rotation=camera.rotation.numpy(),
+            translation=camera.translation.numpy(),
+            focal=float(camera.focal),
+            center=(float(camera.center[0]), float(camera.center[1])),
+        ),
+        light=best.light[view].numpy().astype(np.float64),
+        landmarks=fit.landmarks(state)[view],
+        targets=fit.targets[view],
+        landmark_error=float(fit.errors(state)[view].mean()),
+    )
+
+
+def _color(factor: torch.Tensor) -> tuple[float, float, float]:
+    red, green, blue = map(float, factor)
+    return red, green, blue

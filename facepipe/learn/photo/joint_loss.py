@@ -1,0 +1,113 @@
+"""The joint loss of a face and photos of it: [0134]-[0167], every term by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from facepipe.learn.camera import Camera
+from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.features.extractor import Extractor
+from facepipe.learn.photo.color_loss import color_loss
+from facepipe.learn.photo.feature_losses import FeatureLosses
+from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
+from facepipe.learn.photo.landmark_rig import CONTOUR
+from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
+
+FEATURES = ("content", "identity", "attributes")
+IMAGE = ("color", *FEATURES)
+
+
+class JointLoss:
+    """Unknowns to weighted terms."""
+
+    def __init__(
+        self,
+        model: FaceModel,
+        fit: LandmarkFit,
+        photos: Sequence[WorkingPhoto],
+        extractors: Mapping[str, Extractor],
+        options: PhotoFitOptions,
+    ) -> None:
+        self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
+        subject = fit.subject
+        self._free = torch.as_tensor(subject.sliders)
+        self._shapes = torch.as_tensor(subject.expressions, dtype=torch.int64)
+        self._lower, self._upper, self._default = (
+            torch.as_tensor(each, dtype=torch.float32)
+            for each in (subject.lower, subject.upper, subject.default_shares)
+        )
+        self._targets = [torch.as_tensor(each) for each in fit.targets]
+        used = {kind: one for kind, one in extractors.items() if getattr(options, kind) > 0}
+        marks = [photo.landmarks(each) for photo, each in zip(self.photos, fit.targets, strict=True)]
+        self._features = FeatureLosses(used, [photo.pixels for photo in self.photos], marks)
+
+    def __call__(self, at: Unknowns) -> dict[str, Tensor]:
+        """Every term that is switched on, weighted, and their sum as "total"; image terms are means over the photos."""
+        options = self.options
+        sliders = self.sliders(at.shares)
+        views = range(len(self.photos))
+        terms = [self._of_view(at, sliders, view) for view in views]
+        result = {name: sum(each[name] for each in terms) / len(terms) for name in terms[0]}
+        off = (at.shares - self._default).abs()
+        result["sparsity"] = off.sum()
+        result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
+        weighted = {name: getattr(options, name) * value for name, value in result.items() if getattr(options, name)}
+        return {**weighted, "total": torch.stack([one.double() for one in weighted.values()]).sum()}
+
+    def sliders(self, shares: Tensor) -> Tensor:
+        """(s,) values of all sliders from the free ones' shares (f,)."""
+        own = self.model.rig.sliders.value
+        return own.index_copy(0, self._free, self._lower + shares * (self._upper - self._lower))
+
+    def weights(self, expressions: Tensor) -> Tensor:
+        """(shapes,) weights of all shapes from those of the expressions (e,)."""
+        zero = expressions.new_zeros(len(self.model.rig.shapes))
+        return zero.index_copy(0, self._shapes, expressions)
+
+    def image(self, at: Unknowns, view: int) -> Tensor:
+        """(h, w, 4) linear colour over the photo, and coverage, in the photo's working pixels."""
+        photo = self.photos[view]
+        points = self.model.rig(self.sliders(at.shares), self.weights(at.expressions[view]))
+        height, width = photo.size
+        return self.model.image(points, self.look(at, view), height=height, width=width)
+
+    def look(self, at: Unknowns, view: int) -> Look:
+        """Camera, light and colours of a photo."""
+        camera = single(self.photos[view].camera(self.fit.spaces[view].camera(at.poses[view])))
+        return Look(camera=camera, light=at.light[view], background=self.photos[view].linear, tint=at.tint.exp())
+
+    def _of_view(self, at: Unknowns, sliders: Tensor, view: int) -> dict[str, Tensor]:
+        terms = {"landmarks": self._landmarks(at, sliders, view)} if self.options.landmarks else {}
+        if not any(getattr(self.options, name) for name in IMAGE):
+            return terms
+        image = self.image(at, view)
+        picture = to_srgb(image[..., :3])
+        if self.options.color:
+            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3])
+        return {**terms, **self._features(picture, view)}
+
+    def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
+        """Equation [0138] in standard deviations, robust: Huber's norm, summed; contour points slide."""
+        rig, camera = self.fit.rig, self.fit.spaces[view].camera(at.poses[view])
+        points = rig.rig(sliders.double(), self.weights(at.expressions[view]).double())
+        marks, outward = rig.landmarks(points, camera)
+        off = (marks - self._targets[view]) / self.fit.sigma[view]
+        on = off[CONTOUR]
+        along = torch.stack([-outward[:, 1], outward[:, 0]], dim=1)
+        contour = torch.stack([(on * outward).sum(dim=1), ALONG * (on * along).sum(dim=1)], dim=1)
+        return huber(torch.cat([contour, off[CONTOUR.stop :]])).sum() / len(off)
+
+
+def single(camera: Camera) -> Camera:
+    """A camera in float32."""
+    return Camera(
+        rotation=camera.rotation.float(),
+        translation=camera.translation.float(),
+        focal=camera.focal.float(),
+        center=camera.center.float(),
+    )

@@ -1,0 +1,215 @@
+"""Stage one: sliders, expressions and cameras from landmarks alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, EYE_CORNERS, LandmarkRig, landmark_points
+from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
+from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
+from facepipe.learn.photo.subject import Subject
+
+FloatArray = npt.NDArray[np.floating]
+
+_STEP = 1e-6  # of central differences
+ALONG = 0.15  # weight of a contour point's error along the contour: it slides
+HUBER = 3.0  # standard deviations beyond which an error counts linearly
+_EDGE = 0.02  # of a slider's range, below which its L1 norm is rounded off
+_ROUNDS = 3  # of reweighting
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priors:
+    """What is likely before any photo is seen."""
+
+    landmark_sigma: float = 0.02  # standard deviation of landmarks, of the distance of the outer eye corners
+    slider_sigma: float = 0.3  # of sliders around their defaults, of their range
+    slider_sparsity: float = 0.0  # L1 weight of sliders, per range
+    expression_sparsity: float = 3.0  # L1 weight of expressions
+    focal_sigma: float = 0.35  # of the logarithm of the focal length
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """What is sought: shares 0..1 of the free sliders' ranges, expressions 0..1 and poses of the photos."""
+
+    shares: FloatArray  # (f,)
+    expressions: FloatArray  # (v, e)
+    poses: FloatArray  # (v, 7) as `PoseSpace`
+
+    def vector(self) -> FloatArray:
+        """All in one: shares, then expressions and pose photo by photo."""
+        return np.concatenate([self.shares, np.concatenate([self.expressions, self.poses], axis=1).ravel()])
+
+    def of(self, vector: FloatArray) -> State:
+        """The state of this shape that a vector stands for."""
+        views, expressions = self.expressions.shape
+        own = vector[len(self.shares) :].reshape(views, expressions + NUMBERS)
+        return State(shares=vector[: len(self.shares)], expressions=own[:, :expressions], poses=own[:, expressions:])
+
+
+class LandmarkFit:
+    """The landmark problem of one face and some photos of one person."""
+
+    def __init__(
+        self, subject: Subject, targets: Sequence[FloatArray], spaces: Sequence[PoseSpace], priors: Priors
+    ) -> None:
+        """
+        :param targets: (68, 2) landmarks of each photo, pixels
+        :raises InputError: the face has not the 68 landmarks
+        """
+        self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
+        self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
+        self.rig = LandmarkRig.of(subject)
+        self.sigma = [priors.landmark_sigma * eye_distance(each) for each in self.targets]
+
+    def start(self) -> State:
+        """Defaults, no expression, and the poses that this gives."""
+        rig = self.subject.rig
+        points, _ = landmark_points(self.subject.parts)
+        world = rig.points[points] @ rig.parent_world[:3, :3].T + rig.parent_world[:3, 3]
+        inner = slice(CONTOUR.stop, COUNT)
+        poses = [
+            space.guess(world[inner], target[inner]) for space, target in zip(self.spaces, self.targets, strict=True)
+        ]
+        views = len(poses)
+        return State(
+            shares=self.subject.default_shares,
+            expressions=np.zeros((views, len(self.subject.expressions))),
+            poses=np.stack(poses),
+        )
+
+    def solve(self, start: State, *, steps: int = 30) -> State:
+        """The likeliest state near `start`: pose first, then all."""
+        template = start
+        x = start.vector()
+        lower, upper = self._bounds(template)
+        held = np.ones(len(x), dtype=np.bool_)
+        held[self._pose_numbers(template)] = False
+        x = self._minimise(template, x, np.where(held, x, lower), np.where(held, x, upper), steps).x
+        for _ in range(_ROUNDS):
+            x = self._minimise(template, x, lower, upper, steps).x
+        return template.of(x)
+
+    def landmarks(self, state: State) -> FloatArray:
+        """(v, 68, 2) pixels of the face's landmarks in each photo."""
+        return np.stack([self._project(i, own[None])[0][0] for i, own in enumerate(self._own(state))])
+
+    def errors(self, state: State) -> FloatArray:
+        """(v, 68) distances to the targets, pixels; contour points across the contour."""
+        result = []
+        for view, own in enumerate(self._own(state)):
+            marks, outward = self._project(view, own[None])
+            off = marks[0] - self.targets[view]
+            distance = np.linalg.norm(off, axis=1)
+            distance[CONTOUR] = np.abs((off[CONTOUR] * outward[0]).sum(axis=1))
+            result.append(distance)
+        return np.stack(result)
+
+    def _minimise(self, template: State, x: FloatArray, lower: FloatArray, upper: FloatArray, steps: int) -> Minimum:
+        weights = 1 / np.maximum(np.abs(x[: len(template.shares)] - self.subject.default_shares), _EDGE)
+        return levenberg_marquardt(
+            lambda at: self._model(template.of(at), weights),
+            lambda at: self._cost(template.of(at), weights),
+            x,
+            lower,
+            upper,
+            steps=steps,
+        )
+
+    def _bounds(self, state: State) -> tuple[FloatArray, FloatArray]:
+        free = np.full_like(state.poses, np.inf)
+        lower = replace(state, shares=0 * state.shares, expressions=0 * state.expressions, poses=-free)
+        upper = replace(state, shares=0 * state.shares + 1, expressions=0 * state.expressions + 1, poses=free)
+        return lower.vector(), upper.vector()
+
+    def _pose_numbers(self, state: State) -> npt.NDArray[np.bool_]:
+        zero = replace(state, shares=0 * state.shares, expressions=0 * state.expressions, poses=0 * state.poses + 1)
+        return np.asarray(zero.vector() == 1)
+
+    def _own(self, state: State) -> list[FloatArray]:
+        """By photo, all that it depends on: shares, expressions, pose."""
+        return [np.concatenate([state.shares, *pair]) for pair in zip(state.expressions, state.poses, strict=True)]
+
+    def _project(self, view: int, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (k, 68, 2) and outward directions (k, 17, 2) of k rows of what one photo depends on."""
+        f, e = len(self.subject.sliders), len(self.subject.expressions)
+        with torch.no_grad():
+            sliders = torch.as_tensor(self.subject.slider_values(own[:, :f]))
+            weights = torch.as_tensor(self.subject.shape_weights(own[:, f : f + e]))
+            points = self.rig.rig(sliders, weights if len(self.subject.rig.shapes) else None)
+            camera = self.spaces[view].camera(torch.as_tensor(own[:, f + e :]))
+            marks, outward = self.rig.landmarks(points, camera)
+        return marks.numpy(), outward.numpy()
+
+    def _residuals(self, view: int, own: FloatArray) -> FloatArray:
+        """(k, 136) errors in standard deviations; the contour's across and, weakly, along it."""
+        marks, outward = self._project(view, own)
+        off = (marks - self.targets[view]) / self.sigma[view]
+        on = off[:, CONTOUR]
+        along = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)
+        contour = np.stack([(on * outward).sum(axis=-1), ALONG * (on * along).sum(axis=-1)], axis=-1)
+        return np.concatenate([contour, off[:, CONTOUR.stop :]], axis=1).reshape(len(own), -1)
+
+    def _cost(self, state: State, weights: FloatArray) -> float:
+        total = sum(_cost(self._residuals(view, own[None])[0]) for view, own in enumerate(self._own(state)))
+        return total + self._prior(state, weights)[0]
+
+    def _model(self, state: State, weights: FloatArray) -> Quadratic:
+        cost, gradient, hessian = self._prior(state, weights)
+        f = len(state.shares)
+        width = state.expressions.shape[1] + NUMBERS
+        for view, own in enumerate(self._own(state)):
+            steps = _STEP * np.eye(len(own))
+            values = self._residuals(view, np.concatenate([own[None], own + steps, own - steps]))
+            jacobian = ((values[1 : len(own) + 1] - values[len(own) + 1 :]) / (2 * _STEP)).T
+            slope = np.clip(values[0], -HUBER, HUBER)
+            scale = np.where(np.abs(values[0]) > HUBER, HUBER / np.maximum(np.abs(values[0]), HUBER), 1.0)
+            place = np.concatenate([np.arange(f), f + view * width + np.arange(width)])
+            gradient[place] += jacobian.T @ slope
+            hessian[np.ix_(place, place)] += jacobian.T @ (scale[:, None] * jacobian)
+            cost += _cost(values[0])
+        return Quadratic(cost=cost, gradient=gradient, hessian=hessian)
+
+    def _prior(self, state: State, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient and Hessian of what is likely without photos."""
+        priors = self.priors
+        off = state.shares - self.subject.default_shares
+        pull = 1 / priors.slider_sigma**2 + priors.slider_sparsity * weights
+        focal = np.array([space.log_focal(pose) for space, pose in zip(self.spaces, state.poses, strict=True)])
+        focal = (focal - np.log(FOCAL)) / priors.focal_sigma
+        slope = np.zeros_like(state.poses)
+        slope[:, 5:] = focal[:, None] / priors.focal_sigma
+        gradient = State(
+            shares=pull * off,
+            expressions=np.full_like(state.expressions, priors.expression_sparsity),
+            poses=slope,
+        ).vector()
+        cost = 0.5 * float(pull @ off**2) + priors.expression_sparsity * float(state.expressions.sum())
+        hessian = np.diag(State(shares=pull, expressions=0 * state.expressions, poses=0 * state.poses).vector())
+        last = np.flatnonzero(self._pose_numbers(state)).reshape(-1, NUMBERS)[:, 5:]
+        for pair in last:
+            hessian[np.ix_(pair, pair)] += 1 / priors.focal_sigma**2
+        return cost + 0.5 * float(focal @ focal), gradient, hessian
+
+
+def eye_distance(landmarks: FloatArray) -> float:
+    """Pixels between the outer corners of the eyes."""
+    one, other = landmarks[list(EYE_CORNERS)]
+    return float(np.linalg.norm(one - other))
+
+
+def huber(residuals: Tensor) -> Tensor:
+    """Half the squares of residuals in standard deviations, growing linearly beyond `HUBER`."""
+    size = residuals.abs()
+    return torch.where(size <= HUBER, 0.5 * size * size, HUBER * (size - 0.5 * HUBER))
+
+
+def _cost(residuals: FloatArray) -> float:
+    return float(huber(torch.as_tensor(residuals)).sum())

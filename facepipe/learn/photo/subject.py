@@ -1,0 +1,87 @@
+"""What may move when a face is fitted to photos: its sliders, and its expressions beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts, Slider
+from facepipe.rig import Rig, build
+from facepipe.rig.arkit import ARKIT_SHAPES
+
+FloatArray = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """A face with its free controls: `sliders` are who a person is, `expressions` what a photo adds to that."""
+
+    parts: FaceParts
+    rig: Rig
+    sliders: tuple[int, ...]  # into parts.sliders
+    expressions: tuple[int, ...]  # into rig.shapes
+
+    @classmethod
+    def of(cls, parts: FaceParts, expressions: Sequence[str] | None = None) -> Subject:
+        """The face's own controls.
+
+        Sliders that drive expressions stay as they are: a person's sliders must not contain the photo's smile.
+
+        :param expressions: shapes that are expressions; None: those with ARKit's names
+        :raises InputError: a shape that the face has not, or no slider to fit
+        """
+        rig = build(parts)
+        unknown = [name for name in expressions or () if name not in rig.shapes]
+        if unknown:
+            raise InputError(f"{parts.name} -> expression {unknown[0]}", "unknown, expected a shape of the face")
+        names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
+        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names)]
+        if not free:
+            raise InputError(
+                f"{parts.name} -> sliders", "none that shape a person, expected some (`facepipe sliders FACE --help`)"
+            )
+        shapes = tuple(i for i, name in enumerate(rig.shapes) if name in names)
+        return cls(parts=parts, rig=rig, sliders=tuple(free), expressions=shapes)
+
+    @property
+    def free_sliders(self) -> tuple[Slider, ...]:
+        """The sliders that may move."""
+        return tuple(self.parts.sliders[i] for i in self.sliders)
+
+    def slider_values(self, shares: FloatArray) -> FloatArray:
+        """(..., s) values of all sliders from the free ones' shares 0..1 of their ranges (..., f)."""
+        own = [one.default if one.value is None else one.value for one in self.parts.sliders]
+        values = np.broadcast_to(np.array(own), (*shares.shape[:-1], len(own))).copy()
+        values[..., list(self.sliders)] = self.lower + shares * (self.upper - self.lower)
+        return values
+
+    @property
+    def lower(self) -> FloatArray:
+        """(f,) least values of the free sliders."""
+        return np.array([one.minimum for one in self.free_sliders])
+
+    @property
+    def upper(self) -> FloatArray:
+        """(f,) largest values of the free sliders."""
+        return np.array([one.maximum for one in self.free_sliders])
+
+    @property
+    def default_shares(self) -> FloatArray:
+        """(f,) where the defaults of the free sliders lie in their ranges, 0..1."""
+        default = np.array([one.default for one in self.free_sliders])
+        return np.asarray((default - self.lower) / (self.upper - self.lower))
+
+    def shape_weights(self, expressions: FloatArray) -> FloatArray:
+        """(..., shapes) weights of all shapes from those of the expressions (..., e)."""
+        weights = np.zeros((*expressions.shape[:-1], len(self.rig.shapes)))
+        weights[..., list(self.expressions)] = expressions
+        return weights
+
+
+def _of_a_person(slider: Slider, expressions: set[str]) -> bool:
+    driven = {shape for shape, _ in slider.shapes}
+    return slider.maximum > slider.minimum and not driven & expressions and bool(driven or slider.channels)
