@@ -1,0 +1,187 @@
+"""Faces and their 68 landmarks in a whole photo, by a network that sees one square crop at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch.nn import functional
+
+from facepipe.errors import InputError
+from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
+from facepipe.learn.networks.files import landmark_model
+from facepipe.learn.networks.landmark_model import LandmarkModel
+
+FloatArray = npt.NDArray[np.floating]
+
+_LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
+_STRIDE = 0.28  # of a crop's side
+_FEWEST_PIXELS = 40  # a side of the smallest crop
+_MOST = 64  # crops that are refined
+_ROUNDS = 4
+_MAYBE, _SURE = 0.4, 0.85  # presence of crops that are refined, and of those that are faces
+_UNSTEADY = 0.035  # of a crop's side: how much landmarks may depend on how a face is cropped
+_UNLIKE = 0.075  # of a crop's side: RMS distance from the template
+_SAME = 0.4  # of a crop's side: faces nearer than this are one
+# Crops that a face's landmarks are the mean of: turn in radians, scale.
+_LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundFace:
+    """A face in a photo."""
+
+    landmarks: FloatArray  # (68, 2) pixels, Multi-PIE order
+    presence: float  # 0..1
+
+
+def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFace]:
+    """The faces of a photo (h, w, 3) of sRGB 0..1, the surest first; none where there are none.
+
+    Crops of all sizes and places whose presence is high are moved to where their own landmarks ask for, a few times
+    over; those that settle, keep their presence and look like a face when cropped differently are faces. The network
+    knows synthetic heads alone, upright within about 30 degrees, and larger than a seventh of the photo.
+
+    :param model: an ONNX network of the kind ``landmarks``; default the one that comes with facepipe
+    :raises InputError: another shape, NaN or infinity; a file that is no such network
+    """
+    pixels = np.asarray(image, dtype=np.float32)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or min(pixels.shape[:2]) < 2:
+        raise InputError("photo", f"an array of shape {pixels.shape}, expected (h, w, 3)")
+    if not np.isfinite(pixels).all():
+        raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
+    network = _loaded(model or landmark_model())
+    photo = torch.as_tensor(pixels)
+    found = [_judged(network, photo, one) for one in _settled(network, photo, _candidates(network, photo))]
+    return _apart([one for one in found if one is not None])
+
+
+@cache
+def _loaded(path: Path) -> LandmarkModel:
+    return LandmarkModel(path)
+
+
+def _candidates(network: LandmarkModel, photo: torch.Tensor) -> FloatArray:
+    """(k, 68, 2) landmarks of the crops that may show a face, the surest first."""
+    height, width = photo.shape[:2]
+    side = _LARGEST * min(height, width)
+    landmarks: list[FloatArray] = []
+    presence: list[FloatArray] = []
+    while side >= max(_SMALLEST * min(height, width), _FEWEST_PIXELS) or not landmarks:
+        places, present = _scanned(network, photo, side)
+        landmarks.append(places)
+        presence.append(present)
+        side /= _RATIO
+    sure = np.concatenate(presence)
+    order = np.argsort(-sure, kind="stable")[:_MOST]
+    return np.concatenate(landmarks)[order[sure[order] > _MAYBE]]
+
+
+def _scanned(network: LandmarkModel, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray]:
+    """Landmarks in pixels of the photo, and presence, of crops of one size all over it and a little beyond."""
+    size = network.size
+    height, width = (max(round(length * size / side), 1) for length in photo.shape[:2])
+    level = functional.interpolate(
+        photo.permute(2, 0, 1)[None], size=(height, width), mode="bilinear", antialias=True, align_corners=False
+    )
+    margin = size // 3
+    level = functional.pad(level, [margin] * 4, mode="replicate")
+    level = functional.pad(
+        level, [0, max(size - level.shape[3], 0), 0, max(size - level.shape[2], 0)], mode="replicate"
+    )
+    rows, columns = (_starts(length, size) for length in level.shape[2:])
+    corners = [(row, column) for row in rows for column in columns]
+    crops = np.stack([level[0, :, row : row + size, column : column + size].numpy() for row, column in corners])
+    places, presence = network(crops)
+    origin = np.array([(column, row) for row, column in corners]) - margin
+    scale = np.array([photo.shape[1] / width, photo.shape[0] / height])
+    return (places + origin[:, None]) * scale, presence
+
+
+def _starts(length: int, size: int) -> list[int]:
+    """Where crops begin on one axis, evenly, the last one at the end."""
+    count = int(np.ceil((length - size) / (_STRIDE * size))) + 1
+    return [round(start) for start in np.linspace(0, length - size, count)]
+
+
+def _settled(network: LandmarkModel, photo: torch.Tensor, landmarks: FloatArray) -> list[FloatArray]:
+    """Landmarks after rounds of cropping by them, without those that leave the photo or end up at one place."""
+    for _ in range(_ROUNDS):
+        matrices = [matrix for one in _distinct(landmarks) if (matrix := _crop(photo, one, network.size)) is not None]
+        if not matrices:
+            return []
+        places, presence = network(_crops(photo, matrices, network.size))
+        kept = zip(places, matrices, presence, strict=True)
+        landmarks = np.array([from_crop(one, matrix) for one, matrix, sure in kept if sure > _MAYBE])
+    return list(_distinct(landmarks))
+
+
+def _distinct(landmarks: FloatArray) -> FloatArray:
+    """Without those whose landmarks nearly are those of one before."""
+    kept: list[FloatArray] = []
+    for one in landmarks:
+        near = 0.05 * np.ptp(one, axis=0).max()
+        if all(np.linalg.norm(one - other, axis=1).mean() > near for other in kept):
+            kept.append(one)
+    return np.array(kept).reshape(-1, 68, 2)
+
+
+def _crop(photo: torch.Tensor, landmarks: FloatArray, size: int) -> FloatArray | None:
+    """The aligned crop, if it lies mostly within the photo and is not tiny."""
+    try:
+        matrix = face_crop(landmarks, size)
+    except InputError:
+        return None
+    side = float(np.hypot(*matrix[:, 0])) * size
+    inside = (landmarks > 0).all(axis=1) & (landmarks < (photo.shape[1], photo.shape[0])).all(axis=1)
+    shortest = min(photo.shape[:2])
+    if not _FEWEST_PIXELS / 2 < side < 3 * shortest or inside.mean() < 0.6:
+        return None
+    return matrix
+
+
+def _crops(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatArray:
+    return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
+
+
+def _judged(network: LandmarkModel, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
+    """The face by several crops of it, or None where they disagree or show nothing like one."""
+    aligned = _crop(photo, landmarks, network.size)
+    if aligned is None:
+        return None
+    matrices = [_turned(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
+    places, presence = network(_crops(photo, matrices, network.size))
+    looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices, strict=True)])
+    mean = looks.mean(axis=0)
+    final = _crop(photo, mean, network.size)
+    if final is None or presence.mean() < _SURE:
+        return None
+    side = float(np.hypot(*final[:, 0])) * network.size
+    unsteady = np.linalg.norm(looks - mean, axis=2).mean() / side
+    target = from_crop(TEMPLATE * network.size, final)
+    unlike = np.sqrt(((mean - target) ** 2).sum(axis=1).mean()) / side
+    if unsteady > _UNSTEADY or unlike > _UNLIKE:
+        return None
+    return FoundFace(landmarks=mean, presence=float(presence.mean()))
+
+
+def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
+    """The crop turned and scaled about its centre."""
+    change = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    centre = np.full(2, size / 2)
+    linear = matrix[:, :2] @ change
+    return np.column_stack([linear, matrix[:, :2] @ centre + matrix[:, 2] - linear @ centre])
+
+
+def _apart(faces: list[FoundFace]) -> list[FoundFace]:
+    """The surest of those that overlap."""
+    kept: list[FoundFace] = []
+    for face in sorted(faces, key=lambda one: -one.presence):
+        centre, side = face.landmarks.mean(axis=0), np.ptp(face.landmarks, axis=0).max() / 0.6
+        if all(np.linalg.norm(centre - other.landmarks.mean(axis=0)) > _SAME * side for other in kept):
+            kept.append(face)
+    return kept

@@ -1,0 +1,11 @@
+"""Where the shipped networks are."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+
+def landmark_model() -> Path:
+    """The file that finds the 68 landmarks of a face in a crop, and whether there is one."""
+    return Path(str(files("facepipe.learn.networks") / "landmarks.onnx"))

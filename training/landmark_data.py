@@ -1,0 +1,154 @@
+"""Shards of `heads.py` as batches for the landmark network: turned, mirrored, recoloured, covered, scrambled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn.functional import affine_grid, avg_pool2d, grid_sample
+
+from facepipe.learn.networks.landmark_network import MEAN, SIZE, STD
+
+FloatArray = npt.NDArray[np.floating]
+
+# The landmark of the other side for each of the 68.
+MIRROR = [
+    *range(16, -1, -1),
+    *range(26, 16, -1),
+    *range(27, 31),
+    *range(35, 30, -1),
+    *(45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40),
+    *(54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55),
+    *(64, 63, 62, 61, 60, 67, 66, 65),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heads:
+    """Pictures and what is known of them."""
+
+    images: npt.NDArray[np.uint8]  # (n, S, S, 3)
+    landmarks: FloatArray  # (n, 68, 2) in 0..1, NaN where unknown
+    presence: FloatArray  # (n,) 0, 0.5 or 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """What one step learns from."""
+
+    images: Tensor  # (b, 3, 96, 96) normalised
+    landmarks: Tensor  # (b, 68, 2)
+    known: Tensor  # (b, 68) weights of the landmarks
+    presence: Tensor  # (b,)
+    judged: Tensor  # (b,) weights of the presence
+
+
+def read(folder: Path, numbers: range) -> Heads:
+    """Shards by number."""
+    shards = []
+    for number in numbers:
+        with np.load(folder / f"shard_{number:03d}.npz") as data:
+            shards.append((data["image"], data["landmarks"] / data["image"].shape[1], data["presence"]))
+    images, landmarks, presence = (np.concatenate(column) for column in zip(*shards, strict=True))
+    return Heads(images=images, landmarks=landmarks, presence=presence)
+
+
+def joined(one: Heads, other: Heads) -> Heads:
+    """The pictures of both."""
+    return Heads(
+        images=np.concatenate([one.images, other.images]),
+        landmarks=np.concatenate([one.landmarks, other.landmarks]),
+        presence=np.concatenate([one.presence, other.presence]),
+    )
+
+
+def plain(heads: Heads, rows: npt.NDArray[np.integer]) -> Batch:
+    """Pictures as they are."""
+    return _batch(heads, rows, torch.eye(2).expand(len(rows), 2, 2), torch.zeros(len(rows), 2))
+
+
+def varied(heads: Heads, rows: npt.NDArray[np.integer], rng: np.random.Generator) -> Batch:
+    """Pictures as they might have been taken as well."""
+    count = len(rows)
+    angle, zoom = rng.uniform(-0.3, 0.3, count), 2 ** rng.uniform(-0.25, 0.3, count)
+    mirrored = rng.random(count) < 0.5
+    turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
+    turn = turn / zoom[:, None, None]
+    turn[mirrored, :, 0] *= -1
+    shift = rng.uniform(-0.12, 0.12, (count, 2))
+    batch = _batch(heads, rows, *(torch.as_tensor(one, dtype=torch.float32) for one in (turn, shift)))
+    landmarks, known = batch.landmarks.clone(), batch.known.clone()
+    flip = torch.as_tensor(mirrored)
+    landmarks[flip], known[flip] = landmarks[flip][:, MIRROR], known[flip][:, MIRROR]
+    images = _covered(_recolored(batch.images, rng), rng)
+    presence, judged = batch.presence.clone(), batch.judged.clone()
+    for i in np.flatnonzero(rng.random(count) < 0.07):
+        images[i] = _scrambled(images[i], rng)
+        known[i], presence[i], judged[i] = 0, 0, 1
+    return Batch(images=images, landmarks=landmarks, known=known, presence=presence, judged=judged)
+
+
+def _batch(heads: Heads, rows: npt.NDArray[np.integer], turn: Tensor, shift: Tensor) -> Batch:
+    """Crops whose places p in -1..1 read the pictures at ``turn p + shift``."""
+    pixels = torch.as_tensor(heads.images[rows]).permute(0, 3, 1, 2).float() / 255
+    grid = affine_grid(torch.cat([turn, shift[..., None]], dim=2), [len(rows), 3, SIZE, SIZE], align_corners=False)
+    images = grid_sample(pixels, grid, "bilinear", "border", align_corners=False)
+    landmarks = torch.as_tensor(heads.landmarks[rows], dtype=torch.float32)
+    landmarks = ((landmarks * 2 - 1 - shift[:, None]) @ torch.linalg.inv(turn).mT + 1) / 2
+    known = ((landmarks > 0.01) & (landmarks < 0.99)).all(dim=2).float()
+    known[known.mean(dim=1) < 0.4] = 0
+    presence = torch.as_tensor(heads.presence[rows], dtype=torch.float32)
+    return Batch(
+        images=(images - MEAN) / STD,
+        landmarks=landmarks.nan_to_num(),
+        known=known * torch.where(presence == 1, 1.0, 0.3)[:, None],
+        presence=(presence > 0.5).float(),
+        judged=(presence != 0.5).float(),
+    )
+
+
+def _recolored(images: Tensor, rng: np.random.Generator) -> Tensor:
+    count = len(images)
+
+    def numbers(low: float, high: float, channels: int = 1) -> Tensor:
+        return torch.as_tensor(rng.uniform(low, high, (count, channels, 1, 1)), dtype=torch.float32)
+
+    images = images * numbers(0.75, 1.3) * numbers(0.9, 1.1, 3) + numbers(-0.35, 0.35) + numbers(-0.15, 0.15, 3)
+    gray = torch.as_tensor(rng.random((count, 1, 1, 1)) < 0.12)
+    images = torch.where(gray, images.mean(dim=1, keepdim=True).expand_as(images), images)
+    for i in np.flatnonzero(rng.random(count) < 0.15):
+        images[i] = avg_pool2d(images[i : i + 1], 3, 1, 1, count_include_pad=False)[0]
+    return images
+
+
+def _covered(images: Tensor, rng: np.random.Generator) -> Tensor:
+    for i in np.flatnonzero(rng.random(len(images)) < 0.25):
+        height, width = rng.integers(SIZE // 12, SIZE * 2 // 5, 2)
+        y, x = rng.integers(0, SIZE - height), rng.integers(0, SIZE - width)
+        color = torch.as_tensor(rng.normal(0, 1, (3, 1, 1)), dtype=torch.float32)
+        images[i, :, y : y + height, x : x + width] = color + 0.3 * torch.as_tensor(
+            rng.normal(0, rng.random(), (3, height, width)), dtype=torch.float32
+        )
+    return images
+
+
+def _scrambled(image: Tensor, rng: np.random.Generator) -> Tensor:
+    """No face any more: upside down, or its tiles exchanged."""
+    if rng.random() < 0.3:
+        return image.flip(1)
+    parts = int(rng.choice([2, 3, 4]))
+    side = SIZE // parts
+    order = rng.permutation(parts * parts)
+    while (order == np.arange(parts * parts)).mean() > 0.3:
+        order = rng.permutation(parts * parts)
+    result = image.clone()
+    for to, source in enumerate(order):
+        (a, b), (c, d) = divmod(to, parts), divmod(int(source), parts)
+        result[:, a * side : (a + 1) * side, b * side : (b + 1) * side] = image[
+            :, c * side : (c + 1) * side, d * side : (d + 1) * side
+        ]
+    return result

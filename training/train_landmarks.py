@@ -1,0 +1,160 @@
+"""Trains the landmark network: ``python training/train_landmarks.py DATA -o OUT.onnx --shards 16 --seed 0``.
+
+DATA is what `heads.py` wrote: renders of synthetic heads, no photo. The first shard, with persons of its own, is held
+out; its scores go into the file's metadata.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import landmark_data
+import numpy as np
+import torch
+from landmark_export import to_onnx
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
+
+from facepipe.atomic import write_bytes
+from facepipe.learn.networks.landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
+
+_BATCH, _RATE, _DECAY = 32, 3e-3, 1e-2
+_FIRST, _PACE = 3, 200  # shards to begin with, the held-out one among them, and steps until the next joins
+_SPREAD = 2.0  # square cells that the heat of a landmark shall cover
+_SPREAD_SHARE, _PRESENCE_SHARE = 0.05, 1.0
+
+
+def joint_loss(network: LandmarkNetwork, batch: landmark_data.Batch) -> Tensor:
+    """Distance of landmarks in pixels, spread of the heat, and presence."""
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        landmarks, presence, heat = network(batch.images)
+    weight = batch.known / batch.known.sum().clamp(min=1)
+    error = smooth_l1_loss(landmarks * SIZE, batch.landmarks * SIZE, reduction="none").sum(dim=2)
+    share = heat.softmax(dim=2)
+    spread = (share @ network.cells.square().sum(dim=1)) - landmarks.square().sum(dim=2)
+    spread = (spread * CELLS**2 - _SPREAD).abs()
+    judged = binary_cross_entropy_with_logits(presence[:, 0].float(), batch.presence, batch.judged)
+    return ((error + _SPREAD_SHARE * spread.clamp(max=20)) * weight).sum() + _PRESENCE_SHARE * judged
+
+
+def scores(network: LandmarkNetwork, heads: landmark_data.Heads) -> dict[str, float]:
+    """Mean error over the distance of the outer eye corners, and how presence is told, on pictures as they are."""
+    found = []
+    with torch.no_grad():
+        for start in range(0, len(heads.images), 50):
+            batch = landmark_data.plain(heads, np.arange(start, min(start + 50, len(heads.images))))
+            landmarks, presence, _ = network(batch.images)
+            error = (landmarks - batch.landmarks).norm(dim=2)
+            across = (batch.landmarks[:, 36] - batch.landmarks[:, 45]).norm(dim=1, keepdim=True)
+            whole = (batch.known == 1).all(dim=1, keepdim=True) & (across > 0.1)
+            rows = torch.cat([error / across, whole, presence.sigmoid(), batch.presence[:, None]], dim=1)
+            found.append(torch.cat([rows, batch.judged[:, None]], dim=1))
+    table = torch.cat(found)
+    error = table[table[:, 68] == 1, :68]
+    told, real = table[table[:, 71] == 1, 69] > 0.5, table[table[:, 71] == 1, 70] == 1
+    return {
+        "nme_inner": round(error[:, 17:].mean().item(), 4),
+        "nme_contour": round(error[:, :17].mean().item(), 4),
+        "presence_found": round(told[real].float().mean().item(), 4),
+        "presence_false": round(told[~real].float().mean().item(), 4),
+        "pictures": len(heads.images),
+    }
+
+
+class Supply:
+    """Pictures in random order, of more and more shards: the next one joins every `_PACE` steps, when it is written.
+
+    So training may start while `heads.py` still renders, and yet sees the same pictures every time.
+    """
+
+    def __init__(self, folder: Path, shards: int, rng: np.random.Generator) -> None:
+        self._folder, self._shards, self._rng = folder, shards, rng
+        self._loaded = 1
+        self._order: list[int] = []
+        self.heads: landmark_data.Heads | None = None
+
+    def batch(self, step: int) -> landmark_data.Batch:
+        """What step `step` learns from."""
+        while self._loaded < min(self._shards, _FIRST + step // _PACE):
+            self._load()
+        assert self.heads is not None
+        if len(self._order) < _BATCH:
+            self._order = list(self._rng.permutation(len(self.heads.images)))
+        rows = np.array([self._order.pop() for _ in range(_BATCH)])
+        return landmark_data.varied(self.heads, rows, self._rng)
+
+    def _load(self) -> None:
+        while not (self._folder / f"shard_{self._loaded:03d}.npz").exists():
+            time.sleep(2)
+        more = landmark_data.read(self._folder, range(self._loaded, self._loaded + 1))
+        self.heads = more if self.heads is None else landmark_data.joined(self.heads, more)
+        self._loaded += 1
+        self._order = []
+
+
+def train(supply: Supply, steps: int, seed: int, keep: Callable[[LandmarkNetwork, int], None]) -> LandmarkNetwork:
+    """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
+    torch.manual_seed(seed)
+    network = LandmarkNetwork().to(memory_format=torch.channels_last)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps, pct_start=0.1)
+    start = time.monotonic()
+    for step in range(steps):
+        loss = joint_loss(network, supply.batch(step))
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 20.0)
+        optimizer.step()
+        schedule.step()
+        if step % 50 == 49:
+            print(f"{step + 1} {loss.item():.3f} {time.monotonic() - start:.0f} s", flush=True)
+        if step % 500 == 499:
+            keep(network, step + 1)
+    return network.eval()
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description="Train the landmark network on renders of random heads.")
+    parser.add_argument("data", type=Path, help="folder of shards that heads.py wrote")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--shards", type=int, default=16, help="how many of them; the first is held out")
+    parser.add_argument("--steps", type=int, default=5000, help=f"of {_BATCH} pictures")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    held_out = landmark_data.read(options.data, range(1))
+
+    def keep(network: LandmarkNetwork, step: int) -> None:
+        found = scores(network.eval(), held_out)
+        print(step, found, flush=True)
+        write_bytes(options.out, to_onnx(network, metadata(options, found)))
+        network.train()
+
+    supply = Supply(options.data, options.shards, np.random.default_rng(options.seed))
+    keep(train(supply, options.steps, options.seed, keep), options.steps)
+
+
+def metadata(options: argparse.Namespace, found: dict[str, float]) -> dict[str, object]:
+    """What the file says of itself."""
+    command = f"python training/train_landmarks.py DATA -o {options.out.name} --shards {options.shards}"
+    return {
+        "kind": "landmarks",
+        "size": SIZE,
+        "mean": [MEAN] * 3,
+        "std": [STD] * 3,
+        "order": "RGB",
+        "crop": "face",
+        "trained_on": "synthetic heads: renders of ICT-FaceKit identities (MIT) and of facepipe's sample; no photos",
+        "training": f"{command} --steps {options.steps} --seed {options.seed}",
+        "data": f"python training/heads.py DATA --count {500 * options.shards} --seed 0",
+        "seed": options.seed,
+        "held_out": found,
+    }
+
+
+if __name__ == "__main__":
+    main()
