@@ -27,6 +27,8 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options) -> tupl
     lines += _per_mesh("region", {mesh.name: mesh.regions for mesh in parts.meshes})
     lines += _per_mesh("point subset", {mesh.name: mesh.point_subsets for mesh in parts.meshes})
     lines += _counted("slider", "sliders", [slider.name for slider in parts.sliders])
+    if parts.slider_network is not None:
+        lines.append("learned network of the sliders")
     lines += _counted("camera of a photo", "cameras of photos", [photo.name for photo in parts.photos])
     used = {name for baked in meshes for name in _materials(baked.mesh)}
     unused = [material.name for material in parts.materials if material.name not in used]

@@ -1,4 +1,4 @@
-"""List the sliders of a face, author them from a table or make them from its blendshapes, or set them.
+"""List the sliders of a face, author them from a table, make them from its blendshapes, or set them.
 
 --from authors the sliders of a .toml or .csv table: what each drives, by how much, its range, default, group and the
 slider of the other side. Sliders of the same names are replaced; with --replace the table's are all that the face has.
@@ -7,6 +7,9 @@ slider of the other side. Sliders of the same names are replaced; with --replace
 (names, comma between). Two that differ in the last word alone (nose_hump_decr, nose_hump_incr) are the ends of a slider
 from -1 to 1, others go from 0 to 1; shapes of the left and the right get mirrored poses. What bones reach is told, in
 millimetres. Exit code 1: done, but sliders were left out whose bones reach less than --least-reach.
+
+--from-network puts a learned network beside the sliders: from the values of some it adds to bone coefficients and shape
+weights. The .npz file holds sliders, outputs (joint:channel or shape:NAME), layer0.weight, layer0.bias and so on.
 
 --set writes slider values and poses the face: a SkelAnimation of all that its sliders drive, which the skeleton plays.
 Sliders that are not named keep their values. Exit code 1: done, but the pose is beyond the bone limits of FACE.
@@ -17,6 +20,7 @@ examples:
   facepipe sliders head.usda
   facepipe sliders head.usda --from table.toml -o controls.usda
   facepipe sliders head.usda --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
+  facepipe sliders head.usda --from-network learned.npz -o learned.usda
   facepipe sliders head.usda --set noseWidth=0.8 --set browArchLeft=1 --mirror -o person.usda
 """
 
@@ -29,12 +33,20 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import check_input, output_of, pairs
 from facepipe.cli.show import emit, table, warn
+from facepipe.cli.sliders_from_network import listed, network_author, network_json, network_text
 from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, make, shape_flags
 from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Recipe, Slider
-    from facepipe.processors.sliders import AuthorSliders, AuthorSlidersReport, SetSliders, SetSlidersReport
+    from facepipe.processors.sliders import (
+        AuthorNetwork,
+        AuthorNetworkReport,
+        AuthorSliders,
+        AuthorSlidersReport,
+        SetSliders,
+        SetSlidersReport,
+    )
 
 _SHOWN = 4  # of what a slider drives
 
@@ -45,6 +57,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("--from", dest="source", type=Path, metavar="TABLE", help="sliders to author: .toml or .csv")
     made = "sliders to make of blendshapes, all or those of these names"
     parser.add_argument("--from-shapes", nargs="?", const="*", metavar="PATTERNS", help=made)
+    text = "learned network to put beside the sliders: .npz"
+    parser.add_argument("--from-network", type=Path, metavar="NPZ", help=text)
     replacing = "with --from and --from-shapes: drop the sliders that FACE has"
     parser.add_argument("--replace", action="store_true", help=replacing)
     setting = "slider value; may be given again"
@@ -64,10 +78,12 @@ def run(arguments: argparse.Namespace) -> int:
     """List, author or set."""
     sets = bool(arguments.set or arguments.reset)
     makes, authors = arguments.from_shapes is not None, arguments.source is not None
-    ways = [name for name, on in (("--from", authors), ("--from-shapes", makes), (_setting(arguments), sets)) if on]
+    learns = arguments.from_network is not None
+    every_way = (("--from", authors), ("--from-shapes", makes), ("--from-network", learns), (_setting(arguments), sets))
+    ways = [name for name, on in every_way if on]
     if len(ways) > 1:
         raise InputError(ways[0], f"given with {ways[1]}, expected only one of them")
-    every = ("--from, --from-shapes or --set", bool(ways))
+    every = ("--from, --from-shapes, --from-network or --set", bool(ways))
     for flag, (needed, there) in {
         "--replace": ("--from or --from-shapes", authors or makes),
         "--mirror": ("--set", bool(arguments.set)),
@@ -82,6 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _author(arguments)
     if makes:
         return _make(arguments)
+    if learns:
+        return _learn(arguments)
     return _set(arguments) if sets else _list(arguments)
 
 
@@ -108,7 +126,9 @@ def _list(arguments: argparse.Namespace) -> int:
         groups.setdefault(slider.group, []).append(slider)
     rows = [row for group in sorted(groups) for row in _rows(group, groups[group])]
     lines = [f"{arguments.face}: {len(sliders)} sliders in {len(groups)} groups", *([table(rows)] if rows else [])]
-    result = {"path": str(arguments.face), "sliders": [_json(one) for one in sliders]}
+    lines += [listed(face.slider_network)] if face.slider_network else []
+    network = None if face.slider_network is None else network_json(face.slider_network)
+    result = {"path": str(arguments.face), "sliders": [_json(one) for one in sliders], "network": network}
     emit(result, "\n".join(lines), as_json=arguments.json)
     return 0
 
@@ -170,6 +190,18 @@ def _author(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _learn(arguments: argparse.Namespace) -> int:
+    import facepipe
+    from facepipe.processors.sliders import slider_recipe
+
+    out = _output(arguments, [arguments.face, arguments.from_network])
+    author = network_author(facepipe.open(arguments.face), arguments.from_network)
+    recipe = slider_recipe(arguments.face, out, network=arguments.from_network)
+    report: AuthorNetworkReport = _derive(arguments, out, author, recipe)
+    emit({"path": str(out), **dataclasses.asdict(report)}, network_text(out, report), as_json=arguments.json)
+    return 0
+
+
 def _set(arguments: argparse.Namespace) -> int:
     from facepipe.processors.sliders import SetSliders, slider_recipe
 
@@ -191,7 +223,9 @@ def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
     return out
 
 
-def _derive(arguments: argparse.Namespace, out: Path, processor: AuthorSliders | SetSliders, recipe: Recipe) -> Any:
+def _derive(
+    arguments: argparse.Namespace, out: Path, processor: AuthorSliders | AuthorNetwork | SetSliders, recipe: Recipe
+) -> Any:
     import facepipe
 
     with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:

@@ -21,9 +21,11 @@ from facepipe.parts import (
     Skeleton,
     Skin,
     Slider,
+    SliderNetwork,
     Texture,
     TextureInput,
 )
+from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 
 _WEIGHT_SUM_TOLERANCE = 1e-5
@@ -58,6 +60,7 @@ def read(source: Path, options: Options) -> Imported:
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
     skeleton, new_names = _renamed(parts.skeleton, warnings)
     _check_transforms(source, parts)
+    sliders = _kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings)
     parts = replace(
         parts,
         meshes=meshes,
@@ -65,7 +68,8 @@ def read(source: Path, options: Options) -> Imported:
         animations=tuple(
             kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
         ),
-        sliders=_kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings),
+        sliders=sliders,
+        slider_network=_kept_network(parts.slider_network, sliders, new_names, _shape_names(meshes), warnings),
         materials=_distinct_textures(parts.materials),
         recipe=import_recipe("usd", {source: foreign.files}, options),
     )
@@ -168,6 +172,26 @@ def _kept_sliders(
         channels = tuple((new_names[joint], channel, gain) for joint, channel, gain in own.channels)
         result.append(replace(own, channels=channels))
     return with_mutual_mirrors(result)
+
+
+def _kept_network(
+    network: SliderNetwork | None,
+    sliders: tuple[Slider, ...],
+    new_names: Mapping[str, str],
+    shapes: set[str],
+    warnings: list[str],
+) -> SliderNetwork | None:
+    """The learned network with only the joints and shapes that the face has; None where its sliders are not left."""
+    if network is None:
+        return None
+    own = kept_outputs(network, new_names.__contains__, shapes.__contains__)
+    if own is None or not {one.name for one in sliders}.issuperset(own.sliders):
+        warnings.append("slider network: left out, the face lacks its sliders or all that it adds to")
+        return None
+    lost = len(network.channels) + len(network.shapes) - len(own.channels) - len(own.shapes)
+    if lost:
+        warnings.append(f"slider network: {lost} of its channels and shapes left out, which the face lacks")
+    return replace(own, channels=tuple((new_names[joint], channel) for joint, channel in own.channels))
 
 
 def _check_transforms(source: Path, parts: FaceParts) -> None:

@@ -18,6 +18,7 @@ from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.author_photos import author_photo_changes, check_photos
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider, check_sliders
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
+from facepipe.stage.slider_network import author_slider_network, check_face_network
 from facepipe.stage.textures import TextureFolder, texture_home
 
 
@@ -67,8 +68,11 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     _author_below(stage, root, parts, textures or {})
     check_sliders(parts.name, parts.sliders)
     check_photos(parts.name, parts.photos)
+    check_face_network(parts.name, parts)
     for slider in parts.sliders:
         author_slider(prim, slider)
+    if parts.slider_network is not None:
+        author_slider_network(prim, parts.slider_network)
     if parts.recipe:
         author_recipe(prim, parts.recipe)
     return stage

@@ -29,6 +29,7 @@ from facepipe.stage.opinions import editable, put
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.read_photos import is_photo
+from facepipe.stage.slider_network import author_network_change, check_face_network
 from facepipe.stage.traversal import prims_below
 
 _FIXED = ("name", "meters_per_unit", "up_axis", "materials")
@@ -71,6 +72,7 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     lines += author_animation_changes(face.prim, prims, old.animations, parts.animations, parts.skeleton)
     lines += author_photo_changes(face.prim, [at(path) for path in photos], old.photos, parts.photos)
     lines += author_slider_changes(face.prim, old.sliders, parts.sliders)
+    lines += author_network_change(face.prim, old.slider_network, parts.slider_network)
     return (*lines, *author_text_changes(face.prim, old, parts))
 
 
@@ -84,6 +86,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
     check_skeleton_change(face.where, old.skeleton, new.skeleton)
     check_sliders(face.where, new.sliders)
     check_photos(face.where, new.photos)
+    check_face_network(face.where, new)
     for field in ("name", "transform"):
         if not same(getattr(old.skeleton, field), getattr(new.skeleton, field)):
             raise InputError(f"{face.where} -> {old.skeleton.name} -> {field}", "differs, expected as on the face")

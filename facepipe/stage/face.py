@@ -17,7 +17,18 @@ from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.finite import require_finite
 from facepipe.names import unique_identifiers
-from facepipe.parts import Animation, FaceParts, FloatArray, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider
+from facepipe.parts import (
+    Animation,
+    FaceParts,
+    FloatArray,
+    Landmarks,
+    Material,
+    Mesh,
+    PhotoView,
+    Skeleton,
+    Slider,
+    SliderNetwork,
+)
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.author import author
 from facepipe.stage.files import derived_stage, open_stage, over
@@ -27,6 +38,7 @@ from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.read_photos import is_photo, read_photo
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.read_sliders import read_sliders
+from facepipe.stage.slider_network import check_face_network, read_slider_network
 from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, prims_below
 from facepipe.stage.units import check_units
@@ -118,6 +130,12 @@ class Face:
             return self._finite(read_sliders(self.prim))
 
     @cached_property
+    def slider_network(self) -> SliderNetwork | None:
+        """The learned network that adds to what the sliders do; None for most faces."""
+        with self._trail():
+            return self._finite(read_slider_network(self.prim))
+
+    @cached_property
     def materials(self) -> tuple[Material, ...]:
         """Its UsdPreviewSurface materials, with their textures."""
         with self._trail():
@@ -163,6 +181,7 @@ class Face:
             skeleton=self.skeleton,
             animations=self.animations,
             sliders=self.sliders,
+            slider_network=self.slider_network,
             bone_limits=limits,
             materials=self.materials,
             attach_joint=self.attach_joint,
@@ -170,6 +189,7 @@ class Face:
             photos=self.photos,
             recipe=recipe,
         )
+        check_face_network(self.where, parts, SchemaError)
         return self._finite(parts)
 
     def rig(self) -> Rig:
@@ -209,7 +229,7 @@ class Face:
         if sliders is not None:
             if coefficients is not None or joint_transforms is not None:
                 raise InputError(self.where, "sliders and joint values, expected only one of them")
-            coefficients, driven = slide(self.sliders, self.skeleton.joints, sliders)
+            coefficients, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
             weights = {
                 name: driven.get(name, 0.0) + (weights or {}).get(name, 0.0) for name in {*driven, *(weights or {})}
             }

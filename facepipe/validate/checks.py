@@ -14,6 +14,7 @@ from facepipe.reports import Finding
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.validate import control_checks as control
 from facepipe.validate import layout_checks as layout
+from facepipe.validate import network_checks as networks
 from facepipe.validate import photo_checks as photos
 from facepipe.validate import point_checks as points
 from facepipe.validate import shape_checks as shapes
@@ -100,6 +101,7 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderTargets", control.slider_targets),
     Check("SliderCurves", control.slider_curves),
     Check("SliderMirrors", control.slider_mirrors),
+    Check("SliderNetwork", networks.slider_network),
     Check("PhotoCameras", photos.photo_cameras),
     Check("PhotoLight", photos.photo_light),
     Check("PhotoPoses", photos.photo_poses, "warning"),

@@ -16,7 +16,8 @@ from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array, value, words
 
 
-def _sliders(prim: Usd.Prim | None) -> list[str]:
+def slider_names(prim: Usd.Prim | None) -> list[str]:
+    """The sliders on a face prim, sorted."""
     if prim is None:
         return []
     prefix = tokens.SLIDER_PREFIX
@@ -26,7 +27,7 @@ def _sliders(prim: Usd.Prim | None) -> list[str]:
 
 def slider_lists(face: FaceView) -> Iterator[Problem]:
     """Joints, channels and gains of a slider are parallel, and so are shapes and their gains."""
-    for name in _sliders(face.prim):
+    for name in slider_names(face.prim):
         for lists in (("joints", "channels", "channelGains"), ("shapes", "shapeGains")):
             lengths = [_length(face.prim, name, one) for one in lists]
             if len(set(lengths)) > 1:
@@ -36,7 +37,7 @@ def slider_lists(face: FaceView) -> Iterator[Problem]:
 
 def slider_range(face: FaceView) -> Iterator[Problem]:
     """A slider's minimum is at most its default, and that at most its maximum."""
-    for name in _sliders(face.prim):
+    for name in slider_names(face.prim):
         low, default, high = (_number(face.prim, name, one) for one in ("minimum", "default", "maximum"))
         if not low <= default <= high:
             yield at(_path(face.prim, name), f"default {default:g}, expected {low:g} to {high:g}")
@@ -44,7 +45,7 @@ def slider_range(face: FaceView) -> Iterator[Problem]:
 
 def slider_value(face: FaceView) -> Iterator[Problem]:
     """A slider's value is within its range; values beyond are clamped."""
-    for name in _sliders(face.prim):
+    for name in slider_names(face.prim):
         if value(_attribute(face.prim, name, "value")) is not None:
             own, low, high = (_number(face.prim, name, one) for one in ("value", "minimum", "maximum"))
             if not low <= own <= high:
@@ -53,7 +54,7 @@ def slider_value(face: FaceView) -> Iterator[Problem]:
 
 def slider_curves(face: FaceView) -> Iterator[Problem]:
     """Curves of sliders have 2 knots or more, values that ascend and amounts that never turn back."""
-    for name in _sliders(face.prim):
+    for name in slider_names(face.prim):
         fault = _curves_fault(face.prim, name)
         if fault:
             yield at(_path(face.prim, name), fault)
@@ -75,7 +76,7 @@ def _curves_fault(prim: Usd.Prim | None, name: str) -> str | None:
 
 def slider_mirrors(face: FaceView) -> Iterator[Problem]:
     """The mirror of a slider is another slider, which names it as its own."""
-    names = _sliders(face.prim)
+    names = slider_names(face.prim)
     mirrors = {name: str(value(_attribute(face.prim, name, "mirror")) or "") for name in names}
     for name, other in mirrors.items():
         if other and (other == name or mirrors.get(other) != name):
@@ -85,7 +86,7 @@ def slider_mirrors(face: FaceView) -> Iterator[Problem]:
 
 def slider_targets(face: FaceView) -> Iterator[Problem]:
     """Sliders drive joints, channels and blendshapes that the face has."""
-    for name in _sliders(face.prim):
+    for name in slider_names(face.prim):
         for field, known in (("joints", set(face.joints)), ("channels", set(CHANNELS)), ("shapes", face.shape_names)):
             unknown = sorted(set(words(_attribute(face.prim, name, field))) - known)
             if unknown:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider, SliderNetwork
 from facepipe.processors.blend.animations import rebase_animations
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.session import BlendSession, Solution
@@ -18,6 +18,7 @@ from facepipe.processors.blend.skeletons import blend_skeletons
 from facepipe.processors.blend.skins import blend_skins
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
+from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
 
 FloatArray = npt.NDArray[np.floating]
@@ -45,6 +46,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
             _without_tracks(one, gone) for one in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
         sliders=tuple(_without_shapes(one, gone) for one in base.sliders),
+        slider_network=_network_without(base.slider_network, gone),
         photos=(),  # they show the person of one source
     )
 
@@ -166,6 +168,10 @@ def _shape(
 
 def _without_shapes(slider: Slider, gone: Iterable[str]) -> Slider:
     return kept(slider, lambda joint: True, lambda shape: shape not in gone)
+
+
+def _network_without(network: SliderNetwork | None, gone: set[str]) -> SliderNetwork | None:
+    return None if network is None else kept_outputs(network, lambda _: True, lambda shape: shape not in gone)
 
 
 def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:

@@ -1,5 +1,6 @@
 """Sliders of a face: authored from tables, made from its blendshapes, learned by a small network, and set."""
 
+from facepipe.processors.sliders.author_network import AuthorNetwork, AuthorNetworkReport
 from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
 from facepipe.processors.sliders.distil import DistilReport, DistilSliders
 from facepipe.processors.sliders.from_shapes import SlidersFromShapes
@@ -11,6 +12,8 @@ from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersRep
 from facepipe.processors.sliders.tables import SliderTable, read_table
 
 __all__ = [
+    "AuthorNetwork",
+    "AuthorNetworkReport",
     "AuthorSliders",
     "AuthorSlidersReport",
     "DistilReport",

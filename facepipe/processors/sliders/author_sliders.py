@@ -11,6 +11,7 @@ from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits, Recipe, Slider
 from facepipe.processors.bone_limits import check_limits
+from facepipe.processors.sliders.author_network import fitting_network
 from facepipe.processors.sliders.tables import SliderTable
 from facepipe.reports import Report
 from facepipe.rig import CHANNELS, slide
@@ -65,7 +66,9 @@ class AuthorSliders:
         merged = mutual((*others, *valued))
         self._check_mirrors(merged)
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
-        authored = author_changes(face, replace(parts, sliders=merged, recipe=recipe or parts.recipe))
+        network, lost = fitting_network(parts.slider_network, merged)
+        changed = replace(parts, sliders=merged, slider_network=network, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
         return AuthorSlidersReport(
             sliders=tuple(one.name for one in new),
             replaced=tuple(name for name in own if name in names),
@@ -74,7 +77,7 @@ class AuthorSliders:
             shapes=len({entry[0] for one in new for entry in one.shapes}),
             beyond_limits=beyond,
             authored=authored,
-            warnings=(*unset, *_idle(new), *_beyond_lines(beyond)),
+            warnings=(*unset, *lost, *_idle(new), *_beyond_lines(beyond)),
         )
 
     def _check_mirrors(self, sliders: Sequence[Slider]) -> None:

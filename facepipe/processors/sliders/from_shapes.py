@@ -13,6 +13,7 @@ from facepipe.names import select
 from facepipe.parts import Blendshape, FaceParts, FloatArray, Recipe, Slider
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.rig_checks import check_rig
+from facepipe.processors.sliders.author_network import fitting_network
 from facepipe.processors.sliders.author_sliders import sliders_beyond
 from facepipe.processors.sliders.made_slider import RESIDUAL, Made, SliderMaker
 from facepipe.processors.sliders.shape_fits import ShapeFits
@@ -88,14 +89,15 @@ class SlidersFromShapes(ShapeSliderOptions):
             done()
         new = [one.slider for one in made if one.slider is not None]
         result = _merged(_with_residuals(parts, made), new, drop=self.drop)
-        authored = author_changes(face, replace(result, recipe=recipe or parts.recipe))
+        network, lost = fitting_network(parts.slider_network, result.sliders)
+        authored = author_changes(face, replace(result, slider_network=network, recipe=recipe or parts.recipe))
         report = _report(parts, made, new, result.sliders)
         return replace(
             report,
             unmoved=still,
             authored=authored,
             seconds=time.perf_counter() - start,
-            warnings=(*fits.warnings, *report.warnings, *_unmoved(still)),
+            warnings=(*fits.warnings, *lost, *report.warnings, *_unmoved(still)),
         )
 
     def _made(

@@ -25,6 +25,7 @@ class TableOptions:
     """How a table was authored."""
 
     drop: bool = False
+    network: bool = False  # it is no table, but a learned network
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +39,8 @@ class SliderRecipe:
     """
 
     face: Path  # absolute, as all files
-    table: Path | None  # what was authored; or
+    table: Path | None  # what was authored, or
+    network: Path | None = None  # the file of a learned network; or
     settings: SetSliders | None  # what was set; or
     shapes: SlidersFromShapes | None = None  # how sliders were made from the face's blendshapes
     drop: bool = False
@@ -51,25 +53,36 @@ def slider_recipe(
     out: str | os.PathLike[str],
     *,
     table: str | os.PathLike[str] | None = None,
+    network: str | os.PathLike[str] | None = None,
     drop: bool = False,
     settings: SetSliders | None = None,
     shapes: SlidersFromShapes | None = None,
 ) -> Recipe:
-    """The recipe to author on the face of a path, saved as `out`: its sources are the face, and the table.
+    """The recipe to author on the face of a path, saved as `out`: its sources are the face, and the table or network.
 
-    :raises InputError: a source can't be read, or not one of `table`, `settings` and `shapes`
+    :raises InputError: a source can't be read, or not one of `table`, `network`, `settings` and `shapes`
     """
-    if sum(one is not None for one in (table, settings, shapes)) != 1:
-        raise InputError(VERB, "several of a table, settings and shapes, or none, expected one of them")
+    if sum(one is not None for one in (table, network, settings, shapes)) != 1:
+        raise InputError(VERB, "several of a table, a network, settings and shapes, or none, expected one of them")
     folder = Path(out).absolute().parent
-    files = [os.fspath(one) for one in (face, table) if one is not None]
+    files = [os.fspath(one) for one in (face, table, network) if one is not None]
     return Recipe(
         verb=VERB,
         sources=tuple(relative_path(file, folder) for file in files),
         digests=tuple(source_digest(Path(file)) for file in files),
-        options={"drop": drop} if table is not None else maker_to_json(shapes) if shapes else to_json(settings),  # type: ignore[arg-type]
+        options=_options(table is not None, drop, network is not None, settings, shapes),
         version=__version__,
     )
+
+
+def _options(
+    tabled: bool, drop: bool, networked: bool, settings: SetSliders | None, shapes: SlidersFromShapes | None
+) -> Mapping[str, object]:
+    if tabled:
+        return {"drop": drop}
+    if networked:
+        return {"network": True}
+    return maker_to_json(shapes) if shapes else to_json(settings)  # type: ignore[arg-type]
 
 
 def read_slider_recipe(path: str | os.PathLike[str]) -> SliderRecipe:
@@ -87,19 +100,21 @@ def read_slider_recipe(path: str | os.PathLike[str]) -> SliderRecipe:
         made = count == 1 and isinstance(recipe.options, Mapping) and "shapes" in recipe.options
         shapes = maker_from_json(where, recipe.options) if made else None
         settings = _settings(where, recipe.options) if count == 1 and not made else None
-        drop = count == 2 and from_json(TableOptions, recipe.options, where).drop
+        authored = from_json(TableOptions, recipe.options, where) if count == 2 else TableOptions()
     except InputError as error:
         raise SchemaError(error.where, error.what) from None
+    flag = "--from-network" if authored.network else "--from"
     found = [
         existing_source(f"{where} -> source {number}", file.absolute().parent / source, instead)
-        for number, (source, instead) in enumerate(zip(recipe.sources, ("FACE", "--from"), strict=False), 1)
+        for number, (source, instead) in enumerate(zip(recipe.sources, ("FACE", flag), strict=False), 1)
     ]
     return SliderRecipe(
         face=found[0],
-        table=found[1] if count == 2 else None,
+        table=found[1] if count == 2 and not authored.network else None,
+        network=found[1] if authored.network else None,
         settings=settings,
         shapes=shapes,
-        drop=drop,
+        drop=authored.drop,
         standalone=standalone,
         warnings=changed_sources(file, zip(found, recipe.digests, strict=True)),
     )

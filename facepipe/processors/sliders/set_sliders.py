@@ -106,14 +106,16 @@ class SetSliders:
 
 
 def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
-    """The pose that sliders make at their values: of all joints and shapes that any of them drives.
+    """The pose that sliders make at their values: of all joints and shapes that any of them, or their network, drives.
 
     :raises InputError: no sliders, or some that drive joints or channels that the face has not
     """
     if not sliders:
         raise InputError("sliders", "none, expected some (`facepipe sliders FACE --from TABLE` authors them)")
-    coefficients, weights = slide(sliders, parts.skeleton.joints)
+    network = parts.slider_network
+    coefficients, weights = slide(sliders, parts.skeleton.joints, network=network)
     driven = {joint for one in sliders for joint, _, _ in one.channels}
+    driven |= set() if network is None else {joint for joint, _ in network.channels}
     joints = [i for i, joint in enumerate(parts.skeleton.joints) if joint in driven]
     return Animation(
         name=name,
@@ -152,6 +154,6 @@ def _beyond(face: Face, sliders: Sequence[Slider]) -> tuple[str, ...]:
     joints = face.skeleton.joints
     if not joints:
         return ()
-    coefficients, _ = slide(sliders, joints)
+    coefficients, _ = slide(sliders, joints, network=face.slider_network)
     content = PayloadContent(joints=joints, coefficients=coefficients, meters_per_unit=face.meters_per_unit)
     return beyond_limits(face, content)

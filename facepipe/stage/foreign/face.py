@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pxr import Usd
 
 from facepipe import tokens
 from facepipe.errors import FacepipeError
-from facepipe.parts import BoneLimits, Slider
+from facepipe.parts import BoneLimits, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.foreign.scene import Scene, ancestors
 from facepipe.stage.read_skeleton import read_limits
 from facepipe.stage.read_sliders import read_sliders
+from facepipe.stage.slider_network import read_slider_network
 
 
 def attribution(scene: Scene) -> str:
@@ -42,6 +43,24 @@ def sliders(scene: Scene) -> tuple[Slider, ...]:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
         found = {one.name: one for one in own} | found
     return with_mutual_mirrors([found[name] for name in sorted(found)])
+
+
+def slider_network(scene: Scene, own: Sequence[Slider]) -> SliderNetwork | None:
+    """The first learned network that the sliders `own` are enough for; others are left out."""
+    names, found = {one.name for one in own}, None
+    for prim in _prims(scene):
+        try:
+            network = read_slider_network(prim)
+        except FacepipeError as error:
+            scene.warn(f"{error}: network left out")
+            continue
+        if network is not None and (found is not None or not names.issuperset(network.sliders)):
+            scene.warn(
+                "a learned network of sliders left out: it is one too many, or its sliders are not there", [prim]
+            )
+        elif network is not None:
+            found = network
+    return found
 
 
 def limits(scene: Scene, skeleton: Usd.Prim, joint_count: int) -> BoneLimits | None:

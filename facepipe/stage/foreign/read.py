@@ -83,6 +83,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         _mesh(scene, one, name, queries.get(str(one.GetPath())), skeleton, material_names)
         for one, name in zip(meshes, names, strict=True)
     )
+    sliders = face.sliders(scene)
     return FaceParts(
         name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
         meters_per_unit=_meters_per_unit(scene),
@@ -90,7 +91,8 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         meshes=read,
         skeleton=skeleton,
         animations=_animations(scene, skeleton, read),
-        sliders=face.sliders(scene),
+        sliders=sliders,
+        slider_network=face.slider_network(scene, sliders),
         bone_limits=None if prim is None else face.limits(scene, prim, len(skeleton.joints)),
         materials=materials,
         attach_joint=face.attach_joint(scene),
