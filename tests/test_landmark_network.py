@@ -144,7 +144,7 @@ def test_the_file_is_the_network_of_this_code() -> None:
     sys.path.insert(0, str(ROOT / "training"))
     from landmark_export import to_onnx
 
-    from facepipe.learn.networks.landmark_model import LandmarkModel
+    from facepipe.learn.networks.landmark_session import LandmarkSession
 
     torch.manual_seed(1)
     network = LandmarkNetwork()
@@ -153,7 +153,7 @@ def test_the_file_is_the_network_of_this_code() -> None:
         network((images - MEAN) / STD)  # running means of the normalisation
         landmarks, presence, _ = network.eval()((images - MEAN) / STD)
     described = {"kind": "landmarks", "size": SIZE, "mean": [MEAN] * 3, "std": [STD] * 3}
-    found, present = LandmarkModel(to_onnx(network, described))(images.numpy())
+    found, present = LandmarkSession(to_onnx(network, described))(images.numpy())
     np.testing.assert_allclose(found, landmarks.numpy() * SIZE, atol=2e-3)
     np.testing.assert_allclose(present, presence.sigmoid().numpy()[:, 0], atol=1e-4)
 

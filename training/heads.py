@@ -31,6 +31,7 @@ import numpy as np
 import painting
 import pictures
 import scenes
+import styles
 import torch
 
 SHARD, VIEWS = 500, 4
@@ -54,7 +55,7 @@ class Studio:
             return [self._nothing(rng) for _ in range(VIEWS)]
         sample = rng.random() < _SHARE_SAMPLE
         source = self.samples[max(0, int(rng.integers(-len(_SEEDS) + 2, len(_SEEDS))))] if sample else self.ict
-        subject, style = source.draw(rng), painting.random_style(rng)
+        subject, style = source.draw(rng), styles.random_style(rng)
         painter = self._painters.setdefault(id(source), painting.Painter(source.topology))
         pictures_of = []
         for _ in range(VIEWS):

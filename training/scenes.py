@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import dressing
 import head_sources as heads
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import painting
 import torch
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
+from styles import Style, hair_height
 
 from facepipe.learn.features.crops import TEMPLATE
 from facepipe.learn.light import ambient, distant, shade
@@ -85,7 +87,7 @@ def random_light(rng: np.random.Generator) -> torch.Tensor:
 
 def render(
     subject: heads.Subject,
-    style: painting.Style,
+    style: Style,
     painter: painting.Painter,
     placement: Placement,
     rng: np.random.Generator,
@@ -97,7 +99,7 @@ def render(
     yaw, pitch = np.radians(np.clip(rng.normal(0, 19), -45, 45)), np.radians(np.clip(rng.normal(0, 9), -24, 24))
     roll = np.radians(rng.uniform(-20, 20))
     turned = torch.as_tensor(Rotation.from_euler("ZXY", [roll, pitch, yaw]).as_matrix(), dtype=torch.float32)
-    extra = _extras(topology, points, normals, style)
+    extra = dressing.dressed(topology, points, normals, style)
     everything = torch.cat([points, extra.points]) @ turned.T
     all_normals = torch.cat([normals, extra.normals]) @ turned.T
     center = everything[: len(points)][topology.landmarks].mean(dim=0)
@@ -112,96 +114,9 @@ def render(
     triangles, kinds = torch.cat([triangles, extra.triangles]), np.concatenate([kinds, extra.kinds])
     canonical = np.concatenate([topology.canonical, extra.canonical]).astype(np.float32)
     light = random_light(rng)
-    color, coverage, labels = _draw(screen, triangles, kinds, canonical, all_normals, style, painter, light, extra, rng)
+    color, coverage, labels = _draw(screen, triangles, kinds, canonical, all_normals, style, painter, light)
     numbers = [yaw, pitch, roll, distance, placement.scale, placement.turn, *placement.shift]
     return View(color, coverage, labels, marks * SIZE, placement.present, np.array(numbers), light.numpy())
-
-
-@dataclass(frozen=True)
-class _Extra:
-    """Hair and clothes."""
-
-    points: torch.Tensor
-    normals: torch.Tensor
-    triangles: torch.Tensor  # numbered behind the head's points
-    kinds: IntArray
-    canonical: FloatArray
-    first_hair: int  # triangle numbers of hair
-
-
-_HAIR_KIND = 100
-
-
-def _extras(topology: heads.Topology, points: torch.Tensor, normals: torch.Tensor, style: painting.Style) -> _Extra:
-    canonical = topology.canonical
-    cloth, cloth_normals, cloth_triangles = _shoulders(style)
-    pieces = [(cloth, cloth_normals, cloth_triangles, cloth.numpy().astype(np.float64), heads.CLOTH)]
-    inside = painting.hair_height(style, canonical)
-    skin = topology.triangles[torch.as_tensor(topology.kinds == heads.SKIN)]
-    covered = (inside[skin.numpy()] > -0.8).any(axis=1)
-    if covered.any():
-        used, flat = np.unique(skin.numpy()[covered], return_inverse=True)
-        at = canonical[used]
-        lumps = 0.6 + 0.8 * style.noises[2](np.arctan2(at[:, 0], at[:, 2]) * 2.5 + 9, at[:, 1] * 0.25)
-        rise = style.thickness * lumps * np.clip((inside[used] + 0.4) / 3, 0, 1) ** 0.7 + 0.08
-        shell = points[used] + normals[used] * torch.as_tensor(rise, dtype=torch.float32)[:, None]
-        pieces.append((shell, normals[used], torch.as_tensor(flat.reshape(-1, 3)), at, _HAIR_KIND))
-    if style.curtain < 4:
-        pieces.append((*_curtain(style), _HAIR_KIND))
-    first = len(points)
-    triangles, kinds = [], []
-    for own, _, faces, _, kind in pieces:
-        triangles.append(faces + first)
-        kinds.append(np.full(len(faces), kind))
-        first += len(own)
-    return _Extra(
-        torch.cat([one[0] for one in pieces]),
-        torch.cat([one[1] for one in pieces]),
-        torch.cat(triangles),
-        np.concatenate(kinds),
-        np.concatenate([one[3] for one in pieces]),
-        len(cloth_triangles),
-    )
-
-
-def _grid(rows: int, columns: int) -> torch.Tensor:
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    return torch.as_tensor(
-        np.concatenate(
-            [
-                np.column_stack([first, first + columns, first + 1]),
-                np.column_stack([first + 1, first + columns, first + columns + 1]),
-            ]
-        )
-    )
-
-
-def _shoulders(style: painting.Style) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A collar and what is below it, as rings."""
-    levels = np.linspace(0, 1, 9)[:, None]
-    angle = np.linspace(-np.pi, np.pi, 33)[None]
-    y = style.collar - 22 * levels + 0 * angle
-    wide = 6.6 + 1.5 * levels + 17 * np.clip((levels - 0.2) / 0.8, 0, 1) ** 0.7
-    deep = 6.6 + 1.2 * levels + 6 * np.clip((levels - 0.2) / 0.8, 0, 1)
-    points = np.stack([wide * np.sin(angle), y + 1.2 * np.cos(angle) * -1, deep * np.cos(angle) - 1.0], axis=-1)
-    normals = np.stack([np.sin(angle) + 0 * levels, 0.45 + 0 * y, np.cos(angle) + 0 * levels], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return *(torch.as_tensor(one.reshape(-1, 3), dtype=torch.float32) for one in (points, normals)), _grid(9, 33)
-
-
-def _curtain(style: painting.Style) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, FloatArray]:
-    """Long hair: a sheet around the head that is open in front."""
-    levels = np.linspace(0, 1, 14)[:, None]
-    angle = np.linspace(style.curtain, 2 * np.pi - style.curtain, 41)[None]
-    y = 9.0 - levels * 24 + 0 * angle
-    swell = style.thickness * 0.6 + 0.5 * (style.noises[2](angle * 3 + 0 * levels, y * 0.2) - 0.3)
-    wide = 8.7 + swell - 2.5 * np.clip(0.35 - levels, 0, 1) * 3
-    points = np.stack([wide * np.sin(angle), y, wide * 1.05 * np.cos(angle) + 1.0], axis=-1).reshape(-1, 3)
-    normals = np.stack([np.sin(angle) + 0 * y, 0.1 + 0 * y, np.cos(angle) + 0 * y], axis=-1).reshape(-1, 3)
-    canonical = points.copy()
-    canonical[:, 1] += 40  # inside the hair whatever the hairline
-    tensors = (torch.as_tensor(one, dtype=torch.float32) for one in (points, normals))
-    return *tensors, _grid(14, 41), canonical
 
 
 def _mouth_open(marks: FloatArray) -> bool:
@@ -247,14 +162,12 @@ def _draw(
     kinds: IntArray,
     canonical: FloatArray,
     normals: torch.Tensor,
-    style: painting.Style,
+    style: Style,
     painter: painting.Painter,
     light: torch.Tensor,
-    extra: _Extra,
-    rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Colour, coverage and labels: the head and its clothes first, then the strands of hair in front of it."""
-    hair = torch.as_tensor(kinds == _HAIR_KIND)
+    hair = torch.as_tensor(kinds == dressing.HAIR)
     size = _DRAWN
     shown, number = triangles[~hair], kinds[~hair.numpy()]
     raster = rasterise(screen, shown, size, size)
@@ -280,7 +193,7 @@ def _strands(
     triangles: torch.Tensor,
     canonical: FloatArray,
     normals: torch.Tensor,
-    style: painting.Style,
+    style: Style,
     light: torch.Tensor,
     nearness: FloatArray,
     image: FloatArray,
@@ -291,7 +204,7 @@ def _strands(
     weights = barycentrics(screen, triangles, raster)
     places = interpolate(torch.as_tensor(canonical, dtype=torch.float32), triangles, raster, weights).numpy()
     pixels = raster.pixels.numpy()
-    inside = (painting.hair_height(style, places) > 0) & (raster.nearness.numpy()[pixels] > nearness[pixels])
+    inside = (hair_height(style, places) > 0) & (raster.nearness.numpy()[pixels] > nearness[pixels])
     pixels, places = pixels[inside], places[inside]
     normal = torch.nn.functional.normalize(interpolate(normals, triangles, raster, weights), dim=1)[inside]
     angle, y = np.arctan2(places[:, 0], places[:, 2] - 1.0), places[:, 1]

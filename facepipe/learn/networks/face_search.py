@@ -14,12 +14,13 @@ from torch.nn import functional
 from facepipe.errors import InputError
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.files import landmark_model
-from facepipe.learn.networks.landmark_model import LandmarkModel
+from facepipe.learn.networks.landmark_session import LandmarkSession
 
 FloatArray = npt.NDArray[np.floating]
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _STRIDE = 0.28  # of a crop's side
+_MOST_PIXELS = 700  # of the shorter side of the photo as it is searched
 _FEWEST_PIXELS = 40  # a side of the smallest crop
 _MOST = 64  # crops that are refined
 _ROUNDS = 4
@@ -55,17 +56,34 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     if not np.isfinite(pixels).all():
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
     network = _loaded(model or landmark_model())
-    photo = torch.as_tensor(pixels)
+    photo, scale = _shrunk(torch.as_tensor(pixels))
     found = [_judged(network, photo, one) for one in _settled(network, photo, _candidates(network, photo))]
-    return _apart([one for one in found if one is not None])
+    faces = _apart([one for one in found if one is not None])
+    return [FoundFace(landmarks=face.landmarks * scale, presence=face.presence) for face in faces]
 
 
 @cache
-def _loaded(path: Path) -> LandmarkModel:
-    return LandmarkModel(path)
+def _loaded(path: Path) -> LandmarkSession:
+    return LandmarkSession(path)
 
 
-def _candidates(network: LandmarkModel, photo: torch.Tensor) -> FloatArray:
+def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:
+    """The photo at the resolution that the smallest crops need, and what its pixels times (x, y) are in the photo's."""
+    height, width = photo.shape[:2]
+    factor = _MOST_PIXELS / min(height, width)
+    if factor >= 1:
+        return photo, np.ones(2)
+    size = max(round(height * factor), 1), max(round(width * factor), 1)
+    return _resized(photo, size)[0].permute(1, 2, 0).contiguous(), np.array([width / size[1], height / size[0]])
+
+
+def _resized(photo: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """(1, 3, h, w) of a photo (h, w, 3), averaged where it shrinks."""
+    pixels = photo.permute(2, 0, 1)[None]
+    return functional.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
+
+
+def _candidates(network: LandmarkSession, photo: torch.Tensor) -> FloatArray:
     """(k, 68, 2) landmarks of the crops that may show a face, the surest first."""
     height, width = photo.shape[:2]
     side = _LARGEST * min(height, width)
@@ -81,13 +99,11 @@ def _candidates(network: LandmarkModel, photo: torch.Tensor) -> FloatArray:
     return np.concatenate(landmarks)[order[sure[order] > _MAYBE]]
 
 
-def _scanned(network: LandmarkModel, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray]:
+def _scanned(network: LandmarkSession, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray]:
     """Landmarks in pixels of the photo, and presence, of crops of one size all over it and a little beyond."""
     size = network.size
     height, width = (max(round(length * size / side), 1) for length in photo.shape[:2])
-    level = functional.interpolate(
-        photo.permute(2, 0, 1)[None], size=(height, width), mode="bilinear", antialias=True, align_corners=False
-    )
+    level = _resized(photo, (height, width))
     margin = size // 3
     level = functional.pad(level, [margin] * 4, mode="replicate")
     level = functional.pad(
@@ -108,7 +124,7 @@ def _starts(length: int, size: int) -> list[int]:
     return [round(start) for start in np.linspace(0, length - size, count)]
 
 
-def _settled(network: LandmarkModel, photo: torch.Tensor, landmarks: FloatArray) -> list[FloatArray]:
+def _settled(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> list[FloatArray]:
     """Landmarks after rounds of cropping by them, without those that leave the photo or end up at one place."""
     for _ in range(_ROUNDS):
         matrices = [matrix for one in _distinct(landmarks) if (matrix := _crop(photo, one, network.size)) is not None]
@@ -148,7 +164,7 @@ def _crops(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatA
     return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
 
 
-def _judged(network: LandmarkModel, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
+def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
     """The face by several crops of it, or None where they disagree or show nothing like one."""
     aligned = _crop(photo, landmarks, network.size)
     if aligned is None:

@@ -16,7 +16,7 @@ _BATCH = 32
 _KEY = "facepipe.features"
 
 
-class LandmarkModel:
+class LandmarkSession:
     """An ONNX file of the kind ``landmarks``."""
 
     def __init__(self, source: Path | bytes) -> None:
