@@ -18,6 +18,7 @@ import heads
 import numpy as np
 import painting
 import scenes
+import styles
 import torch
 
 VIEWS, PERSONS = 3, 50
@@ -42,7 +43,7 @@ def person(studio: heads.Studio, identity: int, rng: np.random.Generator) -> lis
     found = []
     for _ in range(VIEWS):
         place = scenes.Placement(0.95, 0.0, np.zeros(2))
-        view = scenes.render(subject, painting.random_style(rng), painter, place, rng)
+        view = scenes.render(subject, styles.random_style(rng), painter, place, rng)
         found.append(heads.compose(view, rng) | common)
     return found
 
