@@ -1,7 +1,7 @@
 """How well photo fits find people that are known: portraits of the sample face with random sliders.
 
 usage: python benchmarks/photo_recovery.py [--faces 50] [--seed 0] [--size 256] [--noise 1] [--iterations N]
-       [--processes 2] [--json out.json]
+       [--no-networks] [--modes ...] [--processes 2] [--json out.json]
 
 Each person is photographed neutral and with an expression (`recovery_targets.py`); each photo is fitted with the L1
 terms that draw sliders and expressions to their defaults, and without. A fit is told the image and the landmarks with
@@ -58,6 +58,7 @@ def main() -> None:
     parser.add_argument("--size", type=positive, default=256, help="pixels a side (default 256)")
     parser.add_argument("--noise", type=float, default=1.0, help="deviation of the landmarks, pixels (default 1)")
     parser.add_argument("--iterations", type=int, help="steps of gradient descent (default: the fit's own)")
+    parser.add_argument("--no-networks", action="store_true", help="landmarks and colours of pixels only")
     parser.add_argument("--modes", choices=list(MODES), nargs="+", default=list(MODES), help="default: all")
     parser.add_argument("--processes", type=positive, default=2, help="fits at a time (default 2)")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
@@ -91,6 +92,7 @@ def fit_all(arguments: argparse.Namespace) -> dict[str, list[Fitted]]:
         "size": arguments.size,
         "noise": arguments.noise,
         "iterations": arguments.iterations,
+        "networks": not arguments.no_networks,
     }
     tasks = [Task(number=i, **shared, **MODES[mode]) for i in range(arguments.faces) for mode in arguments.modes]
     results: dict[str, list[Fitted]] = {mode: [] for mode in arguments.modes}

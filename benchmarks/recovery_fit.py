@@ -6,10 +6,10 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from facepipe.learn.photo.fit import fit_photos
 from recovery_measures import Recovery, recovery
 from recovery_targets import RecoveryTarget, sample, target
 
+from facepipe.learn.photo.fit import fit_photos
 from facepipe.learn.photo.options import PhotoFitOptions
 
 
@@ -37,6 +37,7 @@ class Task:
     sparse: bool = True  # False: neither sliders nor expressions are drawn to their defaults by L1 terms
     noise: float = 1.0
     iterations: int | None = None  # None: the default
+    networks: bool = True  # False: no terms of feature networks
 
 
 def run(task: Task) -> Fitted:
@@ -45,6 +46,8 @@ def run(task: Task) -> Fitted:
     options = PhotoFitOptions()
     if not task.sparse:
         options = replace(options, sparsity=0.0, expression_sparsity=0.0)
+    if not task.networks:
+        options = replace(options, content=0.0, identity=0.0, attributes=0.0)
     if task.iterations is not None:
         options = replace(options, iterations=task.iterations)
     return fitted(made, options)
@@ -55,7 +58,9 @@ def fitted(made: RecoveryTarget, options: PhotoFitOptions | None = None) -> Fitt
     face = sample()
     image = made.image.astype(np.float32) / 255
     began = time.perf_counter(), time.process_time()
-    fit = fit_photos(face.parts, [image], [made.landmarks], options or PhotoFitOptions())
+    options = options or PhotoFitOptions()
+    none = None if options.content or options.identity or options.attributes else {}
+    fit = fit_photos(face.parts, [image], [made.landmarks], options, extractors=none)
     seconds, processor = time.perf_counter() - began[0], time.process_time() - began[1]
     return Fitted(
         number=made.number,
