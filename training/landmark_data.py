@@ -57,15 +57,6 @@ def read(folder: Path, numbers: range) -> Heads:
     return Heads(images=images, landmarks=landmarks, presence=presence)
 
 
-def joined(one: Heads, other: Heads) -> Heads:
-    """The pictures of both."""
-    return Heads(
-        images=np.concatenate([one.images, other.images]),
-        landmarks=np.concatenate([one.landmarks, other.landmarks]),
-        presence=np.concatenate([one.presence, other.presence]),
-    )
-
-
 def plain(heads: Heads, rows: npt.NDArray[np.integer]) -> Batch:
     """Pictures as they are."""
     return _batch(heads, rows, torch.eye(2).expand(len(rows), 2, 2), torch.zeros(len(rows), 2))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import landmark_data
@@ -22,7 +22,6 @@ from facepipe.atomic import write_bytes
 from facepipe.learn.networks.landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
 
 _BATCH, _RATE, _DECAY = 32, 3e-3, 1e-2
-_FIRST, _PACE = 3, 200  # shards to begin with, the held-out one among them, and steps until the next joins
 _SPREAD = 2.0  # square cells that the heat of a landmark shall cover
 _SPREAD_SHARE, _PRESENCE_SHARE = 0.05, 1.0
 
@@ -64,46 +63,25 @@ def scores(network: LandmarkNetwork, heads: landmark_data.Heads) -> dict[str, fl
     }
 
 
-class Supply:
-    """Pictures in random order, of more and more shards: the next one joins every `_PACE` steps, when it is written.
-
-    So training may start while `heads.py` still renders, and yet sees the same pictures every time.
-    """
-
-    def __init__(self, folder: Path, shards: int, rng: np.random.Generator) -> None:
-        self._folder, self._shards, self._rng = folder, shards, rng
-        self._loaded = 1
-        self._order: list[int] = []
-        self.heads: landmark_data.Heads | None = None
-
-    def batch(self, step: int) -> landmark_data.Batch:
-        """What step `step` learns from."""
-        while self._loaded < min(self._shards, _FIRST + step // _PACE):
-            self._load()
-        assert self.heads is not None
-        if len(self._order) < _BATCH:
-            self._order = list(self._rng.permutation(len(self.heads.images)))
-        rows = np.array([self._order.pop() for _ in range(_BATCH)])
-        return landmark_data.varied(self.heads, rows, self._rng)
-
-    def _load(self) -> None:
-        while not (self._folder / f"shard_{self._loaded:03d}.npz").exists():
-            time.sleep(2)
-        more = landmark_data.read(self._folder, range(self._loaded, self._loaded + 1))
-        self.heads = more if self.heads is None else landmark_data.joined(self.heads, more)
-        self._loaded += 1
-        self._order = []
+def batches(heads: landmark_data.Heads, rng: np.random.Generator) -> Iterator[landmark_data.Batch]:
+    """Varied pictures in random order, without end."""
+    while True:
+        order = rng.permutation(len(heads.images))
+        for start in range(0, len(order) - _BATCH + 1, _BATCH):
+            yield landmark_data.varied(heads, order[start : start + _BATCH], rng)
 
 
-def train(supply: Supply, steps: int, seed: int, keep: Callable[[LandmarkNetwork, int], None]) -> LandmarkNetwork:
+def train(
+    heads: landmark_data.Heads, steps: int, seed: int, keep: Callable[[LandmarkNetwork, int], None]
+) -> LandmarkNetwork:
     """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
     torch.manual_seed(seed)
     network = LandmarkNetwork().to(memory_format=torch.channels_last)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps, pct_start=0.1)
     start = time.monotonic()
-    for step in range(steps):
-        loss = joint_loss(network, supply.batch(step))
+    for step, batch in zip(range(steps), batches(heads, np.random.default_rng(seed)), strict=False):
+        loss = joint_loss(network, batch)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 20.0)
@@ -134,8 +112,8 @@ def main() -> None:
         write_bytes(options.out, to_onnx(network, metadata(options, found)))
         network.train()
 
-    supply = Supply(options.data, options.shards, np.random.default_rng(options.seed))
-    keep(train(supply, options.steps, options.seed, keep), options.steps)
+    heads = landmark_data.read(options.data, range(1, options.shards))
+    keep(train(heads, options.steps, options.seed, keep), options.steps)
 
 
 def metadata(options: argparse.Namespace, found: dict[str, float]) -> dict[str, object]:
