@@ -47,12 +47,12 @@ def slider_rows(makehuman: FaceParts | None, runs: int, other: np.ndarray[Any, A
     faces = {"sample": make(0)}
     if makehuman is not None:
         names = makehuman.skeleton.joints
-        faces["makehuman head"] = _driven(makehuman, [name for name in names if "/head" in name])
-        faces["makehuman all"] = _driven(makehuman, names)
+        faces["makehuman head"] = driven(makehuman, [name for name in names if "/head" in name])
+        faces["makehuman all"] = driven(makehuman, names)
     return [_measure(name, parts, runs, other) for name, parts in faces.items()]
 
 
-def _driven(parts: FaceParts, joints: Sequence[str]) -> FaceParts:
+def driven(parts: FaceParts, joints: Sequence[str]) -> FaceParts:
     """The face with `SLIDERS` sliders that move 8 of the joints each, and every joint at least once."""
     rng = np.random.default_rng(0)
     sliders = []

@@ -22,6 +22,7 @@ from facepipe import sample
 from facepipe.errors import InputError
 from facepipe.importers import load
 from facepipe.stage import save_parts
+from facepipe.stage.slider_network import author_slider_network
 from facepipe.validate import CHECKS, validate, validate_stage
 from facepipe.validate.usd_registry import available, register
 
@@ -160,6 +161,15 @@ def target_is_a_mesh(stage: Usd.Stage) -> None:
 def one_target(stage: Usd.Stage) -> None:
     relationship = stage.GetRelationshipAtPath("/Tiny/Head.skel:blendShapeTargets")
     relationship.SetTargets(relationship.GetTargets()[:1])
+
+
+def empty_network(stage: Usd.Stage) -> None:
+    assert stage.GetDefaultPrim().ApplyAPI("FacepipeSliderNetworkAPI")
+
+
+def network_of_an_unknown_slider(stage: Usd.Stage) -> None:
+    own = p.SliderNetwork(sliders=("gone",), shapes=("jawOpen",), weights=(np.ones((1, 1)),), biases=(np.zeros(1),))
+    author_slider_network(stage.GetDefaultPrim(), own)
 
 
 def late_parent(stage: Usd.Stage) -> None:
@@ -360,6 +370,8 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "curves of fewer channels than a slider has": (value(SLIDER + "channelKnots", [0, 0]), {"SliderCurves"}),
     "slider whose mirror is unknown": (value(SLIDER + "mirror", "shut"), {"SliderMirrors"}),
     "slider that is its own mirror": (value(SLIDER + "mirror", "open"), {"SliderMirrors"}),
+    "network of no layers": (empty_network, {"SliderNetwork"}),
+    "network of an unknown slider": (network_of_an_unknown_slider, {"SliderNetwork"}),
     "photo without size": (value(PHOTO + "facepipe:photo:size", Gf.Vec2i(0, 960)), {"PhotoCameras"}),
     "photo of an orthographic camera": (value(PHOTO + "projection", "orthographic"), {"PhotoCameras"}),
     "photo of a camera without lens": (value(PHOTO + "focalLength", 0.0), {"PhotoCameras"}),
