@@ -30,6 +30,7 @@ class Look:
     background: Tensor  # (3,) or (height, width, 3) linear
     tint: Tensor | None = None  # (materials, 3) multiplies the materials' colours
     textures: Mapping[str, Tensor] | None = None  # material -> (h, w, 3) linear texels, instead of its own
+    shadow: Tensor | None = None  # (n, 9) of each point, as `facepipe.learn.self_shadow`; None: nothing shades
 
 
 class FaceModel:
@@ -82,7 +83,8 @@ class FaceModel:
         weights = barycentrics(screen, triangles, raster)
         normals = self.normals(points) @ rotation_matrices(camera.rotation).mT
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
-        lit = shade(torch.nn.functional.normalize(normals, dim=1), look.light)
+        shadow = None if look.shadow is None else interpolate(look.shadow, triangles, raster, weights)
+        lit = shade(torch.nn.functional.normalize(normals, dim=1), look.light, shadow)
         color = lit * self.colors(raster, weights, look.tint, look.textures)
         values = torch.cat([color, torch.ones_like(color[:, :1])], dim=1)
         background = torch.cat([look.background, torch.zeros_like(look.background[..., :1])], dim=-1)

@@ -32,13 +32,16 @@ def basis(normals: Tensor) -> Tensor:
     return torch.stack(harmonics, dim=-1)
 
 
-def shade(normals: Tensor, light: Tensor) -> Tensor:
+def shade(normals: Tensor, light: Tensor, shadow: Tensor | None = None) -> Tensor:
     """(..., m, 3) linear colours of white matt surfaces with unit normals (..., m, 3) in light (..., 9, 3).
 
     What comes out below 0, where few coefficients ring, is 0. Light and normals stand in one frame: with camera
     coordinates, the light stays with the camera.
+
+    :param shadow: (..., m, 9) what self-shadowing adds to the harmonics of the normals
     """
-    return (basis(normals) @ light).clamp(min=0)
+    harmonics = basis(normals)
+    return ((harmonics if shadow is None else harmonics + shadow) @ light).clamp(min=0)
 
 
 def ambient(color: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 
 from facepipe.errors import InputError
+from facepipe.learn.camera import rotation_matrices
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.photo.descent import Descent, descend
@@ -22,6 +23,7 @@ from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
+from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
 
 FloatArray = npt.NDArray[np.floating]
@@ -109,14 +111,17 @@ def _extractors(given: Mapping[str, Extractor] | None, options: PhotoFitOptions)
 
 
 def _lit(loss: JointLoss, state: State) -> Unknowns:
-    """The unknowns of a state in the light that its photos show."""
+    """The unknowns of a state in the light that its photos show, with the shadows that the face casts on itself."""
     model, lights, tints = loss.model, [], []
     for view, photo in enumerate(loss.photos):
         with torch.no_grad():
             sliders = loss.sliders(torch.as_tensor(state.shares, dtype=torch.float32))
             weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
-            camera = photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view])))
-            light, tint = relight(model, model.rig(sliders, weights), single(camera), photo)
+            camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
+            points, turn = model.rig(sliders, weights), rotation_matrices(camera.rotation).mT
+            shadow = shadow_transfer(points @ turn, model.normals(points) @ turn, model.outline.triangles)
+            light, tint = relight(model, points, camera, photo, shadow)
+        loss.shadows[view] = shadow
         lights.append(light)
         tints.append(tint.log())
     return Unknowns.of(state, lights, torch.stack(tints).mean(dim=0))

@@ -34,6 +34,7 @@ class JointLoss:
         options: PhotoFitOptions,
     ) -> None:
         self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
+        self.shadows: list[Tensor | None] = [None] * len(self.photos)  # as `Look.shadow`
         subject = fit.subject
         self._free = torch.as_tensor(subject.sliders)
         self._shapes = torch.as_tensor(subject.expressions, dtype=torch.int64)
@@ -79,7 +80,13 @@ class JointLoss:
     def look(self, at: Unknowns, view: int) -> Look:
         """Camera, light and colours of a photo."""
         camera = single(self.photos[view].camera(self.fit.spaces[view].camera(at.poses[view])))
-        return Look(camera=camera, light=at.light[view], background=self.photos[view].linear, tint=at.tint.exp())
+        return Look(
+            camera=camera,
+            light=at.light[view],
+            background=self.photos[view].linear,
+            tint=at.tint.exp(),
+            shadow=self.shadows[view],
+        )
 
     def _of_view(self, at: Unknowns, sliders: Tensor, view: int) -> dict[str, Tensor]:
         terms = {"landmarks": self._landmarks(at, sliders, view)} if self.options.landmarks else {}

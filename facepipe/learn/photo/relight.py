@@ -19,7 +19,9 @@ _FEW = 12  # pixels that a material needs
 _LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
 
 
-def relight(model: FaceModel, points: Tensor, camera: Camera, photo: WorkingPhoto) -> tuple[Tensor, Tensor]:
+def relight(
+    model: FaceModel, points: Tensor, camera: Camera, photo: WorkingPhoto, shadow: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """Light (9, 3) and factors of the materials' colours (materials, 3) that bring the face nearest to a photo.
 
     Robust least squares, light and colours in turn; the material with the most pixels keeps its own colour, since
@@ -27,6 +29,7 @@ def relight(model: FaceModel, points: Tensor, camera: Camera, photo: WorkingPhot
 
     :param points: (n, 3) world points
     :param camera: of the photo's working pixels
+    :param shadow: (n, 9) as `Look.shadow`
     """
     with torch.no_grad():
         local, triangles = camera.to_camera(points), model.outline.triangles
@@ -36,6 +39,8 @@ def relight(model: FaceModel, points: Tensor, camera: Camera, photo: WorkingPhot
         normals = model.normals(points) @ rotation_matrices(camera.rotation).mT
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
         shape = basis(functional.normalize(normals, dim=1))
+        if shadow is not None:
+            shape = shape + interpolate(shadow, triangles, raster, weights)
         own = model.colors(raster, weights)
         seen = photo.linear.reshape(-1, 3)[raster.pixels]
         material = model.colors.materials[raster.triangles]

@@ -1,0 +1,81 @@
+"""How a face keeps light from itself: the share of each light harmonic that creases, nostrils and lips lose.
+
+Precomputed radiance transfer (Sloan, Kautz, Snyder, "Precomputed Radiance Transfer for Real-Time Rendering in Dynamic,
+Low-Frequency Lighting Environments", SIGGRAPH 2002) for matt surfaces and nine harmonics, without interreflection. What
+is kept is the difference to a surface that nothing shades, so that gradients still flow through the normals.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from facepipe.learn.light import basis
+from facepipe.learn.rasterise import rasterise
+
+DIRECTIONS = 96
+RESOLUTION = 224  # pixels a side of the view from each direction
+_FAR = 30.0  # sizes of the face that a view is taken from: nearly parallel rays
+_SLACK = 0.008  # of that size, by which something must be nearer to shade a point
+
+
+def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directions: int = DIRECTIONS) -> Tensor:
+    """(n, 9) what self-shadowing adds to the harmonics of the points' normals: ``shade = (basis + this) light``.
+
+    Without gradients. Costs a rasterised view for each direction.
+
+    :param points: (n, 3) in the frame of the light
+    :param normals: (n, 3) unit
+    :param triangles: (t, 3) point numbers
+    """
+    with torch.no_grad():
+        used = torch.unique(triangles)
+        low, high = points[used].amin(0), points[used].amax(0)
+        middle, size = (low + high) / 2, float((high - low).norm())
+        lost = torch.zeros((len(points), 9), dtype=points.dtype)
+        for direction in _sphere(directions).to(points.dtype):
+            cosine = (normals @ direction).clamp(min=0)
+            hidden = 1 - _seen(points - middle, triangles, direction, size)
+            lost += (cosine * hidden)[:, None] * basis(direction)[None]
+        return -lost * (4 * math.pi / directions) / math.pi
+
+
+def _seen(points: Tensor, triangles: Tensor, direction: Tensor, size: float) -> Tensor:
+    """(n,) share of the light from a direction that arrives, averaged over the nearest four pixels."""
+    across = _perpendicular(direction)
+    scale = RESOLUTION / (1.02 * size)
+    x, y = (points @ one * scale + RESOLUTION / 2 for one in across)
+    depth = _FAR * size - points @ direction
+    shrink = _FAR * size / depth
+    x, y = (RESOLUTION / 2 + (one - RESOLUTION / 2) * shrink for one in (x, y))
+    nearness = rasterise(torch.stack([x, y, depth], dim=1), triangles, RESOLUTION, RESOLUTION).nearness
+    limit = 1 / (depth - _SLACK * size)
+    left, top = (x - 0.5).floor(), (y - 0.5).floor()
+    fx, fy = x - 0.5 - left, y - 0.5 - top
+    arriving = torch.zeros_like(x)
+    for step in range(4):
+        column, row = left + step % 2, top + step // 2
+        share = (fx if step % 2 else 1 - fx) * (fy if step // 2 else 1 - fy)
+        at = row.clamp(0, RESOLUTION - 1).long() * RESOLUTION + column.clamp(0, RESOLUTION - 1).long()
+        arriving += share * (nearness[at] <= limit)
+    return arriving
+
+
+def _sphere(count: int) -> Tensor:
+    """(count, 3) unit directions, evenly spread (a Fibonacci lattice)."""
+    number = torch.arange(count, dtype=torch.float64) + 0.5
+    z = 1 - 2 * number / count
+    turn = math.pi * (1 + math.sqrt(5)) * number
+    flat = (1 - z * z).sqrt()
+    return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1)
+
+
+def _perpendicular(direction: Tensor) -> tuple[Tensor, Tensor]:
+    """Right and down of a view against a direction."""
+    least = torch.zeros_like(direction)
+    least[int(direction.abs().argmin())] = 1
+    right = torch.linalg.cross(least, direction)
+    right = right / right.norm()
+    return right, torch.linalg.cross(right, direction)
