@@ -159,15 +159,15 @@ def _verdict(what: str, value: float, aim: float) -> str:
 
 def table(summary: dict[str, dict[str, Any]]) -> str:
     """The figures for people."""
-    cells = [("photos", "", "landmarks", "given", "sliders", "geometry", "posed", "expression", "active", "seconds")]
+    cells = [("", "photos", "landmarks", "given", "sliders", "geometry", "posed", "expression", "active", "seconds")]
     first = next(iter(summary.values()))
     nothing = (f"{first['nothing_slider']:.3f}", f"{first['default_mm']:.2f} mm")
-    cells.append(("nothing fitted", "", "", "", *nothing, "", "", "0.0", ""))
+    cells.append(("", "nothing fitted", "", "", *nothing, "", "", "0.0", ""))
     for mode, one in summary.items():
         pixels = [f"{one[name]:.2f} px" for name in ("landmark_px", "noisy_px")]
         lengths = [f"{one[name]:.2f} mm" for name in ("geometry_mm", "posed_mm")]
         rest = (f"{one['expression']:.3f}", f"{one['active']:.1f}", f"{one['seconds']:.1f}")
-        cells.append((mode, "", *pixels, f"{one['slider']:.3f}", *lengths, *rest))
+        cells.append(("", mode, *pixels, f"{one['slider']:.3f}", *lengths, *rest))
     return "\n".join(aligned(cells))
 
 

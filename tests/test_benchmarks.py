@@ -113,3 +113,20 @@ def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
     assert 0 < own["forward"]["best_wall_s"] < own["both"]["best_wall_s"]
     assert abs(result["peer"]["slopes"]["facepipe"]["jawWidth"][0]) < 0.2, "its gradient goes the way differences do"
     assert result["sliders_us"]["warm"] > 0
+
+
+@pytest.mark.slow
+def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
+    """By landmarks alone, which is quick; two people."""
+    pytest.importorskip("torch")
+    out = tmp_path / "out.json"
+    words = ("--faces", "2", "--iterations", "0", "--modes", "neutral", "expression", "--processes", "1", "--json", out)
+    printed = run(*words, benchmark="photo_recovery.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    assert all(len(fits) == 2 for fits in result["fits"].values())
+    for mode, means in result["means"].items():
+        assert mode in printed
+        assert means["landmark_px"] <= 1.5
+        assert means["landmark_px"] < means["noisy_px"], "nearer to the truth than to the noise"
+        assert means["geometry_mm"] < means["default_mm"]
+        assert means["slider"] < means["nothing_slider"]
