@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -74,13 +74,20 @@ def read(folders: Iterable[Path]) -> Heads:
     paths = [path for folder in folders for path in sorted(folder.glob("[!.]*.npz"))]
     if not paths:
         raise InputError("shards", "no .npz files in the folders, expected some of training/heads.py")
-    parts = [_shard(path) for path in paths]
+    whole = joined([_shard(path) for path in paths])
+    kept = np.isfinite(whole.attributes).any(axis=0)  # sliders of expressions are never known
+    return replace(whole, attributes=whole.attributes[:, kept], names=tuple(np.array(whole.names)[kept].tolist()))
+
+
+def joined(parts: Sequence[Heads]) -> Heads:
+    """All of them.
+
+    :raises InputError: with different attributes
+    """
     if len({part.names for part in parts}) > 1:
         raise InputError("shards", "made with different sliders, expected one version of facepipe")
     names = [one.name for one in fields(Heads) if one.name != "names"]
-    whole = Heads(names=parts[0].names, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
-    kept = np.isfinite(whole.attributes).any(axis=0)  # sliders of expressions are never known
-    return replace(whole, attributes=whole.attributes[:, kept], names=tuple(np.array(whole.names)[kept].tolist()))
+    return Heads(names=parts[0].names, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
 def _shard(path: Path) -> Heads:

@@ -1,4 +1,4 @@
-"""Renders random heads that change their looks: ``python training/features_heads.py OUT --count 6000 --seed 1``.
+"""Renders random heads that change their looks: ``python training/features_heads.py OUT --count 4650 --seed 1``.
 
 As `heads.py`, but every picture of a person has another skin, hair, brows, beard and make-up: what its pictures share
 is the shape of the head alone, which is what the identity features shall tell. The crop is nearly the aligned one. The
@@ -21,14 +21,15 @@ import scenes
 import styles
 import torch
 
-VIEWS, PERSONS = 3, 50
+SHARD = 150  # pictures
 _FIRST = 1_000_000  # beyond the persons of `heads.py`
-_SHARE_SAMPLE = 0.3
 
 
-def person(studio: heads.Studio, identity: int, rng: np.random.Generator) -> list[heads.Arrays]:
-    """`VIEWS` pictures of one person, each in another look."""
-    sample = rng.random() < _SHARE_SAMPLE
+def person(
+    studio: heads.Studio, identity: int, views: int, sample_share: float, rng: np.random.Generator
+) -> list[heads.Arrays]:
+    """`views` pictures of one person, each in another look."""
+    sample = rng.random() < sample_share
     source = studio.samples[rng.integers(len(studio.samples))] if sample else studio.ict
     subject = source.draw(rng)
     painter = painting.Painter(source.topology)
@@ -41,7 +42,7 @@ def person(studio: heads.Studio, identity: int, rng: np.random.Generator) -> lis
         "neutral": neutral_landmarks(subject),
     }
     found = []
-    for _ in range(VIEWS):
+    for _ in range(views):
         place = scenes.Placement(0.95, 0.0, np.zeros(2))
         view = scenes.render(subject, styles.random_style(rng), painter, place, rng)
         found.append(heads.compose(view, rng) | common)
@@ -63,8 +64,10 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Render random heads that change their looks.")
     parser.add_argument("out", type=Path, help="folder for the shards")
-    parser.add_argument("--count", type=int, default=6000, help=f"pictures, in shards of {PERSONS * VIEWS}")
+    parser.add_argument("--count", type=int, default=4650, help=f"pictures, in shards of {SHARD}")
     parser.add_argument("--first", type=int, default=0, help="number of the first shard")
+    parser.add_argument("--views", type=int, default=3, help="pictures a person (default 3)")
+    parser.add_argument("--sample-share", type=float, default=0.3, help="of persons with sliders (default 0.3)")
     parser.add_argument("--seed", type=int, default=1)
     default = Path(__file__).parents[2] / "shared/data/ict_facekit/ict_facekit.npz"
     parser.add_argument("--ict", type=Path, default=default, help="ict_facekit.npz")
@@ -72,10 +75,10 @@ def main() -> None:
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
     studio = heads.Studio(options.ict)
-    for number in range(options.first, options.first + options.count // (PERSONS * VIEWS)):
+    for number in range(options.first, options.first + options.count // SHARD):
         rng = np.random.default_rng([options.seed, number])
-        first = _FIRST + number * PERSONS
-        rows = [row for i in range(PERSONS) for row in person(studio, first + i, rng)]
+        persons = [_FIRST + number * SHARD + i for i in range(SHARD // options.views)]
+        rows = [row for one in persons for row in person(studio, one, options.views, options.sample_share, rng)]
         arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
         unfinished = options.out / f".looks_{number:03d}.tmp.npz"
         np.savez(unfinished, attribute_names=np.array(studio.names), **arrays)

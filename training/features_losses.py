@@ -28,12 +28,16 @@ class IdentityLoss(nn.Module):
         self.register_buffer("deviation", (shapes - shapes.mean(0)).std())
 
     def forward(self, embedding: Tensor, identities: Tensor, shapes: Tensor) -> Tensor:
-        """The mean over embeddings (b, d) of any length of persons numbered (b,) with landmarks (b, k)."""
+        """The mean over embeddings (b, d) of any length of persons with landmarks (b, k).
+
+        :param identities: (b,) numbers of the persons; -1: by landmarks alone
+        """
         unit = normalize(embedding, dim=1)
         cosines = unit @ normalize(self.centers, dim=1).T
-        margins = _MARGIN * one_hot(identities, len(self.centers))
+        margins = _MARGIN * one_hot(identities.clamp(min=0), len(self.centers))
         missed = self.shape(unit * unit.shape[1] ** 0.5) - (shapes - self.mean) / self.deviation
-        return cross_entropy(_STEEPNESS * (cosines - margins), identities) + _SHAPE * missed.square().mean()
+        told = cross_entropy(_STEEPNESS * (cosines - margins), identities, ignore_index=-1)
+        return told + _SHAPE * missed.square().mean()
 
 
 def class_weights(labels: Tensor) -> Tensor:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from features_data import Heads
-from features_network import CLASSES, LABEL_SIZE, FeatureNetwork, normalised
+from features_network import CLASSES, LABEL_SIZE, normalised
+from torch import Tensor
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
+
+Network = Callable[[Tensor], tuple[Tensor, ...]]  # normalised images -> `OUTPUTS`
 
 _BATCH = 64
 
@@ -49,9 +53,10 @@ def verification(embeddings: FloatArray, heads: Heads) -> dict[str, float]:
     }
 
 
-def held_out_scores(network: FeatureNetwork, heads: Heads, predictor: FloatArray) -> dict[str, Any]:
+def held_out_scores(network: Network, heads: Heads, predictor: FloatArray) -> dict[str, Any]:
     """Scores on persons not trained on, in the light and colours that they were rendered with.
 
+    :param network: in evaluation
     :param predictor: (a,) attributes that know nothing of the image: those of training, averaged
     """
     found = answers(network, heads)
@@ -81,9 +86,8 @@ class Answers(NamedTuple):
     attributes: FloatArray  # (n, a)
 
 
-def answers(network: FeatureNetwork, heads: Heads) -> Answers:
+def answers(network: Network, heads: Heads) -> Answers:
     """What the network finds in the crops that the landmarks ask for."""
-    network.eval()
     parts = []
     with torch.no_grad():
         for rows in np.array_split(np.arange(len(heads)), max(1, len(heads) // _BATCH)):

@@ -83,7 +83,7 @@ def train(heads: Heads, steps: int, seed: int) -> FeatureNetwork:
             shown = " ".join(f"{name} {value / 100:.3f}" for name, value in sums.items())
             say(f"{step:6d} of {steps}, {time.perf_counter() - start:5.0f} s: {shown}")
             sums = dict.fromkeys(sums, 0.0)
-    return network
+    return network.eval()
 
 
 def batches(heads: Heads, random: np.random.Generator) -> Iterator[IntArray]:
