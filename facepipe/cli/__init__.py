@@ -24,6 +24,7 @@ COMMANDS = {
     "export": "write a GLB, glTF or ONNX file for the engine",
     "eval": "run an exported ONNX file",
     "fit-bones": "bring bones to targets, within limits",
+    "fit-photo": "find a person's sliders in photos",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "landmarks": "author named landmarks",
@@ -71,7 +72,9 @@ def _run(words: list[str]) -> int:
     rest = words[words.index(command) + 1 :]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, rest)
-    return int(module.run(parser.parse_args(rest)))
+    # argparse takes positionals in one run, unless told that they may stand between flags
+    parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
+    return int(module.run(parse(rest)))
 
 
 def _help(words: list[str], command: str | None) -> int:

@@ -1,0 +1,89 @@
+"""The report folder of a photo fit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from facepipe.processors.photo_fit import Landmarks68, Photo, PhotoFitReport
+    from facepipe.render import PhotoSheet, SheetPhoto
+
+_REPORT, _SHEET = "report.json", "sheet.png"
+_OF_PHOTO = re.compile(r".+\.(landmarks\.json|render\.png|overlay\.png)")
+_OVERLAY = 1024  # pixels of an overlay's longer side
+_MARK = 1 / 250  # of that, the radius of a landmark
+
+
+def check_folder(folder: Path, *, force: bool, taken: Sequence[Path]) -> None:
+    """Check that a report may be written as `folder`: that it is new, or with `force` a report from before.
+
+    :param taken: files that must not be in it: inputs and outputs
+    :raises InputError: it may not
+    """
+    place = folder.resolve()
+    if not place.parent.is_dir():
+        raise InputError(folder, "the folder around it does not exist")
+    if place.exists() and not place.is_dir():
+        raise InputError(folder, "is a file, expected a folder to make")
+    inside = next((one for one in taken if place in one.resolve().parents or place == one.resolve()), None)
+    if inside is not None:
+        raise InputError(folder, f"holds {inside.name}, which is read or written too, expected another folder")
+    if not place.exists():
+        return
+    if not force:
+        raise InputError(folder, "exists, expected a new folder (or --force)")
+    names = sorted(one.name for one in place.iterdir())
+    foreign = [name for name in names if name not in (_REPORT, _SHEET) and not _OF_PHOTO.fullmatch(name)]
+    if foreign or (names and _REPORT not in names):
+        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT}"
+        raise InputError(folder, f"{found}, expected an empty folder or a report of fit-photo to replace")
+
+
+def write_folder(
+    folder: Path, sheet: PhotoSheet, photos: Sequence[Photo], landmarks: Sequence[Landmarks68], report: PhotoFitReport
+) -> None:
+    """Write sheet.png, report.json and, called as the poses of the photos, their renders, overlays and landmarks."""
+    from facepipe.atomic import write_bytes
+    from facepipe.processors.photo_fit import write_landmarks
+    from facepipe.render import photo_sheet, save_png
+
+    names = [one.animation for one in report.photos.values()]
+    for name, one, photo, marks in zip(names, sheet.photos, photos, landmarks, strict=True):
+        save_png(render_image(one), folder / f"{name}.render.png")
+        save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")
+        write_landmarks(folder / f"{name}.landmarks.json", marks, photo)
+    save_png(photo_sheet(sheet), folder / _SHEET)
+    write_bytes(folder / _REPORT, f"{report.to_json()}\n".encode())
+
+
+def render_image(one: SheetPhoto) -> Image:
+    """The face as the camera of the photo sees it, sRGB, transparent around it."""
+    from PIL import Image
+
+    from facepipe.render.textures import linear_to_srgb
+
+    cover = np.clip(one.render[..., 3:], 0, 1)
+    color = linear_to_srgb(np.clip(one.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
+    return Image.fromarray((np.concatenate([color * (cover > 0), cover], axis=2) * 255 + 0.5).astype(np.uint8))
+
+
+def overlay_image(one: SheetPhoto, sheet: PhotoSheet) -> Image:
+    """The photo, darker, with the edges of the fitted face, its landmarks, and those that it was given as rings."""
+    from facepipe.render import photo_pictures as pictures
+
+    height, width = one.photo.shape[:2]
+    crop = pictures.whole(width, height, _OVERLAY)
+    image = pictures.wireframe_picture(one.photo, crop, sheet.parts, one.screen)
+    pictures.given_mark(image, crop.place(one.targets), _OVERLAY * _MARK)
+    pictures.fitted_mark(image, crop.place(one.landmarks), _OVERLAY * _MARK)
+    (left, top), (right, bottom) = np.rint(crop.place(np.array([(0.0, 0.0), (width, height)]))).astype(int).tolist()
+    return image.crop((left, top, max(right, left + 1), max(bottom, top + 1)))

@@ -1,0 +1,210 @@
+"""What a `facepipe fit-photo` line asks for: photos, face, landmarks, networks, options, from flags and recipes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from facepipe.cli.fit_photo_folder import check_folder
+from facepipe.cli.parser import check_input, given_options, output_or_edited
+from facepipe.errors import InputError
+from facepipe.options import from_json, to_json
+
+if TYPE_CHECKING:
+    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.processors.photo_fit import PhotoRecipe
+
+# option -> kind of features, and the weight of their term
+MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
+    "content_model": "content",
+    "identity_model": "identity",
+    "attribute_model": "attributes",
+}
+_THRESHOLD = 8.0  # percent of the distance of the eyes
+_LANDMARKER = "landmarker"
+_SETTINGS = ("faces", "expressions", "landmark_threshold", "fit")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A fit to make."""
+
+    face: Path
+    photos: tuple[Path, ...]
+    landmarks: tuple[Path | None, ...]  # one a photo; None: found in it
+    landmarker: Path | None  # MediaPipe's model; None: facepipe's own network
+    models: Mapping[str, Path]  # by their options
+    faces: tuple[int | None, ...]  # one a photo: which of several
+    expressions: tuple[str, ...] | None  # None: those with ARKit's names
+    options: PhotoFitOptions
+    threshold: float  # of the mean landmark error, percent of the distance of the eyes
+    out: Path
+    report: Path | None  # folder
+    flatten: bool
+    warnings: tuple[str, ...] = ()
+
+    def settings(self) -> dict[str, Any]:
+        """All but files, as the recipe keeps it."""
+        return {
+            "faces": list(self.faces),
+            "expressions": None if self.expressions is None else list(self.expressions),
+            "landmark_threshold": self.threshold,
+            "fit": to_json(self.options),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Settings:
+    """What `Request.settings` keeps."""
+
+    faces: tuple[int | None, ...] = ()
+    expressions: tuple[str, ...] | None = None
+    threshold: float = _THRESHOLD
+    options: PhotoFitOptions
+
+
+def request_of(arguments: argparse.Namespace) -> Request:
+    """The request of parsed arguments; nothing but a recipe has been read.
+
+    :raises InputError: flags that don't go together, files that can't be written, options out of range
+    """
+    from facepipe.stage.files import check_suffix
+
+    recipe = _recipe(arguments)
+    face, photos = _sources(arguments, recipe)
+    landmarks, landmarker = _landmarks(arguments, recipe, len(photos))
+    models = _models(arguments, recipe)
+    files = [*landmarks, landmarker, *models.values()]
+    inputs = [face, *photos, *(one for one in files if one is not None)]
+    out = output_or_edited(arguments, inputs)
+    check_suffix(out)
+    if arguments.report is not None:
+        taken = [*inputs, out, *([arguments.edit] if recipe else [])]
+        check_folder(arguments.report, force=arguments.force, taken=taken)
+    settings = _changed(arguments, _settings(arguments.edit, recipe), len(photos))
+    return Request(
+        face=face,
+        photos=photos,
+        landmarks=landmarks,
+        landmarker=landmarker,
+        models=models,
+        faces=settings.faces,
+        expressions=settings.expressions,
+        options=settings.options,
+        threshold=settings.threshold,
+        out=out,
+        report=arguments.report,
+        flatten=arguments.flatten or (recipe is not None and recipe.standalone),
+        warnings=recipe.warnings if recipe else (),
+    )
+
+
+def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
+    from facepipe.processors.photo_fit import read_photo_recipe
+
+    if arguments.edit is None:
+        return None
+    check_input(arguments.edit)
+    others = len(arguments.files) > 1
+    replaced = ["FACE"] if arguments.files else []
+    replaced += ["PHOTO"] if others else []
+    replaced += ["--landmarks"] if others or arguments.landmark_files or arguments.landmarker else []
+    given = [name for name in (_LANDMARKER, *MODELS) if getattr(arguments, name) is not None]
+    replaced += [f"--{name.replace('_', '-')}" for name in given]
+    replaced += ["--landmarker"] if arguments.landmark_files else []
+    return read_photo_recipe(arguments.edit, replaced=replaced)
+
+
+def _sources(arguments: argparse.Namespace, recipe: PhotoRecipe | None) -> tuple[Path, tuple[Path, ...]]:
+    """The face and the photos."""
+    *photos, face = arguments.files or [recipe.face if recipe else None]
+    if recipe is not None:
+        return face, tuple(photos) or recipe.photos
+    if face is None:
+        raise InputError("PHOTO ... FACE", "none given, expected photos and a face stage (or --edit FITTED)")
+    if not photos:
+        raise InputError("PHOTO ... FACE", f"{face} alone, expected one photo or more, then a face stage")
+    return face, tuple(photos)
+
+
+def _landmarks(
+    arguments: argparse.Namespace, recipe: PhotoRecipe | None, count: int
+) -> tuple[tuple[Path | None, ...], Path | None]:
+    """The files of landmarks, one a photo, and MediaPipe's model where one is to find them."""
+    files, landmarker = arguments.landmark_files, arguments.landmarker
+    if files and landmarker is not None:
+        raise InputError("--landmarks", "given with --landmarker, expected only one of them")
+    if files and len(files) != count:
+        raise InputError("--landmarks", f"{len(files)} given, expected {count}: one for each photo, in their order")
+    if files:
+        return tuple(files), None
+    if landmarker is not None or recipe is None or len(arguments.files) > 1:
+        return (None,) * count, landmarker or (recipe.files.get(_LANDMARKER) if recipe else None)
+    return recipe.landmarks, recipe.files.get(_LANDMARKER)
+
+
+def _models(arguments: argparse.Namespace, recipe: PhotoRecipe | None) -> dict[str, Path]:
+    kept = recipe.files if recipe else {}
+    found = {name: getattr(arguments, name) or kept.get(name) for name in MODELS}
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def _settings(path: Path | None, recipe: PhotoRecipe | None) -> _Settings:
+    """Those of the recipe, or the defaults.
+
+    :raises InputError: settings that this command did not write
+    """
+    from facepipe.learn.photo.options import PhotoFitOptions
+
+    if recipe is None:
+        return _Settings(options=PhotoFitOptions())
+    where, kept = f"{path} -> recipe", recipe.options
+    if tuple(sorted(kept)) != tuple(sorted(_SETTINGS)):
+        raise InputError(where, f"options {', '.join(sorted(kept))[:60]}, expected {', '.join(_SETTINGS)}")
+    faces, expressions, threshold, fit = (kept[name] for name in _SETTINGS)
+    if not isinstance(faces, list) or not all(one is None or type(one) is int for one in faces):
+        raise InputError(f"{where} -> faces", "damaged, expected a list of indices")
+    if expressions is not None and not (
+        isinstance(expressions, list) and all(isinstance(one, str) for one in expressions)
+    ):
+        raise InputError(f"{where} -> expressions", "damaged, expected a list of shapes")
+    if type(threshold) not in (int, float):
+        raise InputError(f"{where} -> landmark_threshold", "damaged, expected a number")
+    return _Settings(
+        faces=tuple(faces),
+        expressions=None if expressions is None else tuple(expressions),
+        threshold=threshold,
+        options=from_json(PhotoFitOptions, fit, f"{where} -> fit"),
+    )
+
+
+def _changed(arguments: argparse.Namespace, settings: _Settings, photos: int) -> _Settings:
+    """The settings with what the line says."""
+    from facepipe.learn.photo.options import PhotoFitOptions
+
+    threshold = getattr(arguments, "landmark_threshold", settings.threshold)
+    if not (math.isfinite(threshold) and threshold > 0):
+        raise InputError("--landmark-threshold", f"{threshold:g}, expected a number above 0")
+    kept = settings.faces if len(arguments.files) < 2 else ()
+    faces = _faces(getattr(arguments, "faces", kept), photos)
+    expressions = getattr(arguments, "expressions", settings.expressions)
+    return replace(
+        settings,
+        faces=faces,
+        expressions=None if expressions is None else tuple(expressions),
+        threshold=float(threshold),
+        options=replace(settings.options, **given_options(arguments, PhotoFitOptions)),
+    )
+
+
+def _faces(indices: Sequence[int | None], photos: int) -> tuple[int | None, ...]:
+    """An index for each photo; one alone is that of every photo."""
+    if len(indices) < 2:
+        return (tuple(indices) or (None,)) * photos
+    if len(indices) != photos:
+        raise InputError("--face", f"{len(indices)} given, expected one, or {photos}: one for each photo")
+    return tuple(indices)

@@ -1,0 +1,439 @@
+"""`facepipe fit-photo`: what it makes, what it keeps, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import photo_files
+import pytest
+from learned import torch
+from onnx import TensorProto, helper
+from photo_line import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
+from PIL import Image
+
+import facepipe
+from facepipe.atomic import replacing_folder
+from facepipe.cli import main
+from facepipe.errors import InputError
+from facepipe.processors.photo_fit import read_landmarks, read_photo, read_photo_recipe
+from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.sample import make
+from facepipe.stage import save_parts
+
+ONE = ("front.png", "head.usdc", "--landmarks", "front.json")
+TWO = ("front.png", "--landmarks", "front.json", "side.png", "--landmarks", "side.json", "head.usdc")  # in turn
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """head.usdc, front.png, side.png and their landmarks."""
+    folder = tmp_path_factory.mktemp("made")
+    parts = make(0)
+    save_parts(parts, folder / "head.usdc")
+    write_photos(parts, folder)
+    return folder
+
+
+@pytest.fixture
+def studio(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with those files."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def fitted(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with person.usda, the fit of the front photo, and its report; never changed."""
+    folder = tmp_path_factory.mktemp("fitted")
+    shutil.copytree(made, folder, dirs_exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert fit_photo(*ONE, "-o", "person.usda", "--report", "report", *FAST) == 0
+    return folder
+
+
+@pytest.fixture
+def person(fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of that as the working folder."""
+    shutil.copytree(fitted, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+# What it makes
+
+
+def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
+    face = facepipe.open(fitted / "person.usda")
+    values = {slider.name: slider.value or 0.0 for slider in face.sliders}
+    assert values["mouthWidth"] > 0.4  # of 0.7
+    assert values["jawWidth"] < -0.25  # of -0.7
+    neutral, pose = (next(one for one in face.animations if one.name == name) for name in ("sliders", "front"))
+    weights = {} if neutral.shape_weights is None else dict(zip(neutral.shapes, neutral.shape_weights[0], strict=True))
+    assert not {name for name, weight in weights.items() if weight and name in ARKIT_SHAPES}
+    assert pose.shape_weights is not None
+    assert dict(zip(pose.shapes, pose.shape_weights[0], strict=True))["jawOpen"] > EXPRESSION["jawOpen"] / 2
+    (view,) = face.photos
+    assert (view.image, view.width, view.height) == ("front.png", SIZE, SIZE)
+
+
+def test_the_report_is_a_folder_of_what_was_found(fitted: Path) -> None:
+    folder = fitted / "report"
+    expected = {"report.json", "sheet.png", "front.landmarks.json", "front.render.png", "front.overlay.png"}
+    assert {one.name for one in folder.iterdir()} == expected
+    report = json.loads((folder / "report.json").read_text())
+    assert report["photos"]["front.png"]["landmark_error_px"] < 1.5
+    photo = read_photo(fitted / "front.png")
+    given, kept = (
+        read_landmarks(path, photo).points for path in (fitted / "front.json", folder / "front.landmarks.json")
+    )
+    np.testing.assert_allclose(kept, given, atol=0.001)
+    with Image.open(folder / "front.render.png") as image:
+        assert (image.mode, image.size) == ("RGBA", (SIZE, SIZE))
+        alpha = np.asarray(image)[..., 3]
+    x, y = given[27:].astype(int).T  # all within the face
+    assert alpha[y, x].min() == 255
+    assert alpha[:3].max() == 0  # above the head
+    with Image.open(folder / "front.overlay.png") as image:
+        assert max(image.size) == 1024
+
+
+def test_render_shows_what_the_photo_shows(fitted: Path) -> None:
+    """In the middle of the face the render has the photo's colours; a face at its defaults in grey light has not."""
+    photo = read_photo(fitted / "front.png")
+    marks = read_landmarks(fitted / "front.json", photo).points
+    (left, top), (right, bottom) = marks[17:].min(axis=0).astype(int), marks[17:].max(axis=0).astype(int)
+    with Image.open(fitted / "report" / "front.render.png") as image:
+        render = np.asarray(image)[top:bottom, left:right, :3] / 255
+    assert np.abs(render - photo.pixels[top:bottom, left:right]).mean() < 0.08
+
+
+def test_engine_files_of_the_result_are_clean(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (
+        "validate person.usda",
+        "export person.usda -o person.glb",
+        "validate person.glb",
+        "export person.usda --sliders -o sliders.onnx",
+        "validate sliders.onnx",
+        "eval sliders.onnx -o matrices.npz",
+    )
+    for line in lines:
+        assert main(line.split()) == 0, f"{line}: {capsys.readouterr()}"
+    metadata = {one.key: one.value for one in onnx.load(person / "sliders.onnx").metadata_props}
+    values = {slider.name: slider.value for slider in facepipe.open("person.usda").sliders}
+    text = "".join(metadata.values())
+    assert f"{values['mouthWidth']:.4f}"[:5] in text  # the graph starts from the fitted person
+
+
+def test_the_person_can_be_edited(person: Path) -> None:
+    assert main(["sliders", "person.usda", "--set", "mouthWidth=0.1", "-o", "edited.usda"]) == 0
+    before, after = (facepipe.open(name) for name in ("person.usda", "edited.usda"))
+    assert {one.name: one.value for one in after.sliders}["mouthWidth"] == pytest.approx(0.1)
+    assert [one.name for one in after.photos] == [one.name for one in before.photos]
+
+
+def test_photos_of_a_person_share_sliders(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = fit_json(capsys, *TWO, "-o", "person.usdc", "--flatten", *SOON)
+    assert list(found["photos"]) == ["front.png", "side.png"]
+    assert all(one["landmark_error_px"] < 1.5 for one in found["photos"].values())
+    assert found["path"] == "person.usdc"
+    (studio / "head.usdc").unlink()
+    face = facepipe.open("person.usdc")  # flattened: on its own
+    assert [one.image for one in face.photos] == ["front.png", "side.png"]
+    yaw = [float(np.arctan2(one.transform[0, 2], one.transform[2, 2])) for one in face.photos]
+    assert yaw == pytest.approx([0.0, 0.25], abs=0.06)
+    recipe = read_photo_recipe("person.usdc", replaced=("FACE",))
+    assert [one.name for one in recipe.photos] == ["front.png", "side.png"]
+    assert [one and one.name for one in recipe.landmarks] == ["front.json", "side.json"]
+
+
+def test_same_input_gives_the_same_bytes(fitted: Path, studio: Path) -> None:
+    assert fit_photo(*ONE, "-o", "person.usda", "--report", "report", *FAST) == 0
+    assert contents(studio) == contents(fitted)
+
+
+def test_edit_fits_again_from_the_recipe(person: Path) -> None:
+    """With what the line changes: the same as a fit from anew; `report` is not part of it."""
+    words = ("--size", "64", "--sparsity", "0.4", "--iterations", "1", "--landmark-threshold", "9")
+    assert fit_photo(*ONE, "-o", "anew.usda", *words, *OFF) == 0
+    assert fit_photo("--edit", "person.usda", *words) == 2  # would overwrite it
+    assert fit_photo("--edit", "person.usda", *words, "--force") == 0
+    assert (person / "person.usda").read_bytes() == (person / "anew.usda").read_bytes()
+
+
+def test_missed_landmarks_are_told_by_the_exit_code(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = fit_photo("--edit", "person.usda", "-o", "off.usda", "--iterations", "0", "--landmark-threshold", "0.1")
+    _, err = capsys.readouterr()
+    assert code == 1
+    assert err.count("\n") == 1
+    assert "of the eye distance, expected at most 0.1 %" in err
+    assert facepipe.open("off.usda").photos
+
+
+def test_a_loss_that_is_not_finite_keeps_the_best(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    brightness_network(person / "bright.onnx")
+    words = ("--identity-model", "bright.onnx", "--identity", "1", "--iterations", "3")
+    code = fit_photo("--edit", "person.usda", "-o", "kept.usda", *words, "--json")
+    out, err = capsys.readouterr()
+    assert code == 1, err
+    assert json.loads(out)["stopped"] == "not-finite"
+    assert "not finite" in err
+    assert json.loads(out)["photos"]["front.png"]["landmark_error_px"] < 1.5
+    assert read_photo_recipe("kept.usda").files["identity_model"] == person / "bright.onnx"
+
+
+def brightness_network(path: Path) -> None:
+    """An identity of a picture that has values for grey, and NaN for anything brighter."""
+    nodes = [
+        helper.make_node("GlobalAveragePool", ["image"], ["mean"]),
+        helper.make_node("Flatten", ["mean"], ["flat"]),
+        helper.make_node("Sub", ["little", "flat"], ["less"]),
+        helper.make_node("Sqrt", ["less"], ["features"]),
+    ]
+    little = helper.make_tensor("little", TensorProto.FLOAT, [3], [1e-3] * 3)
+    graph = helper.make_graph(
+        nodes,
+        "bright",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, 64, 64])],
+        [helper.make_tensor_value_info("features", TensorProto.FLOAT, [1, 3])],
+        [little],
+    )
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 15)], ir_version=8), path)
+    path.with_name(f"{path.name}.json").write_text(
+        json.dumps({"kind": "identity", "size": 64, "mean": [0.5] * 3, "std": [0.5] * 3, "crop": "face"})
+    )
+
+
+# Photos of every kind
+
+
+def test_photos_turned_by_exif_are_seen_upright(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    upright = np.asarray(Image.open("front.png").convert("RGB"))
+    (studio / "turned.png").write_bytes(photo_files.oriented(upright, 6, "PNG"))
+    plain = fit_json(capsys, *ONE, "-o", "a.usda", *SOON)
+    turned = fit_json(capsys, "turned.png", *ONE[1:], "-o", "b.usda", *SOON)
+    assert turned["sliders"] == plain["sliders"]
+    assert turned["losses"] == plain["losses"]
+
+
+@pytest.mark.parametrize(("mode", "warned"), [("LA", ("has no colour", "transparent")), ("CMYK", ("CMYK without",))])
+def test_photos_of_other_kinds_are_fitted_and_told(
+    studio: Path, capsys: pytest.CaptureFixture[str], mode: str, warned: tuple[str, ...]
+) -> None:
+    image = Image.open("front.png").convert("RGB")
+    changed = image.convert(mode)
+    if mode == "LA":
+        changed.putalpha(Image.new("L", image.size, 128))
+    name = "photo.tif" if mode == "CMYK" else "photo.png"
+    changed.save(name)
+    found = fit_json(capsys, name, *ONE[1:], "-o", "a.usda", *SOON)
+    assert all(any(name in line and each in line for line in found["warnings"]) for each in warned)
+
+
+# What it refuses
+
+
+def _save(name: str, data: bytes) -> Callable[[], int]:
+    return lambda: Path(name).write_bytes(data)
+
+
+def _landmarks(change: Callable[[Any], Any]) -> Callable[[], None]:
+    def write() -> None:
+        points = json.loads(Path("front.json").read_text())["multipie68"]
+        Path("bad.json").write_text(json.dumps({"multipie68": change(points)}))
+
+    return write
+
+
+def _cut_short() -> None:
+    Image.open("front.png").convert("RGB").save("bad.jpg")
+    data = Path("bad.jpg").read_bytes()
+    Path("bad.jpg").write_bytes(data[: len(data) // 2])
+
+
+def _plain() -> None:
+    Image.new("RGB", (160, 128), (90, 120, 150)).save("bad.png")
+
+
+def _small() -> None:
+    Image.new("RGB", (40, 40)).save("bad.png")
+
+
+def _face(change: str) -> Callable[[], None]:
+    def write() -> None:
+        from dataclasses import replace
+
+        parts = make(0)
+        if change == "sliders":
+            parts = replace(parts, sliders=())
+        else:
+            parts = replace(parts, meshes=tuple(replace(mesh, landmarks={}) for mesh in parts.meshes))
+        save_parts(parts, Path("bare.usdc"))
+
+    return write
+
+
+def _wrong_signature() -> None:
+    brightness_network(Path("bad.onnx"))
+    Path("bad.onnx.json").write_text(json.dumps({"kind": "content", "size": 64}))
+
+
+def _report_of_other_files() -> None:
+    Path("notes").mkdir()
+    Path("notes/diary.txt").write_text("mine")
+
+
+BAD = "bad.json"
+BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
+    "nothing": (None, (), "PHOTO ... FACE: none given, expected photos and a face stage"),
+    "no photo": (None, ("head.usdc",), "head.usdc alone, expected one photo"),
+    "no such photo": (None, ("lost.png", *ONE[1:]), "lost.png"),
+    "no such face": (None, ("front.png", "lost.usda", *ONE[2:]), "lost.usda"),
+    "swapped": (None, ("head.usdc", "front.png", *ONE[2:]), "front.png"),
+    "twice": (None, ("front.png", *ONE, "--landmarks", "front.json"), "front.png given twice"),
+    "no picture": (_save("bad.jpg", b"no picture"), ("bad.jpg", *ONE[1:]), "is not a picture that can be read"),
+    "truncated": (_cut_short, ("bad.jpg", *ONE[1:]), "bad.jpg: is damaged or cut short"),
+    "small": (_small, ("bad.png", *ONE[1:]), "bad.png: is 40 x 40 pixels, expected at least 64"),
+    "huge": (
+        _save("bad.png", photo_files.png(12_000, 12_000, 8, 2, b"")), ("bad.png", *ONE[1:]),
+        "bad.png: is 12000 x 12000 pixels, expected at most",
+    ),
+    "no face": (_plain, ("bad.png", "head.usdc"), "bad.png: no face found"),
+    "several faces": (
+        _landmarks(lambda points: [points, points]), ("front.png", "head.usdc", "--landmarks", BAD),
+        "2 faces found, expected one, or an index from 0 to 1",
+    ),
+    "no such face in it": (None, (*ONE, "--face", "3"), "face 3 of 1"),
+    "outside": (
+        _landmarks(lambda points: [[x + 90, y] for x, y in points]), ("front.png", "head.usdc", "--landmarks", BAD),
+        "landmarks outside front.png",
+    ),
+    "too few": (_landmarks(lambda points: points[:60]), ("front.png", "head.usdc", "--landmarks", BAD), "60 points"),
+    "NaN": (
+        _landmarks(lambda points: [*points[:67], [float("nan"), 1]]), ("front.png", "head.usdc", "--landmarks", BAD),
+        BAD,
+    ),
+    "landmarks of one": (None, ("side.png", *ONE), "--landmarks: 1 given, expected 2: one for each photo"),
+    "both": (None, (*ONE, "--landmarker", "x.task"), "--landmarks: given with --landmarker"),
+    "no bundle": (
+        _save("bad.task", b"no bundle"), ("front.png", "head.usdc", "--landmarker", "bad.task"),
+        "bad.task: is no MediaPipe task bundle",
+    ),
+    "faces of others": (None, (*ONE, "--face", "0", "--face", "0"), "--face: 2 given, expected one, or 1"),
+    "no sliders": (_face("sliders"), ("front.png", "bare.usdc", *ONE[2:]), "bare.usdc -> Face -> sliders: none"),
+    "no landmarks": (_face("landmarks"), ("front.png", "bare.usdc", *ONE[2:]), "bare.usdc -> Face"),
+    "no such shape": (None, (*ONE, "--expression", "grin"), "head.usdc -> Face -> expression grin: unknown"),
+    "signature": (_wrong_signature, (*ONE, "--identity-model", "bad.onnx"), "bad.onnx"),
+    "no model": (_save("bad.onnx", b"no model"), (*ONE, "--content-model", "bad.onnx"), "bad.onnx"),
+    "iterations": (None, (*ONE, "--iterations", "-1"), "iterations: is -1, expected a number from 0"),
+    "threshold": (None, (*ONE, "--landmark-threshold", "nan"), "--landmark-threshold: nan, expected"),
+    "suffix": (None, (*ONE, "-o", "out.obj"), "out.obj"),
+    "input as output": (None, (*ONE, "-o", "head.usdc", "--force"), "head.usdc: is an input"),
+    "report in use": (None, (*ONE, "--report", "."), "holds head.usdc, which is read or written too"),
+    "report of others": (
+        _report_of_other_files, (*ONE, "--report", "notes", "--force"),
+        "notes: holds diary.txt, expected an empty folder",
+    ),
+    "report that exists": (_report_of_other_files, (*ONE, "--report", "notes"), "notes: exists, expected a new folder"),
+    "not fitted": (None, ("--edit", "head.usdc", "--force"), "head.usdc: has a recipe of 'sample'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_INPUTS)
+def test_bad_input_is_one_line_and_leaves_nothing(studio: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    prepare, words, expected = BAD_INPUTS[case]
+    if prepare is not None:
+        prepare()
+    before = contents(studio)
+    output = () if "-o" in words or "--edit" in words else ("-o", "out.usda")
+    report = () if "--report" in words else ("--report", "report")
+    weights = () if "--iterations" in words else SOON
+    assert fit_photo(*words, *output, *report, *weights) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    assert expected in err
+    assert contents(studio) == before
+    assert not (studio / "report").exists()
+
+
+def test_existing_files_need_force(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(person)
+    assert fit_photo(*ONE, "-o", "person.usda", *SOON) == 2
+    assert fit_photo(*ONE, "-o", "other.usda", "--report", "report", *SOON) == 2
+    assert contents(person) == before
+    assert fit_photo(*ONE, "-o", "other.usda", "--report", "report", "--force", *SOON) == 0
+    assert (person / "report" / "sheet.png").read_bytes() != before["report/sheet.png"]
+    assert {one.name for one in person.iterdir()} == {*(name.partition("/")[0] for name in before), "other.usda"}
+
+
+def test_without_torch_the_hint_is_one_line(studio: Path) -> None:
+    """In a Python that finds no torch."""
+    code = (
+        "import sys\n"
+        "class Without:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'torch':\n"
+        "            raise ModuleNotFoundError(name)\n"
+        "import importlib.util as util\n"
+        "find = util.find_spec\n"
+        "util.find_spec = lambda name, package=None: None if name == 'torch' else find(name, package)\n"
+        "sys.meta_path.insert(0, Without())\n"
+        "from facepipe.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    line = [sys.executable, "-c", code, "fit-photo", *ONE, "-o", "out.usda"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "facepipe: facepipe.learn: torch is not installed, expected: pip install 'facepipe[train]'\n"
+    assert not (studio / "out.usda").exists()
+
+
+def test_help_loads_no_torch() -> None:
+    code = (
+        "import sys; from facepipe.cli import main\n"
+        "try: main(['fit-photo', '--help'])\n"
+        "finally: assert 'torch' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "facepipe fit-photo portrait.jpg head.usda" in done.stdout
+
+
+# Folders that appear whole or not at all
+
+
+def _broken(target: Path) -> None:
+    with replacing_folder(target) as folder:
+        (folder / "half").write_text("half")
+        raise ZeroDivisionError
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "report"
+    with pytest.raises(ZeroDivisionError):
+        _broken(target)
+    assert list(tmp_path.iterdir()) == []
+    for text in ("first", "second"):
+        with replacing_folder(target) as folder:
+            (folder / text).write_text(text)
+    assert contents(tmp_path) == {"report/second": b"second"}
+    with pytest.raises(ZeroDivisionError):
+        _broken(target)
+    assert contents(tmp_path) == {"report/second": b"second"}
+    with pytest.raises(InputError, match="is a file, expected a folder"):
+        _broken(target / "second")
+    with pytest.raises(InputError, match="the folder around it does not exist"):
+        _broken(tmp_path / "a" / "b")
+
+
+assert torch is not None  # `learned` skips this file where it is not installed
