@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.floating]
 
 ROOT = Path(__file__).parents[1]
 PHOTO = ROOT.parent / "shared/data/photos/astronaut.png"
-WORST_OF_RENDERS = 0.06  # of the distance of the outer eye corners, mean over the inner points
+WORST_OF_RENDERS = 0.05  # of the distance of the outer eye corners, mean over the inner points
 
 
 def rendered(seed: int, *, size: int, share: float, yaw: float) -> tuple[FloatArray, FloatArray]:
@@ -63,7 +63,7 @@ def inner_error(found: FoundFace, marks: FloatArray) -> float:
 def test_landmarks_of_a_head_that_training_never_saw(seed: int, yaw: float) -> None:
     image, marks = rendered(seed, size=256, share=0.45, yaw=yaw)
     (found,) = find_landmarks(image)
-    assert found.presence > 0.85
+    assert found.presence > 0.9
     assert inner_error(found, marks) < WORST_OF_RENDERS
 
 
@@ -106,18 +106,26 @@ def test_no_face_where_there_is_none(name: str) -> None:
     assert find_landmarks(backgrounds()[name]) == []
 
 
-def test_the_face_of_a_photo() -> None:
-    """At most 8 % of the eye distance from MediaPipe's landmarks, which training never saw, and no other face."""
+def photo() -> FloatArray:
     if not PHOTO.exists():
         pytest.skip("../shared/data/photos is absent")
     from PIL import Image
 
     with Image.open(PHOTO) as opened:
-        image = np.asarray(opened.convert("RGB")) / 255
+        return np.asarray(opened.convert("RGB")) / 255
+
+
+def test_the_face_of_a_photo() -> None:
+    """Well under 8 % of the eye distance from MediaPipe's landmarks, which training never saw, and no other face."""
+    image = photo()
     known = json.loads(PHOTO.with_suffix(".landmarks.json").read_text())["multipie68"]
-    marks = np.array([point[:2] for point in known])
     (found,) = find_landmarks(image)
-    assert inner_error(found, marks) < 0.08
+    assert inner_error(found, np.array([point[:2] for point in known])) < 0.06
+
+
+def test_a_flag_a_helmet_and_patches_are_no_faces() -> None:
+    gray = np.repeat(photo()[215:].mean(axis=2, keepdims=True), 3, axis=2)  # all of the photo below the chin
+    assert find_landmarks(gray) == []
 
 
 def test_the_file_is_small_and_tells_where_it_comes_from() -> None:
@@ -130,7 +138,7 @@ def test_the_file_is_small_and_tells_where_it_comes_from() -> None:
     assert described["kind"] == "landmarks"
     assert "synthetic" in described["trained_on"]
     assert "--seed" in described["training"]
-    assert described["held_out"]["nme_inner"] < 0.06
+    assert described["held_out"]["nme_inner"] < 0.035
     assert model.opset_import[0].version <= 18
     assert not any(node.doc_string or node.metadata_props for node in model.graph.node)
 

@@ -24,9 +24,9 @@ _MOST_PIXELS = 700  # of the shorter side of the photo as it is searched
 _FEWEST_PIXELS = 40  # a side of the smallest crop
 _MOST = 64  # crops that are refined
 _ROUNDS = 4
-_MAYBE, _SURE = 0.4, 0.85  # presence of crops that are refined, and of those that are faces
-_UNSTEADY = 0.035  # of a crop's side: how much landmarks may depend on how a face is cropped
-_UNLIKE = 0.075  # of a crop's side: RMS distance from the template
+_MAYBE, _SURE = 0.4, 0.9  # presence of crops that are refined, and of those that are faces
+_UNSTEADY = 0.012  # of a crop's side: how much landmarks may depend on how a face is cropped
+_UNLIKE = 0.1  # of a crop's side: RMS distance from the template
 _SAME = 0.4  # of a crop's side: faces nearer than this are one
 # Crops that a face's landmarks are the mean of: turn in radians, scale.
 _LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))
