@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _REPORT, _SHEET = "report.json", "sheet.png"
 _OF_PHOTO = re.compile(r".+\.(landmarks\.json|render\.png|overlay\.png)")
 _OVERLAY = 1024  # pixels of an overlay's longer side
-_MARK = 1 / 250  # of that, the radius of a landmark
+_MARK = 1 / 120  # of the landmarks' larger extent, the radius of one
+_LEAST = 1.5  # pixels of that
 
 
 def check_folder(folder: Path, *, force: bool, taken: Sequence[Path]) -> None:
@@ -83,7 +84,9 @@ def overlay_image(one: SheetPhoto, sheet: PhotoSheet) -> Image:
     height, width = one.photo.shape[:2]
     crop = pictures.whole(width, height, _OVERLAY)
     image = pictures.wireframe_picture(one.photo, crop, sheet.parts, one.screen)
-    pictures.given_mark(image, crop.place(one.targets), _OVERLAY * _MARK)
-    pictures.fitted_mark(image, crop.place(one.landmarks), _OVERLAY * _MARK)
+    given, fitted = crop.place(one.targets), crop.place(one.landmarks)
+    radius = max(_LEAST, _MARK * float(np.ptp(given, axis=0).max()))
+    pictures.given_mark(image, given, radius)
+    pictures.fitted_mark(image, fitted, radius)
     (left, top), (right, bottom) = np.rint(crop.place(np.array([(0.0, 0.0), (width, height)]))).astype(int).tolist()
     return image.crop((left, top, max(right, left + 1), max(bottom, top + 1)))
