@@ -183,3 +183,15 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     path.write_bytes(b"no model")
     with pytest.raises(InputError, match="expected an ONNX landmark network"):
         find_landmarks(np.zeros((32, 32, 3)), path)
+
+
+def test_networks_of_another_kind_are_refused(tmp_path: Path) -> None:
+    import onnx
+
+    model = onnx.load(landmark_model())
+    for text in ('{"kind": "identity", "size": 96, "mean": [0, 0, 0], "std": [1, 1, 1]}', "no JSON", "[]"):
+        onnx.helper.set_model_props(model, {"facepipe.features": text})
+        path = tmp_path / "other.onnx"
+        onnx.save(model, path)
+        with pytest.raises(InputError, match=r"expected 'facepipe\.features' of kind landmarks"):
+            find_landmarks(np.zeros((32, 32, 3)), path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -55,16 +54,11 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
         raise InputError("photo", f"an array of shape {pixels.shape}, expected (h, w, 3)")
     if not np.isfinite(pixels).all():
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
-    network = _loaded(model or landmark_model())
+    network = LandmarkSession(model or landmark_model())
     photo, scale = _shrunk(torch.as_tensor(pixels))
     found = [_judged(network, photo, one) for one in _settled(network, photo, _candidates(network, photo))]
     faces = _apart([one for one in found if one is not None])
     return [FoundFace(landmarks=face.landmarks * scale, presence=face.presence) for face in faces]
-
-
-@cache
-def _loaded(path: Path) -> LandmarkSession:
-    return LandmarkSession(path)
 
 
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:

@@ -36,12 +36,16 @@ class LandmarkSession:
             )
         except Exception as error:  # onnxruntime's own classes share no other base
             raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
-        described = json.loads(self._session.get_modelmeta().custom_metadata_map.get(_KEY, "{}"))
         outputs = {one.name for one in self._session.get_outputs()}
-        if described.get("kind") != "landmarks" or not {"landmarks", "presence"} <= outputs:
+        try:
+            described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
+            known = described["kind"] == "landmarks" and {"landmarks", "presence"} <= outputs
+            self.size = int(described["size"])
+            self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
+        except (KeyError, TypeError, ValueError):
+            known = False
+        if not known:
             raise InputError(where, f"no landmark network, expected '{_KEY}' of kind landmarks and both its outputs")
-        self.size = int(described["size"])
-        self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
 
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, 68, 2) in pixels of the crops and presence (b,) of sRGB crops (b, 3, S, S) in 0..1."""
