@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-_KERNEL = (1.0, *(2 / 3,) * 3, *(1 / 4,) * 5)  # the cosine's share of each band, over pi (their equation 8)
+KERNEL = (1.0, *(2 / 3,) * 3, *(1 / 4,) * 5)  # the cosine's share of each band, over pi (their equation 8)
 
 
 def basis(normals: Tensor) -> Tensor:
@@ -52,5 +52,5 @@ def ambient(color: Tensor) -> Tensor:
 
 def distant(direction: Tensor, color: Tensor) -> Tensor:
     """(..., 9, 3) light from unit directions (..., 3), of a linear colour (..., 3) where it falls straight on."""
-    kernel = direction.new_tensor(_KERNEL) * math.pi
+    kernel = direction.new_tensor(KERNEL) * math.pi
     return (basis(direction) * kernel)[..., None] * color[..., None, :]

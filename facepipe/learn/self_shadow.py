@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from facepipe.learn.light import basis
+from facepipe.learn.light import KERNEL, basis
 from facepipe.learn.rasterise import rasterise
 
 DIRECTIONS = 96
@@ -39,7 +39,8 @@ def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directio
             cosine = (normals @ direction).clamp(min=0)
             hidden = 1 - _seen(points - middle, triangles, direction, size)
             lost += (cosine * hidden)[:, None] * basis(direction)[None]
-        return -lost * (4 * math.pi / directions) / math.pi
+        # light coefficients hold the cosine's share, as normals take them; what arrives from a direction does not
+        return -lost * (4 / directions) / lost.new_tensor(KERNEL)
 
 
 def _seen(points: Tensor, triangles: Tensor, direction: Tensor, size: float) -> Tensor:
