@@ -58,15 +58,21 @@ class LandmarkFit:
     """The landmark problem of one face and some photos of one person."""
 
     def __init__(
-        self, subject: Subject, targets: Sequence[FloatArray], spaces: Sequence[PoseSpace], priors: Priors
+        self,
+        subject: Subject,
+        targets: Sequence[FloatArray],
+        spaces: Sequence[PoseSpace],
+        priors: Priors,
+        rig: LandmarkRig | None = None,
     ) -> None:
         """
         :param targets: (68, 2) landmarks of each photo, pixels
+        :param rig: of the subject, where there is one already
         :raises InputError: the face has not the 68 landmarks
         """
         self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
-        self.rig = LandmarkRig.of(subject)
+        self.rig = LandmarkRig.of(subject) if rig is None else rig
         self.sigma = [priors.landmark_sigma * eye_distance(each) for each in self.targets]
 
     def start(self) -> State:
@@ -88,8 +94,8 @@ class LandmarkFit:
     def solve(self, start: State, *, steps: int = 30) -> State:
         """The likeliest state near `start`: pose first, then all."""
         template = start
-        x = start.vector()
         lower, upper = self._bounds(template)
+        x = np.clip(start.vector(), lower, upper)
         held = np.ones(len(x), dtype=np.bool_)
         held[self._pose_numbers(template)] = False
         x = self._minimise(template, x, np.where(held, x, lower), np.where(held, x, upper), steps).x
@@ -166,9 +172,9 @@ class LandmarkFit:
         f = len(state.shares)
         width = state.expressions.shape[1] + NUMBERS
         for view, own in enumerate(self._own(state)):
-            steps = _STEP * np.eye(len(own))
-            values = self._residuals(view, np.concatenate([own[None], own + steps, own - steps]))
-            jacobian = ((values[1 : len(own) + 1] - values[len(own) + 1 :]) / (2 * _STEP)).T
+            ahead, behind = _steps(own, len(own) - NUMBERS)
+            values = self._residuals(view, np.concatenate([own[None], ahead, behind]))
+            jacobian = (values[1 : len(own) + 1] - values[len(own) + 1 :]).T / np.diag(ahead - behind)
             slope = np.clip(values[0], -HUBER, HUBER)
             scale = np.where(np.abs(values[0]) > HUBER, HUBER / np.maximum(np.abs(values[0]), HUBER), 1.0)
             place = np.concatenate([np.arange(f), f + view * width + np.arange(width)])
@@ -197,6 +203,13 @@ class LandmarkFit:
         for pair in last:
             hessian[np.ix_(pair, pair)] += 1 / priors.focal_sigma**2
         return cost + 0.5 * float(focal @ focal), gradient, hessian
+
+
+def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
+    """(n, n) steps ahead and behind of each number alone; the first `bounded` stay in 0..1: beyond, all is flat."""
+    ahead, behind = own + _STEP * np.eye(len(own)), own - _STEP * np.eye(len(own))
+    ahead[:, :bounded], behind[:, :bounded] = np.minimum(ahead[:, :bounded], 1), np.maximum(behind[:, :bounded], 0)
+    return ahead, behind
 
 
 def eye_distance(landmarks: FloatArray) -> float:

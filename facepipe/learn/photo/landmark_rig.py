@@ -51,7 +51,9 @@ class LandmarkRig:
         numbers = tuple(
             np.concatenate([[k], np.arange(first[k], first[k + 1])]).astype(np.int64) for k in range(CONTOUR.stop)
         )
-        rig = DifferentiableRig(_part(subject.rig, chosen), parts.sliders, dtype=torch.float64)
+        rig = DifferentiableRig(
+            _part(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
+        )
         return cls(rig=rig, rows=numbers)
 
     def landmarks(self, points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:

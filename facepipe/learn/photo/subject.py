@@ -39,7 +39,8 @@ class Subject:
         if unknown:
             raise InputError(f"{parts.name} -> expression {unknown[0]}", "unknown, expected a shape of the face")
         names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
-        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names)]
+        learned = () if parts.slider_network is None else parts.slider_network.sliders
+        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, one.name in learned)]
         if not free:
             raise InputError(
                 f"{parts.name} -> sliders", "none that shape a person, expected some (`facepipe sliders FACE --help`)"
@@ -82,6 +83,8 @@ class Subject:
         return weights
 
 
-def _of_a_person(slider: Slider, expressions: set[str]) -> bool:
+def _of_a_person(slider: Slider, expressions: set[str], learned: bool) -> bool:
+    """:param learned: whether a network of the face takes the slider"""
     driven = {shape for shape, _ in slider.shapes}
-    return slider.maximum > slider.minimum and not driven & expressions and bool(driven or slider.channels)
+    acts = bool(driven or slider.channels or learned)
+    return acts and slider.maximum > slider.minimum and not driven & expressions

@@ -37,7 +37,7 @@ class WorkingPhoto:
         low, high = landmarks.min(axis=0), landmarks.max(axis=0)
         side = _ROOM * float((high - low).max())
         middle = (low + high) / 2 - (0.0, _UP * float(high[1] - low[1]))
-        step = max(1, round(side / size))
+        step = max(1, min(round(side / size), height, width))
         half = side / 2
         left, right = _window(middle[0] - half, middle[0] + half, width, step)
         top, bottom = _window(middle[1] - half, middle[1] + half, height, step)
