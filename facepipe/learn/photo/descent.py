@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,6 +16,8 @@ from facepipe.learn.photo.unknowns import Unknowns
 # Steps of each kind of unknown over those of sliders: [0175]-[0177] have a rate for each.
 _RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "tint": 1.0}
 _SLOWEST = 0.05  # of the rate, at the last step
+_MEMORY = (0.9, 0.99)  # of the first and second moments
+_TINY = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +40,7 @@ def descend(
     A loss or slope that is not finite ends it, with the best so far.
     """
     at, best, least = start, start.copy(), math.inf
-    optimiser = _optimiser(at, options)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _pace(step, options))
+    move = _Adam() if options.optimiser == "adam" else _plain
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
         terms = loss(at)
@@ -53,23 +54,47 @@ def descend(
             return Descent(best=best, history=tuple(history), stopped="loss-threshold")
         if step == options.iterations:
             break
-        optimiser.zero_grad()
-        terms["total"].backward()
-        if not all(one.grad is None or bool(one.grad.isfinite().all()) for one in at.tensors()):
+        slopes = torch.autograd.grad(terms["total"], at.tensors(), allow_unused=True, materialize_grads=True)
+        if not all(bool(one.isfinite().all()) for one in slopes):
             return Descent(best=best, history=tuple(history), stopped="not-finite")
-        optimiser.step()
-        schedule.step()
+        with torch.no_grad():
+            rates = [options.rate * _RATES[name] * _pace(step, options) for name in at.names()]
+            for unknown, change in zip(at.tensors(), move(slopes, rates), strict=True):
+                unknown -= change
         at.clamp()
         if done is not None:
             done(1)
     return Descent(best=best, history=tuple(history), stopped="iterations")
 
 
-def _optimiser(at: Unknowns, options: PhotoFitOptions) -> torch.optim.Optimizer:
-    groups = [{"params": [getattr(at, name)], "lr": factor * options.rate} for name, factor in _RATES.items()]
-    if options.optimiser == "adam":
-        return torch.optim.Adam(groups, betas=(0.9, 0.99))
-    return torch.optim.SGD(groups)
+def _plain(slopes: Sequence[Tensor], rates: Sequence[float]) -> list[Tensor]:
+    """[0175]-[0177]: the rate times the slope."""
+    return [rate * slope for slope, rate in zip(slopes, rates, strict=True)]
+
+
+class _Adam:
+    """Kingma and Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, algorithm 1.
+
+    Ten lines of our own: the first use of torch's imports its compiler, which takes longer than forty steps.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._first: list[Tensor] = []
+        self._second: list[Tensor] = []
+
+    def __call__(self, slopes: Sequence[Tensor], rates: Sequence[float]) -> list[Tensor]:
+        if not self._first:
+            self._first, self._second = ([torch.zeros_like(one) for one in slopes] for _ in range(2))
+        self._count += 1
+        for first, second, slope in zip(self._first, self._second, slopes, strict=True):
+            first.lerp_(slope, 1 - _MEMORY[0])
+            second.lerp_(slope * slope, 1 - _MEMORY[1])
+        bias = [1 - memory**self._count for memory in _MEMORY]
+        return [
+            rate * (first / bias[0]) / ((second / bias[1]).sqrt() + _TINY)
+            for rate, first, second in zip(rates, self._first, self._second, strict=True)
+        ]
 
 
 def _pace(step: int, options: PhotoFitOptions) -> float:

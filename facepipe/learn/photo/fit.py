@@ -12,6 +12,7 @@ from facepipe.errors import InputError
 from facepipe.learn.camera import rotation_matrices
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.extractor import Extractor
+from facepipe.learn.light import KERNEL
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
@@ -28,7 +29,7 @@ from facepipe.parts import FaceParts
 
 FloatArray = npt.NDArray[np.floating]
 
-EXPRESSIONS = 3.0  # L1 weight of expressions in stage one, in standard deviations of landmarks
+_PRIOR = 68.0  # stage one sums over landmarks what stage two takes the mean of
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
 
 
@@ -57,7 +58,8 @@ def fit_photos(
     """
     _check(photos, landmarks)
     subject = Subject.of(parts, expressions)
-    fit = LandmarkFit(subject, landmarks, _spaces(subject, photos), _priors(options))
+    spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
+    fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
     state = fit.solve(fit.start() if start is None else start)
     found = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
@@ -77,27 +79,29 @@ def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> Non
             raise InputError(f"landmarks {number}", f"shape {np.shape(marks)}, expected finite ({COUNT}, 2)")
 
 
-def _spaces(subject: Subject, photos: Sequence[FloatArray]) -> list[PoseSpace]:
+def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
+    """What poses of a subject mean in a photo of that many pixels.
+
+    :raises InputError: the face has not the 68 landmarks
+    """
     points, _ = landmark_points(subject.parts)
     axes = np.stack(front_axes(subject.parts, subject.rig), axis=1)
     rig = subject.rig
     world = rig.points @ rig.parent_world[:3, :3].T + rig.parent_world[:3, 3]
-    return [
-        PoseSpace(
-            middle=world[points].mean(axis=0),
-            size=float(np.ptp(axes[:, 1])),
-            center=(photo.shape[1] / 2, photo.shape[0] / 2),
-            side=float(max(photo.shape[:2])),
-        )
-        for photo in photos
-    ]
+    return PoseSpace(
+        middle=world[points].mean(axis=0),
+        size=float(np.ptp(axes[:, 1])),
+        center=(width / 2, height / 2),
+        side=float(max(width, height)),
+    )
 
 
-def _priors(options: PhotoFitOptions) -> Priors:
+def priors_of(options: PhotoFitOptions) -> Priors:
+    """What stage one takes as likely."""
     return Priors(
         landmark_sigma=options.landmark_sigma,
-        expression_sparsity=EXPRESSIONS * options.expression_sparsity,
-        slider_sparsity=options.sparsity,
+        expression_sparsity=_PRIOR * options.expression_sparsity,
+        slider_sparsity=_PRIOR * options.sparsity,
         focal_sigma=options.focal_sigma,
     )
 
@@ -120,6 +124,7 @@ def _lit(loss: JointLoss, state: State) -> Unknowns:
             camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
             points, turn = model.rig(sliders, weights), rotation_matrices(camera.rotation).mT
             shadow = shadow_transfer(points @ turn, model.normals(points) @ turn, model.outline.triangles)
+            shadow = shadow * shadow.new_tensor(KERNEL)  # a window: nine harmonics of sharp shadows ring
             light, tint = relight(model, points, camera, photo, shadow)
         loss.shadows[view] = shadow
         lights.append(light)

@@ -55,10 +55,10 @@ class JointLoss:
         terms = [self._of_view(at, sliders, view) for view in views]
         result = {name: sum(each[name] for each in terms) / len(terms) for name in terms[0]}
         off = (at.shares - self._default).abs()
-        result["sparsity"] = off.sum()
+        result["sparsity"] = (off * off + 1e-4).sqrt().sum()
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
         weighted = {name: getattr(options, name) * value for name, value in result.items() if getattr(options, name)}
-        return {**weighted, "total": torch.stack([one.double() for one in weighted.values()]).sum()}
+        return {**weighted, "total": sum(weighted.values(), at.poses.new_zeros(()))}
 
     def sliders(self, shares: Tensor) -> Tensor:
         """(s,) values of all sliders from the free ones' shares (f,)."""

@@ -30,21 +30,21 @@ class PhotoFitOptions:
         metadata={"help": "adam, or the plain descent of the document", "choices": ("adam", "gradient-descent")},
     )
     rate: float = field(
-        default=0.01,
+        default=0.02,
         metadata={"help": "size of a step, of a slider's range (adam), or per slope (plain)", "range": (1e-9, 1e3)},
     )
     size: int = field(
         default=256, metadata={"help": "pixels a side that image terms see of the head", "range": (64, 1024)}
     )
     landmarks: float = field(default=1.0, metadata={"help": "weight of the landmarks", "range": (0.0, 1e6)})
-    color: float = field(default=1.0, metadata={"help": "weight of the colours of the pixels", "range": (0.0, 1e6)})
+    color: float = field(default=60.0, metadata={"help": "weight of the colours of the pixels", "range": (0.0, 1e6)})
     content: float = field(default=0.5, metadata={"help": "weight of features and semantics", "range": (0.0, 1e6)})
     identity: float = field(default=0.2, metadata={"help": "weight of the identity", "range": (0.0, 1e6)})
     attributes: float = field(default=0.2, metadata={"help": "weight of the attributes", "range": (0.0, 1e6)})
     sparsity: float = field(
-        default=0.1, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
+        default=0.03, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
     )
-    expression_sparsity: float = field(default=1.0, metadata={"help": "weight of the expressions", "range": (0.0, 1e6)})
+    expression_sparsity: float = field(default=0.1, metadata={"help": "weight of the expressions", "range": (0.0, 1e6)})
     landmark_sigma: float = field(
         default=0.02, metadata={"help": "how far landmarks are off, of the distance of the eyes", "range": (1e-4, 1.0)}
     )

@@ -15,7 +15,7 @@ from facepipe.learn.rasterise import barycentrics, facing, interpolate, rasteris
 _ROUNDS = 4
 _OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow
 _RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5)  # keeps harmonics that few normals show small
-_FEW = 12  # pixels that a material needs
+_DOUBT = 2e-4  # of all the light, with which a material keeps its own colour among the others
 _LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
 
 
@@ -71,9 +71,9 @@ def _light(shape: Tensor, color: Tensor, seen: Tensor) -> Tensor:
 
 
 def _tint(tint: Tensor, lit: Tensor, seen: Tensor, material: Tensor, count: int) -> Tensor:
-    """(materials, 3) factors of lit colours, robust against single pixels; those of hardly seen materials stay."""
+    """(materials, 3) factors of lit colours, robust against single pixels; those hardly seen change as all do."""
     off = (lit * tint[material] - seen).abs().sum(dim=1, keepdim=True)
     trust = 1 / (1 + (off / (3 * _OUTLIER)) ** 2)
     above, below = (lit.new_zeros((count, 3)).index_add_(0, material, trust * lit * each) for each in (seen, lit))
-    enough = torch.bincount(material, minlength=count)[:, None] >= _FEW
-    return torch.where(enough, (above / below.clamp(min=1e-9)).clamp(_LEAST, _LARGEST), tint)
+    ratio, doubt = above.sum(dim=0) / below.sum(dim=0).clamp(min=1e-9), _DOUBT * below.sum(dim=0)
+    return ((above + doubt * ratio) / (below + doubt).clamp(min=1e-9)).clamp(_LEAST, _LARGEST)

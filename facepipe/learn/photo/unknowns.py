@@ -34,9 +34,14 @@ class Unknowns:
         }
         return cls(**{name: value.detach().clone().requires_grad_() for name, value in numbers.items()})
 
+    @classmethod
+    def names(cls) -> list[str]:
+        """What they are called, in order."""
+        return [field.name for field in fields(cls)]
+
     def tensors(self) -> list[Tensor]:
         """All of them, in order."""
-        return [getattr(self, field.name) for field in fields(self)]
+        return [getattr(self, name) for name in self.names()]
 
     def copy(self) -> Unknowns:
         """The same values, held."""
