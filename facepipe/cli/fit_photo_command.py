@@ -46,6 +46,7 @@ from facepipe.errors import FacepipeError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from facepipe.learn.features.description import Kind
     from facepipe.learn.features.extractor import Extractor
     from facepipe.learn.photo.result import PhotoFit
     from facepipe.parts import FaceParts, Recipe
@@ -114,7 +115,7 @@ class _Inputs(NamedTuple):
 
     photos: list[Photo]
     landmarks: list[Landmarks68]
-    extractors: Mapping[str, Extractor]  # by kind of features
+    extractors: Mapping[Kind, Extractor]  # by kind of features
     warnings: tuple[str, ...]
 
 
@@ -155,11 +156,11 @@ def _landmarks(photo: Photo, request: Request, number: int) -> Landmarks68:
     return own_landmarks(photo, index=index)
 
 
-def _extractors(request: Request) -> Mapping[str, Extractor]:
+def _extractors(request: Request) -> Mapping[Kind, Extractor]:
     """The networks of the line, and facepipe's own for the other terms that are on."""
     from facepipe.learn.features.extractor import load_extractor
 
-    given = {str(MODELS[name]): load_extractor(path, MODELS[name]) for name, path in request.models.items()}
+    given = {MODELS[name]: load_extractor(path, MODELS[name]) for name, path in request.models.items()}
     missing = [kind for kind in MODELS.values() if kind not in given and getattr(request.options, kind)]
     if not missing or not request.options.iterations:
         return given

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from facepipe.learn.features.crops import sample_crop
+from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.features.heads import Features
 
@@ -23,16 +24,16 @@ class _Model:
     """One network, the kinds that it is asked for, and what it sees in each photo."""
 
     extractor: Extractor
-    kinds: tuple[str, ...]
+    kinds: tuple[Kind, ...]
     crops: tuple[FloatArray, ...]  # (2, 3) of each photo
-    seen: tuple[Mapping[str, Features], ...]
+    seen: tuple[Mapping[Kind, Features], ...]
 
 
 class FeatureLosses:
     """What networks see in the photos, and how far pictures are from it."""
 
     def __init__(
-        self, extractors: Mapping[str, Extractor], photos: Sequence[Tensor], landmarks: Sequence[FloatArray]
+        self, extractors: Mapping[Kind, Extractor], photos: Sequence[Tensor], landmarks: Sequence[FloatArray]
     ) -> None:
         """
         :param extractors: by kind: content, identity, attributes; a network of several kinds runs once
@@ -49,7 +50,7 @@ class FeatureLosses:
 
     def __call__(self, image: Tensor, view: int) -> dict[str, Tensor]:
         """By kind, the term of a picture (h, w, 3) sRGB 0..1 of the photo with number `view`."""
-        terms = {}
+        terms: dict[str, Tensor] = {}
         for model in self._models:
             found = _see(model.extractor, image, model.crops[view])
             for kind in model.kinds:
@@ -57,8 +58,8 @@ class FeatureLosses:
         return terms
 
 
-def _see(extractor: Extractor, picture: Tensor, crop: FloatArray) -> Mapping[str, Features]:
-    return cast(Mapping[str, Features], extractor.features(sample_crop(picture, crop, extractor.size)))
+def _see(extractor: Extractor, picture: Tensor, crop: FloatArray) -> Mapping[Kind, Features]:
+    return cast(Mapping[Kind, Features], extractor.features(sample_crop(picture, crop, extractor.size)))
 
 
 def content(found: Features, seen: Features) -> Tensor:

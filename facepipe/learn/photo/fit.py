@@ -11,6 +11,7 @@ import torch
 from facepipe.errors import InputError
 from facepipe.learn.camera import rotation_matrices
 from facepipe.learn.face_model import FaceModel
+from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.light import KERNEL
 from facepipe.learn.photo.descent import Descent, descend
@@ -40,7 +41,7 @@ def fit_photos(
     options: PhotoFitOptions,
     *,
     expressions: Sequence[str] | None = None,
-    extractors: Mapping[str, Extractor] | None = None,
+    extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
     done: Callable[[int], None] | None = None,
 ) -> PhotoFit:
@@ -106,7 +107,7 @@ def priors_of(options: PhotoFitOptions) -> Priors:
     )
 
 
-def _extractors(given: Mapping[str, Extractor] | None, options: PhotoFitOptions) -> Mapping[str, Extractor]:
+def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions) -> Mapping[Kind, Extractor]:
     if given is not None:
         return given
     from facepipe.learn.networks import own_extractors

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.photo.color_loss import color_loss
 from facepipe.learn.photo.feature_losses import FeatureLosses
@@ -18,7 +19,7 @@ from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 
-FEATURES = ("content", "identity", "attributes")
+FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
 IMAGE = ("color", *FEATURES)
 
 
@@ -30,7 +31,7 @@ class JointLoss:
         model: FaceModel,
         fit: LandmarkFit,
         photos: Sequence[WorkingPhoto],
-        extractors: Mapping[str, Extractor],
+        extractors: Mapping[Kind, Extractor],
         options: PhotoFitOptions,
     ) -> None:
         self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options

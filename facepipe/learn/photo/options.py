@@ -38,7 +38,7 @@ class PhotoFitOptions:
     )
     landmarks: float = field(default=1.0, metadata={"help": "weight of the landmarks", "range": (0.0, 1e6)})
     color: float = field(default=60.0, metadata={"help": "weight of the colours of the pixels", "range": (0.0, 1e6)})
-    content: float = field(default=0.5, metadata={"help": "weight of features and semantics", "range": (0.0, 1e6)})
+    content: float = field(default=1.0, metadata={"help": "weight of features and semantics", "range": (0.0, 1e6)})
     identity: float = field(default=0.2, metadata={"help": "weight of the identity", "range": (0.0, 1e6)})
     attributes: float = field(default=0.2, metadata={"help": "weight of the attributes", "range": (0.0, 1e6)})
     sparsity: float = field(
