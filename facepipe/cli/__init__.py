@@ -25,6 +25,7 @@ COMMANDS = {
     "eval": "run an exported ONNX file",
     "fit-bones": "bring bones to targets, within limits",
     "fit-photo": "find a person's sliders in photos",
+    "train-photo": "train a network that guesses where a photo fit starts",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "landmarks": "author named landmarks",

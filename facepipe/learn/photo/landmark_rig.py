@@ -52,13 +52,13 @@ class LandmarkRig:
             np.concatenate([[k], np.arange(first[k], first[k + 1])]).astype(np.int64) for k in range(CONTOUR.stop)
         )
         rig = DifferentiableRig(
-            _part(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
+            part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
         )
         return cls(rig=rig, rows=numbers)
 
     def landmarks(self, points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
         """(..., 68, 2) pixels of the landmarks of the rig's points (..., m, 3), and (..., 17, 2) directions across
-        the contour, outwards; both with gradients but for the choice of points."""
+        the contour, outwards; landmarks with gradients, but not of the directions and the choice of points."""
         screen = camera.project(points)[..., :2]
         labelled = screen[..., :COUNT, :]
         outward = contour_normals(labelled[..., CONTOUR, :].detach())
@@ -141,7 +141,7 @@ def front_axes(parts: FaceParts, rig: Rig) -> tuple[FloatArray, FloatArray, Floa
     return world[:, 0], world[:, 1], world[:, 2]
 
 
-def _part(rig: Rig, points: IntArray) -> Rig:
+def part_of(rig: Rig, points: IntArray) -> Rig:
     """The rig of some of the points only, each as often as it is named."""
     place: dict[int, list[int]] = {}
     for position, point in enumerate(points):

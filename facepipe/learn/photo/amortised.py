@@ -1,0 +1,119 @@
+"""Where to start a photo fit, by a network that `facepipe train-photo` made ([0180])."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from facepipe.errors import InputError
+from facepipe.learn.features.onnx_file import properties, read_model
+from facepipe.learn.photo.amortised_metadata import KEY, KIND, controls
+from facepipe.learn.photo.amortised_network import COUNT, SIZE
+from facepipe.learn.photo.amortised_pictures import Picture
+from facepipe.learn.photo.landmark_fit import State
+from facepipe.learn.photo.pose import NUMBERS, PoseSpace
+from facepipe.learn.photo.subject import Subject
+
+FloatArray = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guess:
+    """A network of one subject in onnxruntime."""
+
+    path: Path
+    subject: Subject
+    metadata: Mapping[str, Any]
+    session: Any = field(repr=False)
+
+    def __call__(self, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> State:
+        """Sliders, expression and pose of the person in a photo (h, w, 3) sRGB 0..1.
+
+        :param landmarks: (68, 2) pixels
+        :param space: of the photo
+        :raises InputError: landmarks that are nothing like a face's, or a network that gives no numbers
+        """
+        crop = Picture.of(photo, landmarks, space).crop(landmarks)
+        fed = {"image": crop.image.numpy()[None], "landmarks": crop.landmarks.numpy()[None]}
+        names = [one.name for one in self.session.get_outputs()]
+        values = [np.asarray(one[0], np.float64) for one in self.session.run(None, fed)]
+        if not all(np.isfinite(one).all() for one in values):
+            raise InputError(self.path, "gives NaN or infinity, expected numbers")
+        found = dict(zip(names, values, strict=True))
+        poses = crop.space(space, self.subject.parts.up_axis)
+        pose = poses.to_photo(torch.as_tensor(found["pose"])).numpy()
+        return State(
+            shares=found["shares"],
+            expressions=found.get("expressions", np.zeros(0))[None],
+            poses=pose[None],
+        )
+
+    def together(
+        self, photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], spaces: Sequence[PoseSpace]
+    ) -> State:
+        """One person in several photos: the mean of the sliders, each photo's own expression and pose."""
+        found = [self(*each) for each in zip(photos, landmarks, spaces, strict=True)]
+        return State(
+            shares=np.mean([one.shares for one in found], axis=0),
+            expressions=np.concatenate([one.expressions for one in found]),
+            poses=np.concatenate([one.poses for one in found]),
+        )
+
+
+def load_start(path: Path, subject: Subject) -> Guess:
+    """The network in a file.
+
+    :raises InputError: no such network, a damaged one, or one of a face with other sliders or expressions
+    """
+    metadata = _described(path)
+    for what, own in controls(subject).items():
+        if metadata.get(what) != own:
+            raise InputError(path, f"made for a face with {_difference(what, metadata.get(what), own)}")
+    guess = Guess(path=path, subject=subject, metadata=metadata, session=_session(path))
+    _check_signature(path, guess)
+    return guess
+
+
+def _difference(what: str, theirs: Any, own: Any) -> str:
+    words = {"sliders": "sliders", "expressions": "expressions", "up_axis": "an up axis"}[what]
+    if isinstance(theirs, list) and isinstance(own, list) and len(theirs) != len(own):
+        return f"{len(theirs)} {words}, expected the {len(own)} of this one"
+    return f"other {words.removeprefix('an ')}, expected those of this one"
+
+
+def _described(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(properties(read_model(path)).get(KEY, ""))
+    except json.JSONDecodeError:
+        found = None
+    if not isinstance(found, dict) or found.get("kind") != KIND:
+        raise InputError(path, f"no metadata '{KEY}', expected a network of `facepipe train-photo`")
+    return found
+
+
+def _session(path: Path) -> Any:
+    import onnxruntime as ort
+
+    settings = ort.SessionOptions()
+    settings.intra_op_num_threads = 1
+    settings.log_severity_level = 4
+    try:
+        return ort.InferenceSession(str(path), settings, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own classes share no other base
+        raise InputError(path, f"can't be run: {str(error)[:120]}") from None
+
+
+def _check_signature(path: Path, guess: Guess) -> None:
+    sizes = {"shares": len(guess.subject.sliders), "expressions": len(guess.subject.expressions), "pose": NUMBERS}
+    expected = {name: count for name, count in sizes.items() if count}
+    inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
+    outputs = {one.name: one.shape[-1] for one in guess.session.get_outputs()}
+    if inputs != {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)} or outputs != expected:
+        raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")

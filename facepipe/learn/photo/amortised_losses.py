@@ -1,0 +1,132 @@
+"""What training lowers: how far guesses are from the truth where it is known, and their joint loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from facepipe.learn.face_model import FaceModel
+from facepipe.learn.photo.amortised_network import SIZE, Output, held
+from facepipe.learn.photo.amortised_people import People
+from facepipe.learn.photo.amortised_pictures import Crop, Picture
+from facepipe.learn.photo.amortised_pose import CropSpace
+from facepipe.learn.photo.fit import pose_space, priors_of
+from facepipe.learn.photo.joint_loss import JointLoss, single
+from facepipe.learn.photo.landmark_fit import LandmarkFit
+from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
+from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.learn.photo.relight import relight
+from facepipe.learn.photo.subject import Subject
+from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.learn.rig import DifferentiableRig
+
+POSE_MEAN = (0.0, 0.0, 0.0, 0.5, 0.485, 0.29, 0.85)  # relative to the crop
+POSE_STD = (0.2, 0.35, 0.05, 0.01, 0.01, 0.03, 0.35)
+_SHARES, _EXPRESSIONS, _POSE = 0.1, 0.3, 0.03  # weights of parameters, beside pixels
+_OUTSIDE = 1.0  # of squares beyond 0..1
+_POINTS = 400  # of the front of the face
+
+
+@dataclass(frozen=True, kw_only=True)
+class Taught:
+    """What is right for a batch of crops."""
+
+    shares: Tensor  # (b, f)
+    expressions: Tensor  # (b, e)
+    pose: Tensor  # (b, 7) in standard deviations
+
+    @classmethod
+    def of(cls, people: People, space: CropSpace) -> Taught:
+        """For the crops of people."""
+        pose = space.to_crop(torch.as_tensor(people.poses))
+        scaled = (pose - pose.new_tensor(POSE_MEAN)) / pose.new_tensor(POSE_STD)
+        shares, expressions = (torch.as_tensor(one, dtype=torch.float32) for one in (people.shares, people.expressions))
+        return cls(shares=shares, expressions=expressions, pose=scaled.float())
+
+
+class TaughtLoss:
+    """How far guesses are from the truth: in pixels of the crop, over the front of the face, and in parameters."""
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        chosen = _front_points(subject)
+        parts = subject.parts
+        self._rig = DifferentiableRig(part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network)
+        space = replace(pose_space(subject, SIZE, SIZE), side=float(SIZE))
+        self._crop = CropSpace(space=space, crop=np.eye(2, 3), side=SIZE, up_axis=parts.up_axis)
+        self._lower, self._reach = (
+            torch.as_tensor(one, dtype=torch.float32) for one in (subject.lower, subject.upper - subject.lower)
+        )
+
+    def __call__(self, found: Output, right: Taught) -> Tensor:
+        """Mean over a batch."""
+        with torch.no_grad():
+            there = self._places(right.shares, right.expressions, right.pose)
+        off = self._places(held(found.shares), held(found.expressions), found.pose) - there
+        pixels = ((off * off).sum(dim=-1) + 1e-2).sqrt().mean()
+        shares, expressions, pose = (
+            (getattr(found, name) - getattr(right, name)).abs().sum(dim=1).mean() for name in Output._fields
+        )
+        return pixels + _SHARES * shares + _EXPRESSIONS * expressions + _POSE * pose
+
+    def _places(self, shares: Tensor, expressions: Tensor, pose: Tensor) -> Tensor:
+        """(b, m, 2) pixels of the crop."""
+        own = self._rig.sliders.value.expand(len(shares), -1)
+        sliders = own.index_copy(1, torch.as_tensor(self._subject.sliders), self._lower + shares * self._reach)
+        weights = shares.new_zeros((len(shares), len(self._rig.shapes)))
+        weights = weights.index_copy(1, torch.as_tensor(self._subject.expressions, dtype=torch.int64), expressions)
+        camera = single(self._crop.space.camera(self._crop.to_photo(relative_pose(pose))))
+        return camera.project(self._rig(sliders, weights))[..., :2]
+
+
+def _front_points(subject: Subject) -> npt.NDArray[np.integer]:
+    """Points evenly over what is before the contour of the face, landmarks among them."""
+    marks, _ = landmark_points(subject.parts)
+    z = front_axes(subject.parts, subject.rig)[2]
+    front = np.flatnonzero(z > z[marks[CONTOUR]].mean())
+    return np.unique(np.concatenate([marks, front[:: max(1, len(front) // _POINTS)]]))
+
+
+def outside(found: Output) -> Tensor:
+    """Squares of what is beyond 0..1, mean over the crops: keeps cut values from drifting away."""
+    values = torch.cat([found.shares, found.expressions], dim=1)
+    return _OUTSIDE * ((values - values.clamp(0, 1)) ** 2).sum(dim=1).mean()
+
+
+def relative_pose(scaled: Tensor) -> Tensor:
+    """(..., 7) as `CropSpace`, in float64, of poses in standard deviations."""
+    return scaled.double() * scaled.new_tensor(POSE_STD).double() + scaled.new_tensor(POSE_MEAN).double()
+
+
+class PictureLoss:
+    """The joint loss of a guess, in the light that suits it best."""
+
+    def __init__(self, subject: Subject, model: FaceModel, landmarks: LandmarkRig, options: PhotoFitOptions) -> None:
+        self.subject, self.model, self.landmarks, self.options = subject, model, landmarks, options
+
+    def __call__(self, picture: Picture, crop: Crop, marks: np.ndarray, found: Output) -> dict[str, Tensor]:
+        """The terms of the joint loss of what was found (1, ...) for one picture."""
+        fit = LandmarkFit(self.subject, [marks], [picture.space], priors_of(self.options), self.landmarks)
+        loss = JointLoss(self.model, fit, [picture.working()], {}, self.options)
+        pose = crop.space(picture.space, self.subject.parts.up_axis).to_photo(relative_pose(found.pose))
+        at = Unknowns(
+            shares=held(found.shares[0]),
+            expressions=held(found.expressions),
+            poses=pose,
+            light=torch.zeros((1, 9, 3)),
+            tint=torch.zeros((len(self.model.colors.names), 3)),
+        )
+        return loss(self._lit(loss, at))
+
+    def _lit(self, loss: JointLoss, at: Unknowns) -> Unknowns:
+        with torch.no_grad():
+            points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
+            camera = single(loss.photos[0].camera(loss.fit.spaces[0].camera(at.poses[0])))
+            light, tint = relight(self.model, points, camera, loss.photos[0])
+        return Unknowns(
+            shares=at.shares, expressions=at.expressions, poses=at.poses, light=light[None], tint=tint.log()
+        )

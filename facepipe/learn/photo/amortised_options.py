@@ -1,0 +1,51 @@
+"""How a network for first guesses is trained."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from facepipe.options import check_ranges
+
+# of a step: landmarks of people, renders whose truth is known, pictures on the joint loss
+LANDMARK_BATCH, BATCH, JOINT_BATCH = 256, 32, 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartOptions:
+    """How long, and on what.
+
+    :raises InputError: a number out of range
+    """
+
+    people: int = field(
+        default=300_000,
+        metadata={"help": "random people whose landmarks are learnt from first", "range": (0, 100_000_000)},
+    )
+    renders: int = field(
+        default=4000, metadata={"help": "random renders of FACE with known parameters", "range": (0, 200_000)}
+    )
+    epochs: int = field(default=8, metadata={"help": "times that these are learnt from", "range": (0, 1000)})
+    steps: int = field(
+        default=100,
+        metadata={"help": f"of the joint loss after that, with {JOINT_BATCH} pictures each", "range": (0, 1_000_000)},
+    )
+    seed: int = field(default=0, metadata={"help": "of people, first weights and order", "range": (0, 2**31 - 1)})
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def landmark_batches(self) -> int:
+        """Steps on landmarks alone."""
+        return math.ceil(self.people / LANDMARK_BATCH)
+
+    @property
+    def batches(self) -> int:
+        """Steps on renders."""
+        return self.epochs * math.ceil(self.renders / BATCH)
+
+    @property
+    def total(self) -> int:
+        """Renders, batches and steps, as they are counted while they are made."""
+        return self.renders + self.landmark_batches + self.batches + self.steps

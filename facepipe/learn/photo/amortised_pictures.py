@@ -1,0 +1,79 @@
+"""What a network for first guesses is trained on: heads with landmarks, of photos or rendered with known parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from facepipe.learn.features.crops import face_crop, sample_crop, to_crop
+from facepipe.learn.photo.amortised_network import MEAN, SIZE, STD
+from facepipe.learn.photo.amortised_pose import CropSpace
+from facepipe.learn.photo.pose import PoseSpace
+from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear
+
+FloatArray = npt.NDArray[np.floating]
+
+HEAD = 160  # pixels a side, about, at which heads are seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """The parameters of a render."""
+
+    shares: FloatArray  # (f,)
+    expressions: FloatArray  # (e,)
+    pose: FloatArray  # (7,) as `PoseSpace`
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """The head in a photo, in few bytes."""
+
+    pixels: npt.NDArray[np.uint8]  # (h, w, 3) sRGB
+    left: int  # as `WorkingPhoto`
+    top: int
+    step: int
+    landmarks: FloatArray  # (68, 2) pixels of the photo
+    space: PoseSpace
+    truth: Truth | None = None
+
+    @classmethod
+    def of(cls, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> Picture:
+        """The head around the landmarks in a photo (h, w, 3) sRGB 0..1."""
+        seen = WorkingPhoto.of(photo, landmarks, HEAD)
+        pixels = np.round(seen.pixels.numpy() * 255).astype(np.uint8)
+        return cls(pixels=pixels, left=seen.left, top=seen.top, step=seen.step, landmarks=landmarks, space=space)
+
+    def working(self) -> WorkingPhoto:
+        """As the joint loss compares it."""
+        pixels = torch.as_tensor(self.pixels, dtype=torch.float32) / 255
+        return WorkingPhoto(pixels=pixels, linear=to_linear(pixels), left=self.left, top=self.top, step=self.step)
+
+    def crop(self, landmarks: FloatArray) -> Crop:
+        """The crop by landmarks (68, 2) in pixels of the photo.
+
+        :raises InputError: as `face_crop`
+        """
+        matrix = face_crop(landmarks, SIZE)
+        window = matrix - np.array([[0, 0, self.left], [0, 0, self.top]])
+        pixels = torch.as_tensor(self.pixels, dtype=torch.float32) / 255
+        image = (sample_crop(pixels, window / self.step, SIZE)[0] - MEAN) / STD
+        shares = torch.as_tensor(to_crop(landmarks, matrix) / SIZE, dtype=torch.float32)
+        return Crop(image=image, landmarks=shares, matrix=matrix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crop:
+    """What the network is given of a picture, and where that lies."""
+
+    image: Tensor  # (3, 128, 128) as the network takes it
+    landmarks: Tensor  # (68, 2) sides of the crop
+    matrix: FloatArray  # (2, 3) from crop pixels to photo pixels
+
+    def space(self, photo: PoseSpace, up_axis: str) -> CropSpace:
+        """Of poses relative to this crop."""
+        return CropSpace(space=photo, crop=self.matrix, side=SIZE, up_axis=up_axis)

@@ -1,0 +1,100 @@
+"""Random renders of a face: pictures of people whose sliders, expressions and poses are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.light import ambient, distant
+from facepipe.learn.photo.amortised_people import People, random_people
+from facepipe.learn.photo.amortised_pictures import HEAD, Picture, Truth
+from facepipe.learn.photo.fit import pose_space
+from facepipe.learn.photo.joint_loss import single
+from facepipe.learn.photo.landmark_rig import LandmarkRig
+from facepipe.learn.photo.subject import Subject
+from facepipe.learn.photo.working_photo import to_srgb
+
+FloatArray = npt.NDArray[np.floating]
+
+DIM, BRIGHT = 0.12, 1.1  # white in the ambient light, and in a lamp's
+
+
+class Portraits:
+    """Draws people, and photographs them."""
+
+    def __init__(self, subject: Subject, model: FaceModel, landmarks: LandmarkRig) -> None:
+        self.subject, self.model, self.landmarks = subject, model, landmarks
+        self.space = pose_space(subject, HEAD, HEAD)
+
+    def picture(self, rng: np.random.Generator) -> Picture:
+        """Somebody, somewhere."""
+        one = random_people(self.subject, self.space, 1, rng)
+        truth = Truth(shares=one.shares[0], expressions=one.expressions[0], pose=one.poses[0])
+        sliders = torch.as_tensor(self.subject.slider_values(truth.shares), dtype=torch.float32)
+        weights = torch.as_tensor(self.subject.shape_weights(truth.expressions), dtype=torch.float32)
+        look = Look(
+            camera=single(self.space.camera(torch.as_tensor(truth.pose))),
+            light=random_light(rng),
+            background=random_background(rng, HEAD),
+            tint=self._tint(rng),
+        )
+        with torch.no_grad():
+            image = to_srgb(self.model(sliders, weights, look, height=HEAD, width=HEAD)[..., :3])
+        return Picture(
+            pixels=(image * 255).round().to(torch.uint8).numpy(),
+            left=0,
+            top=0,
+            step=1,
+            landmarks=self.marks(one)[0],
+            space=self.space,
+            truth=truth,
+        )
+
+    def marks(self, people: People) -> FloatArray:
+        """(n, 68, 2) where their landmarks are."""
+        with torch.no_grad():
+            sliders = torch.as_tensor(self.subject.slider_values(people.shares))
+            weights = torch.as_tensor(self.subject.shape_weights(people.expressions))
+            points = self.landmarks.rig(sliders, weights)
+            marks, _ = self.landmarks.landmarks(points, self.space.camera(torch.as_tensor(people.poses)))
+        return np.asarray(marks.numpy())
+
+    def _tint(self, rng: np.random.Generator) -> Tensor:
+        """(materials, 3) factors: dark to light, warm to cold, and each material a little apart."""
+        materials = len(self.model.colors.names)
+        common = np.exp(rng.uniform(-1.5, 0.3) + rng.normal(0, 0.12, 3))
+        own = np.exp(rng.normal(0, 0.35, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
+        return torch.as_tensor((common * own).clip(0.02, 3.0), dtype=torch.float32)
+
+
+def random_light(rng: np.random.Generator) -> Tensor:
+    """(9, 3) spherical harmonics of a dim room with a lamp or up to three, mostly before the face."""
+    light = ambient(torch.as_tensor(rng.uniform(DIM, 0.5) * rng.uniform(0.85, 1.15, 3), dtype=torch.float32))
+    for number in range(rng.integers(1, 4)):
+        around = rng.uniform(-1, 1) * np.radians(75 if number == 0 else 170)
+        up = np.radians(rng.uniform(-15, 60))
+        way = np.array([np.sin(around) * np.cos(up), np.sin(up), np.cos(around) * np.cos(up)])
+        strength = rng.uniform(0.3, BRIGHT) if number == 0 else rng.uniform(0.05, 0.5)
+        color = strength * rng.uniform(0.8, 1.2, 3)
+        light = light + distant(*(torch.as_tensor(one, dtype=torch.float32) for one in (way, color)))
+    return light
+
+
+def random_background(rng: np.random.Generator, size: int) -> Tensor:
+    """(size, size, 3) linear: plain, blotted, or with rectangles too."""
+    color = rng.uniform(0.02, 0.8) * rng.uniform(0.7, 1.3, 3)
+    image = torch.as_tensor(color, dtype=torch.float32).expand(size, size, 3).clone()
+    if rng.random() < 0.7:
+        for cells, strength in ((3, 0.5), (12, 0.25)):
+            noise = torch.as_tensor(rng.normal(0, strength, (1, 3, cells, cells)), dtype=torch.float32)
+            noise = functional.interpolate(noise, (size, size), mode="bilinear", align_corners=False)
+            image = image * noise[0].permute(1, 2, 0).exp()
+    for _ in range(rng.integers(0, 6) if rng.random() < 0.4 else 0):
+        top, left = rng.integers(0, size, 2)
+        height, width = rng.integers(size // 16, size // 2, 2)
+        image[top : top + height, left : left + width] = torch.as_tensor(rng.uniform(0.01, 0.9, 3), dtype=torch.float32)
+    return image.clamp(0, 1)
