@@ -17,17 +17,25 @@ class Scene(NamedTuple):
     images: Tensor  # (b, 3, 128, 128) sRGB 0..1
     classes: Tensor  # (b, 64, 64)
     cleared: Tensor  # (b, 64, 64) bool: hair that is taken away
+    marks: Tensor  # (b, 68, 2) landmarks, -1..1 of the picture
 
 
 def scene(heads: Heads, rows: IntArray, random: Generator) -> Scene:
     """Heads turned, scaled and shifted as much as landmarks found in a photo are off; a quarter loses its hair."""
-    images, classes = heads.cropped(rows, LABEL_SIZE, _beside(len(rows), random))
+    moved = beside(len(rows), random)
+    images, classes = heads.cropped(rows, LABEL_SIZE, moved)
     cleared = (classes == CLASSES.index("hair")) & (_uniform(random, len(rows), 1, 1) < 0.25)
-    return Scene(images, torch.where(cleared, 0, classes), cleared)
+    marks = seen_beside(torch.as_tensor(heads.marks[rows]), moved)
+    return Scene(images, torch.where(cleared, 0, classes), cleared, marks)
 
 
-def _beside(count: int, random: Generator) -> Tensor:
-    """(b, 2, 3) some 5 degrees, 5 % and 3 pixels."""
+def seen_beside(marks: Tensor, moved: Tensor) -> Tensor:
+    """Points (b, m, 2) of crops in the ones beside them, by matrices (b, 2, 3) as of `beside`."""
+    return (marks - moved[:, None, :, 2]) @ torch.linalg.inv(moved[:, :, :2]).mT
+
+
+def beside(count: int, random: Generator) -> Tensor:
+    """(b, 2, 3) from crops to those that landmarks ask for, both -1..1: some 5 degrees, 5 % and 3 pixels apart."""
     turn, scale = 0.09 * _normal(random, count), 1 + 0.05 * _normal(random, count)
     cos, sin = torch.cos(turn) * scale, torch.sin(turn) * scale
     shift = 0.045 * _normal(random, count, 2)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from facepipe.errors import InputError
-from facepipe.learn.features.crops import face_crop
+from facepipe.learn.features.crops import face_crop, to_crop
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -30,6 +30,7 @@ class Heads:
     images: npt.NDArray[np.uint8]  # (n, s, s, 3) sRGB
     labels: npt.NDArray[np.uint8]  # (n, s, s) classes
     crops: FloatArray  # (n, 2, 3) from the crop to the picture, both -1..1
+    marks: FloatArray  # (n, 68, 2) landmarks, -1..1 of the crop
     identities: IntArray  # (n,) which person
     sources: IntArray  # (n,) which kind of head
     attributes: FloatArray  # (n, a) 0..1, NaN where the head has no such slider
@@ -93,12 +94,13 @@ def joined(parts: Sequence[Heads]) -> Heads:
 def _shard(path: Path) -> Heads:
     with np.load(path) as data:
         rows = np.flatnonzero((data["presence"] == 1) & np.isfinite(data["landmarks"]).all(axis=(1, 2)))
-        size = data["image"].shape[1]
+        size, landmarks = data["image"].shape[1], data["landmarks"][rows]
         shapes = data["neutral"].reshape(-1, 3 * _MARKS) if "neutral" in data else None
         return Heads(
             images=data["image"][rows],
             labels=data["label"][rows],
-            crops=np.stack([_unit_crop(marks, size) for marks in data["landmarks"][rows]]),
+            crops=np.stack([_unit_crop(marks, size) for marks in landmarks]),
+            marks=np.stack([to_crop(marks, face_crop(marks, 2)) - 1 for marks in landmarks]).astype(np.float32),
             identities=data["identity"][rows].astype(np.int64),
             sources=data["source"][rows].astype(np.int64),
             attributes=np.where(data["attribute_mask"], data["attributes"], np.nan)[rows].astype(np.float32),

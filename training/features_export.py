@@ -42,7 +42,7 @@ class _Graph:
     def __init__(self, traced: fx.GraphModule) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
-        self._modules = dict(traced.named_modules())
+        self._modules, self._buffers = dict(traced.named_modules()), dict(traced.named_buffers())
         self._names: dict[fx.Node, str] = {}
         ends = next(node for node in traced.graph.nodes if node.op == "output").args[0]
         self._ends = dict(zip(ends, OUTPUTS, strict=True))
@@ -52,6 +52,8 @@ class _Graph:
     def _translate(self, node: fx.Node) -> None:
         if node.op == "placeholder":
             self._names[node] = "image"
+        elif node.op == "get_attr":
+            self._names[node] = self.constant(node.name, self._buffers[str(node.target)])
         elif node.op == "call_module":
             self._module(node, self._modules[str(node.target)])
         elif node.op != "output":
@@ -66,6 +68,9 @@ class _Graph:
             assert module.bias is not None
             tensors = [self.constant(f"{node.name}.{part}", getattr(module, part)) for part in ("weight", "bias")]
             self.add(node, "Conv", *tensors, strides=list(module.stride), pads=[*module.padding, *module.padding])  # type: ignore[misc]
+        elif isinstance(module, nn.Linear):
+            tensors = [self.constant(f"{node.name}.{part}", getattr(module, part)) for part in ("weight", "bias")]
+            self.add(node, "Gemm", *tensors, transB=1)
         else:
             raise TypeError(f"{type(module).__name__} has no ONNX counterpart here")
 
@@ -89,6 +94,15 @@ class _Graph:
         self.constant(name, [1, 1, 2, 2])
         self.add(node, "Resize", "", name, mode="linear", coordinate_transformation_mode="half_pixel")
 
+    def flatten(self, node: fx.Node) -> None:
+        """All dimensions from one on as one."""
+        if node.args[1] == 1:
+            self.add(node, "Flatten", axis=1)
+        else:
+            name = f"{node.name}.shape"
+            self.constants.append(numpy_helper.from_array(np.array([0] * int(node.args[1]) + [-1]), name))  # type: ignore[arg-type]
+            self.add(node, "Reshape", name)
+
     def normalize(self, node: fx.Node) -> None:
         """Unit length along the channels."""
         before, length = self._names[node.all_input_nodes[0]], f"{node.name}.length"
@@ -98,9 +112,12 @@ class _Graph:
 
 _CALLS: Mapping[Any, Callable[[_Graph, fx.Node], None]] = {
     operator.add: lambda graph, node: graph.add(node, "Add"),
+    operator.sub: lambda graph, node: graph.add(node, "Sub"),
+    operator.mul: lambda graph, node: graph.add(node, "Mul"),
+    operator.matmul: lambda graph, node: graph.add(node, "MatMul"),
     functional.interpolate: _Graph.resize,
     functional.normalize: _Graph.normalize,
-    "flatten": lambda graph, node: graph.add(node, "Flatten", axis=1),
-    "softmax": lambda graph, node: graph.add(node, "Softmax", axis=1),
+    "flatten": _Graph.flatten,
+    "softmax": lambda graph, node: graph.add(node, "Softmax", axis=node.args[1]),
     "sigmoid": lambda graph, node: graph.add(node, "Sigmoid"),
 }

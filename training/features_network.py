@@ -1,4 +1,4 @@
-"""The network behind face_features.onnx: one residual trunk, and a head for each kind of feature.
+"""The network of the first stage: one residual trunk, and a head for each kind of feature.
 
 He et al., "Deep Residual Learning for Image Recognition", CVPR 2016, for the trunk; the light decoder adds the trunk's
 stages back from deep to shallow as in Lin et al., "Feature Pyramid Networks", CVPR 2017.
@@ -88,21 +88,26 @@ class FeatureNetwork(nn.Module):
         self.inner = nn.Sequential(_normed(32, 64, _GRID, 1, padding=0), nn.ReLU())
         self.attributes = nn.Conv2d(64, attributes, 1)
 
-    def raw(self, image: Tensor) -> Raw:
-        """Features before softmax, unit length and sigmoid."""
+    def decoded(self, image: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """The trunk's stages, shallow first, and what the decoder adds up at the same depths."""
         values, found = self.stem(image), []
         for stage in self.stages:
             values = stage(values)
             found.append(values)
         lateral = [layer(stage) for layer, stage in zip(self.laterals, found, strict=True)]
-        merged = lateral[-1]
+        merged = [lateral[-1]]
         for depth in range(len(lateral) - 2, -1, -1):
-            up = interpolate(self.merges[depth + 1](merged), scale_factor=2.0, mode="bilinear")
-            merged = up + lateral[depth]
+            up = interpolate(self.merges[depth + 1](merged[0]), scale_factor=2.0, mode="bilinear")
+            merged.insert(0, up + lateral[depth])
+        return found, merged
+
+    def raw(self, image: Tensor) -> Raw:
+        """Features before softmax, unit length and sigmoid."""
+        found, merged = self.decoded(image)
         summary = self.summary(found[-1])
         return Raw(
             content=tuple(found[:3]),
-            logits=self.semantics(self.merges[0](merged)),
+            logits=self.semantics(self.merges[0](merged[0])),
             embedding=self.identity(summary).flatten(1),
             attributes=self.attributes(self.inner(summary)).flatten(1),
         )
