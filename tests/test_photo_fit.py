@@ -1,0 +1,209 @@
+"""Photo fits from end to end: what they find, how they end, and what they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
+import learned  # noqa: F401  (skips without torch)
+import numpy as np
+import pytest
+from faces import tiny_face
+from photo_people import portrait, sample, subject
+from recovery_measures import recovery
+from recovery_targets import target
+
+from facepipe.errors import InputError
+from facepipe.learn.photo.fit import fit_photos
+from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.learn.photo.result import PhotoFit
+from facepipe.learn.photo.view_image import project
+from facepipe.parts import FaceParts, SliderNetwork
+from facepipe.rig import slide
+
+TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity")
+ALONE = dict.fromkeys(TERMS, 0.0)
+
+
+def fitted(parts: FaceParts | None = None, seed: int = 0, views: int = 1, **options: object) -> PhotoFit:
+    """A fit without networks to portraits that the renderer of the fit made, 96 pixels a side."""
+    own = portrait(seed=seed, views=views)
+    wanted = PhotoFitOptions(**{"size": 64, "iterations": 3, **options})  # type: ignore[arg-type]
+    return fit_photos(parts or sample(), own.images, own.landmarks, wanted, extractors={})
+
+
+def slider_error(found: PhotoFit, seed: int = 0) -> float:
+    """Mean share of the range."""
+    truth = subject().slider_values(portrait(seed=seed).state.shares)
+    names = [one.name for one in sample().sliders]
+    return float(np.mean([abs(value - truth[names.index(name)]) / 2 for name, value in found.sliders.items()]))
+
+
+@cache
+def usual() -> PhotoFit:
+    return fitted(iterations=10, rate=0.005)
+
+
+@cache
+def without_photo() -> PhotoFit:
+    """The same landmarks in a black photo, without stage two."""
+    own, options = portrait(), PhotoFitOptions(iterations=0, size=64)
+    return fit_photos(sample(), [np.zeros_like(own.images[0])], own.landmarks, options, extractors={})
+
+
+def test_a_fit_finds_the_person_and_the_camera() -> None:
+    own, fit = portrait(), usual()
+    (view,) = fit.views
+    assert (fit.stopped, fit.steps, fit.warnings) == ("iterations", 10, ())
+    assert view.landmark_error < 0.5
+    assert np.linalg.norm(view.landmarks - own.landmarks[0], axis=1).mean() < 0.8
+    default = float(np.abs(own.state.shares - subject().default_shares).mean())
+    assert slider_error(fit) < 0.9 * default
+    turn = own.state.poses[0, :3]
+    assert np.abs(view.camera.rotation - turn).max() < 0.1
+    smile = [view.expressions[name] for name in ("mouthSmileLeft", "mouthSmileRight")]
+    assert min(smile) > 0.15, "true: 0.5 and 0.4"
+    totals = [terms["total"] for terms in fit.history]
+    assert len(totals) == 11
+    assert min(totals) < 0.9 * totals[0]
+
+
+def test_results_are_in_range_and_of_the_photo() -> None:
+    fit = usual()
+    (view,) = fit.views
+    limits = {one.name: (one.minimum, one.maximum) for one in sample().sliders}
+    assert list(fit.sliders) == [one.name for one in subject().free_sliders]
+    for name, value in fit.sliders.items():
+        low, high = limits[name]
+        assert low <= value <= high
+    assert all(0 <= weight <= 1 for weight in view.expressions.values())
+    coefficients, driven = slide(sample().sliders, subject().rig.joints, fit.sliders)
+    weights = subject().rig.weight_vector(driven) + subject().rig.weight_vector(view.expressions)
+    points = subject().rig.evaluate(dict(zip(subject().rig.shapes, weights, strict=True)), coefficients=coefficients)
+    inner = sample().meshes[0].landmarks["multipie68"].indices[17:]
+    np.testing.assert_allclose(project(view.camera, points[inner])[:, :2], view.landmarks[17:], atol=0.01)
+    assert all(len(factor) == 3 and min(factor) > 0 for factor in fit.tint.values())
+    assert set(fit.tint) <= {one.name for one in sample().materials}
+    assert np.isfinite(view.light).all()
+
+
+def test_the_same_twice() -> None:
+    other = fitted(iterations=10, rate=0.005)
+    assert usual().sliders == other.sliders
+    assert usual().history == other.history
+    assert (usual().views[0].light == other.views[0].light).all()
+
+
+def test_without_steps_landmarks_decide_alone() -> None:
+    """Whatever the photo shows, and however it comes that there is no step."""
+    stopped = fitted(loss_threshold=1e6)
+    assert (stopped.stopped, stopped.steps, len(stopped.history)) == ("loss-threshold", 0, 1)
+    assert (without_photo().stopped, without_photo().steps) == ("iterations", 0)
+    assert stopped.sliders == without_photo().sliders
+    assert (stopped.views[0].landmarks == without_photo().views[0].landmarks).all()
+    assert usual().sliders != stopped.sliders
+
+
+def test_photos_of_one_person_have_cameras_and_expressions_of_their_own() -> None:
+    fit = fitted(seed=2, views=2, iterations=1)
+    assert len(fit.views) == 2
+    assert not np.allclose(fit.views[0].camera.rotation, fit.views[1].camera.rotation, atol=0.01)
+    assert max(view.landmark_error for view in fit.views) < 1.0
+
+
+def test_steps_that_lead_to_nonsense_keep_the_best_before() -> None:
+    fit = fitted(optimiser="gradient-descent", rate=1e3, iterations=20)
+    assert fit.stopped == "not-finite"
+    (warning,) = fit.warnings
+    assert "the loss was not finite at step" in warning
+    (view,) = fit.views
+    assert view.landmark_error < 1.0
+    assert all(np.isfinite(value) for value in fit.sliders.values())
+    assert np.isfinite(view.camera.translation).all()
+
+
+@pytest.mark.parametrize("term", ["color", "sparsity"])
+def test_each_term_will_do_alone(term: str) -> None:
+    fit = fitted(**{**ALONE, term: 1.0}, iterations=1)
+    assert sorted(fit.history[0]) == sorted([term, "total"])
+
+
+def test_without_any_term_landmarks_decide() -> None:
+    fit = fitted(**ALONE, iterations=1)
+    assert [each["total"] for each in fit.history] == [0.0, 0.0]
+    assert fit.views[0].landmark_error < 1.0
+
+
+def shapeless() -> FaceParts:
+    return replace(
+        sample(),
+        meshes=tuple(replace(mesh, blendshapes=()) for mesh in sample().meshes),
+        sliders=tuple(one for one in sample().sliders if not one.shapes),
+        animations=(),
+    )
+
+
+def networked() -> FaceParts:
+    network = SliderNetwork(
+        sliders=("noseWidth", "jawWidth"),
+        channels=(("root/neck/head/noseTip", "ty"),),
+        weights=(np.array([[0.1, -0.2]], np.float32),),
+        biases=(np.array([0.05], np.float32),),
+    )
+    return replace(sample(), slider_network=network)
+
+
+@pytest.mark.parametrize("make", [shapeless, networked])
+def test_other_faces(make: Callable[[], FaceParts]) -> None:
+    """Without blendshapes; with a learned network beside its sliders."""
+    fit = fitted(make(), iterations=1)
+    assert fit.views[0].landmark_error < 1.5
+    assert len(fit.sliders) > 30
+
+
+def test_bad_arguments_are_told_in_a_line() -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
+    (image,), (marks,) = own.images, own.landmarks
+    spoilt = image.copy()
+    spoilt[3, 4, 1] = np.nan
+    lost = marks.copy()
+    lost[5, 0] = np.inf
+    cases: list[tuple[list[np.ndarray], list[np.ndarray], str]] = [
+        ([], [], "photos: 0 with 0"),
+        ([image], [marks, marks], "photos: 1 with 2 sets of landmarks, expected one for each"),
+        ([image[..., 0]], [marks], r"photo 0: shape \(96, 96\), expected finite \(height, width, 3\)"),
+        ([np.zeros((0, 5, 3))], [marks], "photo 0"),
+        ([spoilt], [marks], "photo 0"),
+        ([image, image], [marks, lost], "landmarks 1"),
+        ([image], [marks[:67]], r"landmarks 0: shape \(67, 2\)"),
+        ([image], [np.full((68, 2), 40.0)], "landmarks 0"),
+    ]
+    for photos, landmarks, expected in cases:
+        with pytest.raises(InputError, match=expected) as caught:
+            fit_photos(sample(), photos, landmarks, options, extractors={})
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no scheme multipie68"):
+        fit_photos(replace(tiny_face(), sliders=sample().sliders[:1]), [image], [marks], options, extractors={})
+    with pytest.raises(InputError, match="expression grin: unknown"):
+        fit_photos(sample(), [image], [marks], options, expressions=["grin"], extractors={})
+    for name, value in (("size", 8), ("iterations", -1), ("optimiser", "newton"), ("rate", float("nan"))):
+        with pytest.raises(InputError, match=f"option {name}: is"):
+            PhotoFitOptions(**{name: value})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1])
+def test_portraits_of_another_renderer(number: int) -> None:
+    """Lamps, shadows and skins that the fit never saw, noisy landmarks: nearer than landmarks alone get."""
+    made = target(number, 5, size=128, noise=0.5)
+    figures = []
+    for iterations in (0, 60):
+        options = PhotoFitOptions(iterations=iterations, size=128)
+        fit = fit_photos(sample(), [made.image.astype(np.float32) / 255], [made.landmarks], options, extractors={})
+        figures.append(recovery(sample(), subject().rig, made, fit))
+    alone, whole = figures
+    assert whole.slider < alone.slider < alone.nothing_slider
+    assert whole.landmark_px < 1.0
+    assert whole.geometry_mm < alone.geometry_mm < alone.default_mm
