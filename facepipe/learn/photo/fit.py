@@ -16,7 +16,7 @@ from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.light import KERNEL
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
-from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
+from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
 from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
 from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.pose import PoseSpace
@@ -74,10 +74,12 @@ def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> Non
     if not photos or len(photos) != len(landmarks):
         raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
     for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
-        if photo.ndim != 3 or photo.shape[2] != 3 or not np.isfinite(photo).all():
+        if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size or not np.isfinite(photo).all():
             raise InputError(f"photo {number}", f"shape {photo.shape}, expected finite (height, width, 3)")
         if np.shape(marks) != (COUNT, 2) or not np.isfinite(marks).all():
             raise InputError(f"landmarks {number}", f"shape {np.shape(marks)}, expected finite ({COUNT}, 2)")
+        if not eye_distance(marks) > 0:
+            raise InputError(f"landmarks {number}", "outer corners of the eyes at one place, expected those of a face")
 
 
 def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
