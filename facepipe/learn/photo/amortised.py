@@ -22,6 +22,7 @@ from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
 
 FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +32,8 @@ class Guess:
     path: Path
     subject: Subject
     metadata: Mapping[str, Any]
+    sliders: IntArray  # (f,) which of the file's each of the subject's is
+    expressions: IntArray  # (e,)
     session: Any = field(repr=False)
 
     def __call__(self, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> State:
@@ -50,8 +53,8 @@ class Guess:
         poses = crop.space(space, self.subject.parts.up_axis)
         pose = poses.to_photo(torch.as_tensor(found["pose"])).numpy()
         return State(
-            shares=found["shares"],
-            expressions=found.get("expressions", np.zeros(0))[None],
+            shares=found["shares"][self.sliders],
+            expressions=found.get("expressions", np.zeros(0))[self.expressions][None],
             poses=pose[None],
         )
 
@@ -68,24 +71,39 @@ class Guess:
 
 
 def load_start(path: Path, subject: Subject) -> Guess:
-    """The network in a file.
+    """The network in a file. Sliders and expressions go by their names: files of a face may order them otherwise.
 
     :raises InputError: no such network, a damaged one, or one of a face with other sliders or expressions
     """
-    metadata = _described(path)
-    for what, own in controls(subject).items():
-        if metadata.get(what) != own:
-            raise InputError(path, f"made for a face with {_difference(what, metadata.get(what), own)}")
-    guess = Guess(path=path, subject=subject, metadata=metadata, session=_session(path))
+    metadata, own = _described(path), controls(subject)
+    if metadata.get("up_axis") != own["up_axis"]:
+        raise InputError(path, f"made for a face with another up axis, expected {own['up_axis']}")
+    guess = Guess(
+        path=path,
+        subject=subject,
+        metadata=metadata,
+        sliders=_places(path, "slider", metadata.get("sliders"), own["sliders"]),
+        expressions=_places(path, "expression", metadata.get("expressions"), own["expressions"]),
+        session=_session(path),
+    )
     _check_signature(path, guess)
     return guess
 
 
-def _difference(what: str, theirs: Any, own: Any) -> str:
-    words = {"sliders": "sliders", "expressions": "expressions", "up_axis": "an up axis"}[what]
-    if isinstance(theirs, list) and isinstance(own, list) and len(theirs) != len(own):
-        return f"{len(theirs)} {words}, expected the {len(own)} of this one"
-    return f"other {words.removeprefix('an ')}, expected those of this one"
+def _places(path: Path, kind: str, theirs: Any, own: list[Any]) -> IntArray:
+    """Where the file has each of the subject's own controls.
+
+    :raises InputError: the file has others
+    """
+    if not isinstance(theirs, list):
+        raise InputError(path, f"damaged metadata, expected a list of {kind}s")
+    names = [one["name"] if isinstance(one, dict) else one for one in own]
+    for one, name in zip(own, names, strict=True):
+        if one not in theirs:
+            raise InputError(path, f"made for another face: without {kind} {name} as this one has it")
+    if len(theirs) != len(own):
+        raise InputError(path, f"made for another face: {len(theirs)} {kind}s, expected the {len(own)} of this one")
+    return np.array([theirs.index(one) for one in own], dtype=np.int64)
 
 
 def _described(path: Path) -> dict[str, Any]:
