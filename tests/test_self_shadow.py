@@ -125,3 +125,8 @@ def test_place_and_size_do_not_matter() -> None:
     for scale, shift in itertools.product((0.01, 100.0), ((0.0, 0.0, 0.0), (3.0, -2.0, 5.0))):
         other = shadow_transfer(scale * (points + flat(shift)), normals, triangles, 96)
         assert (other - own).abs().mean() < 2e-3
+
+
+def test_without_triangles_nothing_is_shaded() -> None:
+    points, normals, _ = room()
+    assert (shadow_transfer(points, normals, torch.zeros((0, 3), dtype=torch.int64)) == 0).all()

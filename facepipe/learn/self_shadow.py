@@ -30,6 +30,8 @@ def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directio
     :param normals: (n, 3) unit
     :param triangles: (t, 3) point numbers
     """
+    if not len(triangles):
+        return points.new_zeros((len(points), 9))
     with torch.no_grad():
         used = torch.unique(triangles)
         low, high = points[used].amin(0), points[used].amax(0)
