@@ -86,7 +86,7 @@ def _head(sheet: PhotoSheet) -> Image:
 
 def _facts(sheet: PhotoSheet) -> list[str]:
     """What one wants to know first."""
-    facts = [_count(len(sheet.photos), "photo"), _count(len(sheet.history), "step")]
+    facts = [_count(len(sheet.photos), "photo"), _count(max(len(sheet.history) - 1, 0), "step")]
     best = best_step(sheet.history)
     if best is not None:
         facts.append(f"least loss {sheet.history[best][TOTAL]:.3g} at step {best}")

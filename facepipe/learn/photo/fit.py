@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -43,6 +45,7 @@ def fit_photos(
     expressions: Sequence[str] | None = None,
     extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
+    landmarks_first: bool = True,
     done: Callable[[int], None] | None = None,
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
@@ -54,19 +57,51 @@ def fit_photos(
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
+    :param landmarks_first: False: no stage one, the descent begins at `start` itself
     :param done: called with 1 after each step
     :raises InputError: no photo, arrays that don't fit, a face without the 68 landmarks or without sliders
     """
     _check(photos, landmarks)
+    with _one_thread():
+        return _fit(parts, photos, landmarks, options, expressions, extractors, start, landmarks_first, done)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """The small steps of a fit gain little from more threads, and lose much where other programs use the cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with one_thread():
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _fit(
+    parts: FaceParts,
+    photos: Sequence[FloatArray],
+    landmarks: Sequence[FloatArray],
+    options: PhotoFitOptions,
+    expressions: Sequence[str] | None,
+    extractors: Mapping[Kind, Extractor] | None,
+    start: State | None,
+    landmarks_first: bool,
+    done: Callable[[int], None] | None,
+) -> PhotoFit:
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
     fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
-    state = fit.solve(fit.start() if start is None else start)
+    state = fit.start() if start is None else start
+    if landmarks_first:
+        state = fit.solve(state)
     found = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [WorkingPhoto.of(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
     loss = JointLoss(model, fit, working, found, options)
-    descent = descend(loss, _lit(loss, state), options, done)
+    begin = _lit(loss, state)
+    loss.calibrate(begin)
+    descent = descend(loss, begin, options, done)
     return _result(loss, descent)
 
 

@@ -11,7 +11,7 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
-from facepipe.learn.photo.color_loss import color_loss
+from facepipe.learn.photo.color_loss import SPREAD, color_loss, spread_of
 from facepipe.learn.photo.feature_losses import FeatureLosses
 from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
 from facepipe.learn.photo.landmark_rig import CONTOUR
@@ -37,6 +37,7 @@ class JointLoss:
         self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
         self.shadows: list[Tensor | None] = [None] * len(self.photos)  # as `Look.shadow`
         subject = fit.subject
+        self._spreads: list[tuple[float, ...]] = [SPREAD] * len(self.photos)
         self._free = torch.as_tensor(subject.sliders)
         self._shapes = torch.as_tensor(subject.expressions, dtype=torch.int64)
         self._lower, self._upper, self._default = (
@@ -60,6 +61,13 @@ class JointLoss:
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
         weighted = {name: getattr(options, name) * value for name, value in result.items() if getattr(options, name)}
         return {**weighted, "total": sum(weighted.values(), 0 * at.poses.sum())}  # with a slope without terms too
+
+    def calibrate(self, at: Unknowns) -> None:
+        """Trust the pixels of each photo as far as the face explains them at its start."""
+        with torch.no_grad():
+            for view, photo in enumerate(self.photos):
+                image = self.image(at, view)
+                self._spreads[view] = spread_of(to_srgb(image[..., :3]), photo.pixels, image[..., 3])
 
     def sliders(self, shares: Tensor) -> Tensor:
         """(s,) values of all sliders from the free ones' shares (f,)."""
@@ -96,7 +104,7 @@ class JointLoss:
         image = self.image(at, view)
         picture = to_srgb(image[..., :3])
         if self.options.color:
-            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3])
+            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3], self._spreads[view])
         return {**terms, **self._features(picture, view)}
 
     def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
