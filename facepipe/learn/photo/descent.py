@@ -16,6 +16,7 @@ from facepipe.learn.photo.unknowns import Unknowns
 # Steps of each kind of unknown over those of sliders: [0175]-[0177] have a rate for each.
 _RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "tint": 1.0}
 _SLOWEST = 0.05  # of the rate, at the last step
+_RISE = 12  # steps
 _MEMORY = (0.9, 0.99)  # of the first and second moments
 _TINY = 1e-8
 
@@ -98,8 +99,9 @@ class _Adam:
 
 
 def _pace(step: int, options: PhotoFitOptions) -> float:
-    """A cosine from 1 to `_SLOWEST` with adam; 1 in plain descent."""
+    """With adam a rise, while its moments know little, then a cosine to `_SLOWEST`; 1 in plain descent."""
     if options.optimiser != "adam":
         return 1.0
     share = min(step / max(options.iterations, 1), 1.0)
-    return _SLOWEST + (1 - _SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
+    falling = _SLOWEST + (1 - _SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
+    return falling * min(1.0, (step + 1) / min(_RISE, options.iterations))

@@ -111,6 +111,8 @@ def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> Non
     for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
         if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size or not np.isfinite(photo).all():
             raise InputError(f"photo {number}", f"shape {photo.shape}, expected finite (height, width, 3)")
+        if photo.max() > 1 or photo.min() < 0:
+            raise InputError(f"photo {number}", f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
         if np.shape(marks) != (COUNT, 2) or not np.isfinite(marks).all():
             raise InputError(f"landmarks {number}", f"shape {np.shape(marks)}, expected finite ({COUNT}, 2)")
         if not eye_distance(marks) > 0:
