@@ -75,7 +75,8 @@ def test_adam_is_that_of_torch_with_steps_that_shrink() -> None:
     run(loss, own, rate=rate, iterations=steps)
     optimiser = torch.optim.Adam([peer.shares, peer.expressions], lr=rate, betas=(0.9, 0.99))
     for step in range(steps):
-        optimiser.param_groups[0]["lr"] = rate * (0.05 + 0.95 * 0.5 * (1 + math.cos(math.pi * step / steps)))
+        falling = 0.05 + 0.95 * 0.5 * (1 + math.cos(math.pi * step / steps))
+        optimiser.param_groups[0]["lr"] = rate * falling * (step + 1) / steps  # all of them rise
         optimiser.zero_grad()
         loss(peer)["total"].backward()
         optimiser.step()

@@ -40,7 +40,7 @@ class PhotoFitOptions:
     color: float = field(default=60.0, metadata={"help": "weight of the colours of the pixels", "range": (0.0, 1e6)})
     content: float = field(default=1.0, metadata={"help": "weight of features and semantics", "range": (0.0, 1e6)})
     identity: float = field(default=0.2, metadata={"help": "weight of the identity", "range": (0.0, 1e6)})
-    attributes: float = field(default=0.2, metadata={"help": "weight of the attributes", "range": (0.0, 1e6)})
+    attributes: float = field(default=0.0, metadata={"help": "weight of the attributes", "range": (0.0, 1e6)})
     sparsity: float = field(
         default=0.03, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
     )
