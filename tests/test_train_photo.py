@@ -29,12 +29,15 @@ from facepipe.learn.photo.amortised_pictures import HEAD, Picture
 from facepipe.learn.photo.amortised_pose import CropSpace
 from facepipe.learn.photo.amortised_renders import Portraits
 from facepipe.learn.photo.amortised_training import Trained, train_start
-from facepipe.learn.photo.fit import pose_space
+from facepipe.learn.photo.fit import fit_photos, pose_space
 from facepipe.learn.photo.joint_loss import single
+from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.landmark_rig import LandmarkRig
+from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.pose import FOCAL
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
+from facepipe.processors.photo_fit import read_photo_recipe
 from facepipe.sample import make
 from facepipe.stage import save_parts
 
@@ -339,3 +342,38 @@ def test_lenses_of_random_people_are_those_of_portraits(subject: Subject, portra
     assert abs(np.median(focal) - np.log(FOCAL)) < 0.1
     assert ((people.shares >= 0) & (people.shares <= 1)).all()
     assert ((people.expressions >= 0) & (people.expressions <= 1)).all()
+
+
+def test_a_fit_begins_at_the_guess_where_that_is_better(
+    network_file: Path, subject: Subject, portraits: Portraits
+) -> None:
+    """From the truth as a guess the descent begins at the truth; from a poor guess after stage one, as without it."""
+    photo, picture = photo_of(portraits, 7)
+    assert picture.truth is not None
+    options = PhotoFitOptions(iterations=1, size=96, content=0.0, identity=0.0, attributes=0.0)
+    true = State(
+        shares=picture.truth.shares, expressions=picture.truth.expressions[None], poses=picture.truth.pose[None]
+    )
+    poor = State(shares=1 - true.shares, expressions=0.5 + 0 * true.expressions, poses=true.poses + 0.1)
+    default, best, worst = (
+        fit_photos(subject.parts, [photo], [picture.landmarks], options, start=start).history[0]
+        for start in (None, true, poor)
+    )
+    assert best["landmarks"] < 1e-6 < default["landmarks"]  # stage one would be drawn to the defaults
+    assert best["total"] < default["total"]
+    assert worst["total"] < 1.5 * default["total"]
+
+
+def test_the_fit_command_takes_the_network(
+    network_file: Path, face: Path, portraits: Portraits, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, picture = photo_of(portraits, 3)
+    Image.fromarray(picture.pixels).save(tmp_path / "photo.png")
+    (tmp_path / "photo.json").write_text(json.dumps({"multipie68": picture.landmarks.tolist()}))
+    words = ["fit-photo", tmp_path / "photo.png", face, "--landmarks", tmp_path / "photo.json", "--iterations", "0"]
+    words += ["-o", tmp_path / "person.usda", "--start", network_file]
+    assert main([*map(str, words)]) in (0, 1)
+    recipe = read_photo_recipe(tmp_path / "person.usda")
+    assert recipe.files["start"].samefile(network_file)
+    assert main(["fit-photo", "--edit", str(tmp_path / "person.usda"), "--expression", "jawOpen", "--force"]) == 2
+    assert "made for another face" in capsys.readouterr().err

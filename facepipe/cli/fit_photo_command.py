@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
     from facepipe.learn.features.description import Kind
     from facepipe.learn.features.extractor import Extractor
+    from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.result import PhotoFit
     from facepipe.parts import FaceParts, Recipe
     from facepipe.processors.photo_fit import Landmarks68, Photo, PhotoFitReport
@@ -79,6 +80,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     for name, kind in MODELS.items():
         text = f"network for {kind}, .onnx or .pt2 (default facepipe's own)"
         add(f"--{name.replace('_', '-')}", type=Path, metavar="FILE", help=text)
+    text = "network of `facepipe train-photo` for FACE, which guesses where to start"
+    add("--start", type=Path, metavar="FILE", help=text)
     text = "mean error, percent of the distance of the eyes, above which the exit code is 1 (default 8)"
     add("--landmark-threshold", type=float, default=absent, metavar="PERCENT", help=text)
     text = "weight of the landmarks (default 1.0)"
@@ -127,7 +130,7 @@ def _recipe(request: Request) -> Recipe:
         request.photos,
         request.out,
         landmarks=request.landmarks,
-        files={**request.models, **({"landmarker": request.landmarker} if request.landmarker else {})},
+        files=request.files(),
         options=request.settings(),
     )
 
@@ -160,7 +163,9 @@ def _extractors(request: Request) -> Mapping[Kind, Extractor]:
     """The networks of the line, and facepipe's own for the other terms that are on."""
     from facepipe.learn.features.extractor import load_extractor
 
-    given = {MODELS[name]: load_extractor(path, MODELS[name]) for name, path in request.models.items()}
+    given: dict[Kind, Extractor] = {
+        MODELS[name]: load_extractor(path, MODELS[name]) for name, path in request.models.items()
+    }
     missing = [kind for kind in MODELS.values() if kind not in given and getattr(request.options, kind)]
     if not missing or not request.options.iterations:
         return given
@@ -172,6 +177,7 @@ def _extractors(request: Request) -> Mapping[Kind, Extractor]:
 def _fit(parts: FaceParts, inputs: _Inputs, request: Request) -> PhotoFit:
     from facepipe.learn.photo.fit import fit_photos
 
+    start = _start(parts, inputs, request)
     try:
         with progress("fit", request.options.iterations) as bar:
             return fit_photos(
@@ -181,10 +187,28 @@ def _fit(parts: FaceParts, inputs: _Inputs, request: Request) -> PhotoFit:
                 request.options,
                 expressions=request.expressions,
                 extractors=inputs.extractors,
+                start=start,
                 done=bar.update,
             )
     except FacepipeError as error:
         raise error.under(request.face) from None
+
+
+def _start(parts: FaceParts, inputs: _Inputs, request: Request) -> State | None:
+    """Where a network guesses that the fit should start; None: at the defaults."""
+    if request.start is None:
+        return None
+    from facepipe.learn.photo.amortised import load_start
+    from facepipe.learn.photo.fit import pose_space
+    from facepipe.learn.photo.subject import Subject
+
+    try:
+        subject = Subject.of(parts, request.expressions)
+        spaces = [pose_space(subject, photo.pixels.shape[1], photo.pixels.shape[0]) for photo in inputs.photos]
+    except FacepipeError as error:
+        raise error.under(request.face) from None
+    guess = load_start(request.start, subject)
+    return guess.together([photo.pixels for photo in inputs.photos], [each.points for each in inputs.landmarks], spaces)
 
 
 def _author(

@@ -25,7 +25,7 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
     "attribute_model": "attributes",
 }
 _THRESHOLD = 8.0  # percent of the distance of the eyes
-_LANDMARKER = "landmarker"
+_LANDMARKER, _START = "landmarker", "start"
 _SETTINGS = ("faces", "expressions", "landmark_threshold", "fit")
 
 
@@ -38,6 +38,7 @@ class Request:
     landmarks: tuple[Path | None, ...]  # one a photo; None: found in it
     landmarker: Path | None  # MediaPipe's model; None: facepipe's own network
     models: Mapping[str, Path]  # by their options
+    start: Path | None  # network that guesses where to start; None: the defaults
     faces: tuple[int | None, ...]  # one a photo: which of several
     expressions: tuple[str, ...] | None  # None: those with ARKit's names
     options: PhotoFitOptions
@@ -46,6 +47,11 @@ class Request:
     report: Path | None  # folder
     flatten: bool
     warnings: tuple[str, ...] = ()
+
+    def files(self) -> dict[str, Path]:
+        """Option -> file, beside photos and their landmarks."""
+        named = {_LANDMARKER: self.landmarker, _START: self.start}
+        return {**self.models, **{name: path for name, path in named.items() if path is not None}}
 
     def settings(self) -> dict[str, Any]:
         """All but files, as the recipe keeps it."""
@@ -78,7 +84,8 @@ def request_of(arguments: argparse.Namespace) -> Request:
     face, photos = _sources(arguments, recipe)
     landmarks, landmarker = _landmarks(arguments, recipe, len(photos))
     models = _models(arguments, recipe)
-    files = [*landmarks, landmarker, *models.values()]
+    start = arguments.start or (recipe.files.get(_START) if recipe else None)
+    files = [*landmarks, landmarker, start, *models.values()]
     inputs = [face, *photos, *(one for one in files if one is not None)]
     out = output_or_edited(arguments, inputs)
     check_suffix(out)
@@ -92,6 +99,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
         landmarks=landmarks,
         landmarker=landmarker,
         models=models,
+        start=start,
         faces=settings.faces,
         expressions=settings.expressions,
         options=settings.options,
@@ -113,7 +121,7 @@ def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
     replaced = ["FACE"] if arguments.files else []
     replaced += ["PHOTO"] if others else []
     replaced += ["--landmarks"] if others or arguments.landmark_files or arguments.landmarker else []
-    given = [name for name in (_LANDMARKER, *MODELS) if getattr(arguments, name) is not None]
+    given = [name for name in (_LANDMARKER, _START, *MODELS) if getattr(arguments, name) is not None]
     replaced += [f"--{name.replace('_', '-')}" for name in given]
     replaced += ["--landmarker"] if arguments.landmark_files else []
     return read_photo_recipe(arguments.edit, replaced=replaced)

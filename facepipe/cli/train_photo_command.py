@@ -1,11 +1,11 @@
 """Train a network that guesses where `facepipe fit-photo` should start, for one face.
 
 FACE has sliders and the 68 landmarks `multipie68`. The network sees a crop of a face, 128 pixels a side, and its
-landmarks, and tells sliders, expression and pose. It learns from renders of FACE with random sliders, expressions,
-poses, lights and colours: first their parameters, then, without being told these, the joint loss of a photo fit.
---images DIR takes photos of people for that second part instead: nothing needs to be known about them but where the
-landmarks are, PHOTO.landmarks.json or STEM.landmarks.json beside a photo or found by facepipe's own network. Photos
-without a face are left out, with a warning.
+landmarks, and tells sliders, expression and pose. It learns these from random people of FACE: from their landmarks,
+then from renders in random light and colours; then, without being told, from the joint loss of a photo fit.
+--images DIR takes photos of people for that last part: nothing needs to be known about them but where the landmarks
+are, PHOTO.landmarks.json or STEM.landmarks.json beside a photo or found by facepipe's own network. Photos without a
+face, or with several, are left out, with a warning.
 
 OUT is one ONNX file; what it was trained on and its joint loss on pictures that it has not seen are in its metadata
 `facepipe.photo`. It is for faces with the same sliders and expressions. Training takes minutes on one core; the same
@@ -13,7 +13,7 @@ line gives the same file. It needs `pip install 'facepipe[train]'`.
 
 examples:
   facepipe train-photo head.usda -o start.onnx
-  facepipe fit-photo portrait.jpg head.usda -o person.usda --start start.onnx --iterations 20
+  facepipe fit-photo portrait.jpg head.usda -o person.usda --start start.onnx --iterations 20 --rate 0.1
   facepipe train-photo head.usda -o start.onnx --images people --steps 400
 """
 

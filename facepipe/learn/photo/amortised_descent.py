@@ -15,7 +15,7 @@ from facepipe.learn.photo.amortised_options import JOINT_BATCH, StartOptions
 from facepipe.learn.photo.amortised_pictures import Picture
 from facepipe.learn.photo.amortised_varied import batch, noisy_landmarks, varied
 
-_RATE, _SLOWEST, _STEEPEST = 3e-4, 0.1, 20.0
+_RATE, _SLOWEST, _STEEPEST = 5e-4, 0.1, 20.0
 _CHECK = 25  # steps between two looks at the held-out pictures
 _NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
 

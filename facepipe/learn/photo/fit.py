@@ -45,25 +45,24 @@ def fit_photos(
     expressions: Sequence[str] | None = None,
     extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
-    landmarks_first: bool = True,
     done: Callable[[int], None] | None = None,
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
 
-    Stage one fits landmarks, stage two descends on the joint loss from there.
+    Stage one fits landmarks, stage two descends on the joint loss from there; or from `start` itself, if its joint loss
+    is less: landmarks alone don't tell what a guess has seen in the pictures.
 
     :param photos: (h, w, 3) sRGB 0..1
     :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
-    :param landmarks_first: False: no stage one, the descent begins at `start` itself
     :param done: called with 1 after each step
     :raises InputError: no photo, arrays that don't fit, a face without the 68 landmarks or without sliders
     """
     _check(photos, landmarks)
     with _one_thread():
-        return _fit(parts, photos, landmarks, options, expressions, extractors, start, landmarks_first, done)
+        return _fit(parts, photos, landmarks, options, expressions, extractors, start, done)
 
 
 @contextmanager
@@ -86,23 +85,34 @@ def _fit(
     expressions: Sequence[str] | None,
     extractors: Mapping[Kind, Extractor] | None,
     start: State | None,
-    landmarks_first: bool,
     done: Callable[[int], None] | None,
 ) -> PhotoFit:
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
     fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
-    state = fit.start() if start is None else start
-    if landmarks_first:
-        state = fit.solve(state)
+    state = fit.solve(fit.start() if start is None else start)
     found = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [WorkingPhoto.of(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
     loss = JointLoss(model, fit, working, found, options)
     begin = _lit(loss, state)
     loss.calibrate(begin)
+    if start is not None:
+        begin = _better(loss, begin, start)
     descent = descend(loss, begin, options, done)
     return _result(loss, descent)
+
+
+def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
+    """The one with less joint loss, each in its own light."""
+    shadows = list(loss.shadows)
+    with torch.no_grad():
+        reached = float(loss(begin)["total"])
+        other = _lit(loss, start)
+        if float(loss(other)["total"]) < reached:
+            return other
+    loss.shadows[:] = shadows
+    return begin
 
 
 def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> None:

@@ -1,0 +1,221 @@
+"""What a first guess by a network spares a photo fit: few steps from it against many from the defaults.
+
+usage: python benchmarks/photo_amortised.py start.onnx [--faces 4] [--seed 0] [--few 20] [--many 200] [--networks]
+       [--json out.json]
+
+start.onnx is what `facepipe sample -o head.usda && facepipe train-photo head.usda -o start.onnx` writes. The portraits
+are those of `photo_recovery.py`: known people, rendered by `facepipe.render` in lights, skins and before backgrounds
+that no training saw, with noisy landmarks. Rows, means over the faces, by what comes before the descent:
+
+  landmarks   stage one, bounded Levenberg-Marquardt on landmarks and priors, as in `facepipe fit-photo`
+  raw         nothing: the defaults with the pose of an affine camera, or the guess as it is
+
+On each face all descents lower one joint loss: the trust in pixels and the shadows that belong to it are those of the
+defaults after stage one. Each begins in the light that suits its own start. Columns: the joint loss at the start, the
+least one after few and, from the defaults, after many steps (each with a schedule of its own), their seconds, and
+mean slider errors (a share of the range, sliders that move the head by more than 1 mm). The last lines compare few
+steps from the guess with many from the defaults. Without --networks the joint loss is that of landmarks, colours and
+sparsity.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from arguments import positive
+from tables import aligned
+
+if TYPE_CHECKING:
+    from recovery_targets import RecoveryTarget
+
+    from facepipe.learn.photo.amortised import Guess
+    from facepipe.learn.photo.joint_loss import JointLoss
+    from facepipe.learn.photo.landmark_fit import State
+    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.learn.photo.subject import Subject
+
+STAGES, STARTS = ("landmarks", "raw"), ("defaults", "guess")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descents:
+    """One face from one start."""
+
+    face: int
+    stage: str
+    start: str
+    begin: float  # joint loss
+    few: float
+    few_s: float  # of the descent alone
+    few_slider: float
+    many: float = np.nan
+    many_s: float = np.nan
+    many_slider: float = np.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class _End:
+    begin: float
+    loss: float
+    seconds: float
+    slider: float
+
+
+def main() -> None:
+    """Fit, print the table, write JSON."""
+    import torch
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("network", type=Path, metavar="start.onnx", help="of the sample with seed 0")
+    parser.add_argument("--faces", type=positive, default=4, help="people (default 4)")
+    parser.add_argument("--seed", type=int, default=0, help="of the people (default 0)")
+    parser.add_argument("--few", type=positive, default=20, help="steps (default 20)")
+    parser.add_argument("--many", type=positive, default=200, help="steps (default 200)")
+    parser.add_argument("--networks", action="store_true", help="with the terms of our own feature network")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    found = measured(arguments)
+    print(table(found, arguments.few, arguments.many))
+    lines = verdicts(found, arguments.few, arguments.many)
+    print("\n".join(lines))
+    if arguments.json:
+        settings = {name: getattr(arguments, name) for name in ("faces", "seed", "few", "many", "networks")}
+        report = {**settings, "fits": [_numbers(one) for one in found], "verdicts": lines}
+        arguments.json.write_text(json.dumps(report, indent=2, sort_keys=True), encoding="utf-8")
+
+
+def _numbers(one: Descents) -> dict[str, object]:
+    """Without what was not measured, which JSON can't hold."""
+    return {name: value for name, value in asdict(one).items() if value == value}
+
+
+def measured(arguments: argparse.Namespace) -> list[Descents]:
+    """Every face from every start."""
+    from recovery_targets import sample, target
+
+    from facepipe.learn.photo.amortised import load_start
+    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.learn.photo.subject import Subject
+
+    off = {} if arguments.networks else {"content": 0.0, "identity": 0.0, "attributes": 0.0}
+    guess = load_start(arguments.network, Subject.of(sample().parts))
+    found: list[Descents] = []
+    for number in range(arguments.faces):
+        for one in _of_face(target(number, arguments.seed), guess, PhotoFitOptions(**off), arguments):
+            found.append(one)
+            print(f"\rface {number + 1} of {arguments.faces}: {one.stage}, {one.start}", end="  ", file=sys.stderr)
+    print(file=sys.stderr)
+    return found
+
+
+def _of_face(
+    made: RecoveryTarget, guess: Guess, options: PhotoFitOptions, arguments: argparse.Namespace
+) -> Iterator[Descents]:
+    image = made.image.astype(np.float32) / 255
+    loss = _joint_loss(made, image, guess, options)
+    raw = {"defaults": loss.fit.start(), "guess": guess(image, made.landmarks, loss.fit.spaces[0])}
+    solved = {start: loss.fit.solve(state) for start, state in raw.items()}
+    _calibrate(loss, solved["defaults"])
+    for stage, states in zip(STAGES, (solved, raw), strict=True):
+        for start in STARTS:
+            figures: dict[str, float] = {}
+            for name in ("few", "many") if start == "defaults" else ("few",):
+                steps = getattr(arguments, name)
+                end = _descended(made, loss, states[start], replace(options, iterations=steps))
+                figures |= {name: end.loss, f"{name}_s": end.seconds, f"{name}_slider": end.slider, "begin": end.begin}
+            yield Descents(face=made.number, stage=stage, start=start, **figures)
+
+
+def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: PhotoFitOptions) -> JointLoss:
+    from facepipe.learn.face_model import FaceModel
+    from facepipe.learn.networks import own_extractors
+    from facepipe.learn.photo.fit import pose_space, priors_of
+    from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
+    from facepipe.learn.photo.landmark_fit import LandmarkFit
+    from facepipe.learn.photo.working_photo import WorkingPhoto
+
+    space = pose_space(guess.subject, image.shape[1], image.shape[0])
+    fit = LandmarkFit(guess.subject, [made.landmarks], [space], priors_of(options))
+    model = FaceModel(guess.subject.parts, largest_texture=options.size)
+    extractors = own_extractors([kind for kind in FEATURES if getattr(options, kind)])
+    return JointLoss(model, fit, [WorkingPhoto.of(image, made.landmarks, options.size)], extractors, options)
+
+
+def _calibrate(loss: JointLoss, state: State) -> None:
+    """The joint loss as a fit that starts there has it."""
+    from facepipe.learn.photo.fit import _lit
+
+    loss.calibrate(_lit(loss, state))
+
+
+def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions) -> _End:
+
+    from facepipe.learn.photo.descent import descend
+    from facepipe.learn.photo.fit import _lit
+
+    kept = list(loss.shadows)
+    start = _lit(loss, state)
+    loss.shadows[:] = kept
+    began = time.perf_counter()
+    descent = descend(loss, start, options)
+    seconds, totals = time.perf_counter() - began, [one["total"] for one in descent.history]
+    slider = _slider_error(made, loss.fit.subject, descent.best.state().shares)
+    return _End(begin=totals[0], loss=min(totals), seconds=seconds, slider=slider)
+
+
+def _slider_error(made: RecoveryTarget, subject: Subject, shares: np.ndarray) -> float:
+    from recovery_measures import MOVES_MM, slider_reach
+
+    reach = slider_reach(subject.parts, subject.rig, made.sliders)
+    mm = 1000 * subject.parts.meters_per_unit
+    values = subject.slider_values(shares)
+    errors = [
+        abs(values[i] - made.sliders[one.name]) / (one.maximum - one.minimum)
+        for i, one in enumerate(subject.parts.sliders)
+        if i in subject.sliders and mm * reach.get(one.name, 0.0) > MOVES_MM
+    ]
+    return float(np.mean(errors))
+
+
+def table(found: list[Descents], few: int, many: int) -> str:
+    """The means for people."""
+    steps = [f"{few} steps", f"{many} steps"]
+    cells = [("first", "start", "begin", *steps, *steps, "sliders", "sliders")]
+    for stage, start in ((stage, start) for stage in STAGES for start in STARTS):
+        own = [one for one in found if (one.stage, one.start) == (stage, start)]
+        names = ("begin", "few", "many", "few_s", "many_s", "few_slider", "many_slider")
+        means = {name: float(np.mean([getattr(one, name) for one in own])) for name in names}
+        texts = [f"{value:.1f} s" if name.endswith("_s") else f"{value:.3f}" for name, value in means.items()]
+        cells.append((stage, start, *("" if text.startswith("nan") else text for text in texts)))
+    return "\n".join(aligned(cells))
+
+
+def verdicts(found: list[Descents], few: int, many: int) -> list[str]:
+    """Few steps from the guess against many from the defaults: alike before, and the quickest of both."""
+    by_way = {
+        (stage, start): [one for one in found if (one.stage, one.start) == (stage, start)]
+        for stage in STAGES
+        for start in STARTS
+    }
+    ways = [(stage, stage) for stage in STAGES] + [("raw", "landmarks")]
+    lines = []
+    for guessed, default in ways:
+        pairs = zip(by_way[guessed, "guess"], by_way[default, "defaults"], strict=True)
+        ratios = [one.few / other.many for one, other in pairs]
+        what = f"guess ({guessed}) + {few} steps over defaults ({default}) + {many} steps"
+        reached = f"no higher on {sum(one <= 1 for one in ratios)} of {len(ratios)}"
+        lines.append(f"{what}: joint loss {np.mean(ratios):.3f} times as high, worst {max(ratios):.3f}; {reached}")
+    return lines
+
+
+if __name__ == "__main__":
+    main()
