@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.amortised import Guess
     from facepipe.learn.photo.joint_loss import JointLoss
     from facepipe.learn.photo.landmark_fit import State
-    from facepipe.learn.photo.options import PhotoFitOptions
     from facepipe.learn.photo.subject import Subject
+    from facepipe.photo_options import PhotoFitOptions
 
 STAGES, STARTS = ("landmarks", "raw"), ("defaults", "guess")
 
@@ -103,8 +103,8 @@ def measured(arguments: argparse.Namespace) -> list[Descents]:
     from recovery_targets import sample, target
 
     from facepipe.learn.photo.amortised import load_start
-    from facepipe.learn.photo.options import PhotoFitOptions
     from facepipe.learn.photo.subject import Subject
+    from facepipe.photo_options import PhotoFitOptions
 
     off = {} if arguments.networks else {"content": 0.0, "identity": 0.0, "attributes": 0.0}
     guess = load_start(arguments.network, Subject.of(sample().parts))

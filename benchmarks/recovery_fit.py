@@ -10,7 +10,7 @@ from recovery_measures import Recovery, recovery
 from recovery_targets import RecoveryTarget, sample, target
 
 from facepipe.learn.photo.fit import fit_photos
-from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.photo_options import PhotoFitOptions
 
 
 @dataclass(frozen=True, kw_only=True)

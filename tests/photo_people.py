@@ -14,13 +14,13 @@ from facepipe.learn.light import ambient, distant
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
+from facepipe.photo_options import PhotoFitOptions
 from facepipe.sample import make
 
 SMILE = {"jawOpen": 0.3, "mouthSmileLeft": 0.5, "mouthSmileRight": 0.4}

@@ -11,8 +11,8 @@ from learned import torch
 
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.landmark_fit import State
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.photo_options import PhotoFitOptions
 
 Loss = Callable[[Unknowns], dict[str, torch.Tensor]]
 NAMES = ("shares", "expressions", "poses", "light", "tint")

@@ -17,10 +17,10 @@ from recovery_targets import target
 
 from facepipe.errors import InputError
 from facepipe.learn.photo.fit import fit_photos
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.result import PhotoFit
 from facepipe.learn.photo.view_image import project
 from facepipe.parts import FaceParts, SliderNetwork
+from facepipe.photo_options import PhotoFitOptions
 from facepipe.rig import slide
 
 TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity")

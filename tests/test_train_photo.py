@@ -23,7 +23,6 @@ from facepipe.learn.photo.amortised_graph import start_graph
 from facepipe.learn.photo.amortised_losses import POSE_MEAN, relative_pose
 from facepipe.learn.photo.amortised_metadata import start_metadata
 from facepipe.learn.photo.amortised_network import SIZE, held
-from facepipe.learn.photo.amortised_options import StartOptions
 from facepipe.learn.photo.amortised_people import random_people
 from facepipe.learn.photo.amortised_pictures import HEAD, Picture
 from facepipe.learn.photo.amortised_pose import CropSpace
@@ -33,13 +32,14 @@ from facepipe.learn.photo.fit import fit_photos, pose_space
 from facepipe.learn.photo.joint_loss import single
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.landmark_rig import LandmarkRig
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.pose import FOCAL
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
+from facepipe.photo_options import PhotoFitOptions
 from facepipe.processors.photo_fit import read_photo_recipe
 from facepipe.sample import make
 from facepipe.stage import save_parts
+from facepipe.start_options import StartOptions
 
 TINY = StartOptions(people=4096, renders=16, epochs=2, steps=2)
 LEAST = ("--people", "0", "--renders", "8", "--epochs", "0", "--steps", "1")

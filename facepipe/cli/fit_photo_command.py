@@ -59,7 +59,7 @@ INTERMIXED = True  # photos and their landmarks may be given in turn
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.photo_options import PhotoFitOptions
 
     add, absent = parser.add_argument, argparse.SUPPRESS
     add("files", nargs="*", type=Path, metavar="PHOTO ... FACE", help="photos of one person, then the face stage")

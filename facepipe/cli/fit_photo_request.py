@@ -15,7 +15,7 @@ from facepipe.errors import InputError
 from facepipe.options import from_json, to_json
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.photo_options import PhotoFitOptions
     from facepipe.processors.photo_fit import PhotoRecipe
 
 # option -> kind of features, and the weight of their term
@@ -166,7 +166,7 @@ def _settings(path: Path | None, recipe: PhotoRecipe | None) -> _Settings:
 
     :raises InputError: settings that this command did not write
     """
-    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.photo_options import PhotoFitOptions
 
     if recipe is None:
         return _Settings(options=PhotoFitOptions())
@@ -192,7 +192,7 @@ def _settings(path: Path | None, recipe: PhotoRecipe | None) -> _Settings:
 
 def _changed(arguments: argparse.Namespace, settings: _Settings, photos: int) -> _Settings:
     """The settings with what the line says."""
-    from facepipe.learn.photo.options import PhotoFitOptions
+    from facepipe.photo_options import PhotoFitOptions
 
     threshold = getattr(arguments, "landmark_threshold", settings.threshold)
     if not (math.isfinite(threshold) and threshold > 0):

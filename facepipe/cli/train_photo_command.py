@@ -31,17 +31,17 @@ from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.amortised_options import StartOptions
     from facepipe.learn.photo.amortised_pictures import Picture
     from facepipe.learn.photo.amortised_training import Trained
     from facepipe.learn.photo.subject import Subject
+    from facepipe.start_options import StartOptions
 
 _SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".avif", ".jp2", ".ppm", ".tga"))
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.learn.photo.amortised_options import StartOptions
+    from facepipe.start_options import StartOptions
 
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     add_output(parser, "network to write: .onnx")
@@ -58,8 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.atomic import write_bytes
     from facepipe.learn.photo.amortised_graph import start_graph
     from facepipe.learn.photo.amortised_metadata import start_metadata
-    from facepipe.learn.photo.amortised_options import StartOptions
     from facepipe.learn.photo.subject import Subject
+    from facepipe.start_options import StartOptions
 
     begin = time.perf_counter()
     out = output_of(arguments, [arguments.face])

@@ -11,7 +11,7 @@ import torch
 
 from facepipe.learn.photo.amortised_losses import PictureLoss, outside
 from facepipe.learn.photo.amortised_network import Output, StartNetwork
-from facepipe.learn.photo.amortised_options import JOINT_BATCH, StartOptions
+from facepipe.start_options import JOINT_BATCH, StartOptions
 from facepipe.learn.photo.amortised_pictures import Picture
 from facepipe.learn.photo.amortised_varied import batch, noisy_landmarks, varied
 

@@ -18,11 +18,11 @@ from facepipe.learn.photo.fit import pose_space, priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.rig import DifferentiableRig
+from facepipe.photo_options import PhotoFitOptions
 
 POSE_MEAN = (0.0, 0.0, 0.0, 0.5, 0.485, 0.29, 0.85)  # relative to the crop
 POSE_STD = (0.2, 0.35, 0.05, 0.01, 0.01, 0.03, 0.35)

@@ -8,8 +8,8 @@ from facepipe.learn.photo.amortised_network import MEAN, SIZE, STD
 from facepipe.learn.photo.subject import Subject
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.amortised_options import StartOptions
     from facepipe.learn.photo.amortised_training import Trained
+    from facepipe.start_options import StartOptions
 
 KEY = "facepipe.photo"
 KIND = "photo-start"

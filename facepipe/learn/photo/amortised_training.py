@@ -14,12 +14,12 @@ from facepipe.learn.face_model import FaceModel
 from facepipe.learn.photo.amortised_descent import NetworkDescent
 from facepipe.learn.photo.amortised_losses import PictureLoss
 from facepipe.learn.photo.amortised_network import StartNetwork
-from facepipe.learn.photo.amortised_options import StartOptions
+from facepipe.start_options import StartOptions
 from facepipe.learn.photo.amortised_pictures import HEAD, Picture
 from facepipe.learn.photo.amortised_renders import Portraits
 from facepipe.learn.photo.amortised_warm_up import WarmUp
 from facepipe.learn.photo.landmark_rig import LandmarkRig
-from facepipe.learn.photo.options import PhotoFitOptions
+from facepipe.photo_options import PhotoFitOptions
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 

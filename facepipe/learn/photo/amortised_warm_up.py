@@ -13,7 +13,7 @@ from facepipe.errors import FitError
 from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.photo.amortised_losses import Taught, TaughtLoss
 from facepipe.learn.photo.amortised_network import SIZE, StartNetwork
-from facepipe.learn.photo.amortised_options import BATCH, LANDMARK_BATCH, StartOptions
+from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
 from facepipe.learn.photo.amortised_people import People, random_people
 from facepipe.learn.photo.amortised_pictures import Picture
 from facepipe.learn.photo.amortised_pose import CropSpace

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.result import Stopped
 from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.photo_options import PhotoFitOptions
 
 # Steps of each kind of unknown over those of sliders: [0175]-[0177] have a rate for each.
 _RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "tint": 1.0}

@@ -19,7 +19,6 @@ from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
 from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
@@ -28,6 +27,7 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
+from facepipe.photo_options import PhotoFitOptions
 from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]

@@ -15,9 +15,9 @@ from facepipe.learn.photo.color_loss import SPREAD, color_loss, spread_of
 from facepipe.learn.photo.feature_losses import FeatureLosses
 from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
 from facepipe.learn.photo.landmark_rig import CONTOUR
-from facepipe.learn.photo.options import PhotoFitOptions
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
+from facepipe.photo_options import PhotoFitOptions
 
 FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
 IMAGE = ("color", *FEATURES)
