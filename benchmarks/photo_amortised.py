@@ -1,21 +1,23 @@
 """What a first guess by a network spares a photo fit: few steps from it against many from the defaults.
 
-usage: python benchmarks/photo_amortised.py start.onnx [--faces 4] [--seed 0] [--few 20] [--many 200] [--networks]
-       [--json out.json]
+usage: python benchmarks/photo_amortised.py start.onnx [--faces 4] [--seed 0] [--few 20] [--many 200] [--rate 0.1]
+       [--networks] [--json out.json]
 
 start.onnx is what `facepipe sample -o head.usda && facepipe train-photo head.usda -o start.onnx` writes. The portraits
 are those of `photo_recovery.py`: known people, rendered by `facepipe.render` in lights, skins and before backgrounds
 that no training saw, with noisy landmarks. Rows, means over the faces, by what comes before the descent:
 
-  landmarks   stage one, bounded Levenberg-Marquardt on landmarks and priors, as in `facepipe fit-photo`
-  raw         nothing: the defaults with the pose of an affine camera, or the guess as it is
+  landmarks       stage one, bounded Levenberg-Marquardt on landmarks and priors
+  raw             nothing: the defaults with the pose of an affine camera, or the guess as it is
+  defaults        as `facepipe fit-photo` begins
+  defaults, lit   in the light of least joint loss, as fits from a guess begin
+  guess           lit too; `facepipe fit-photo --start` takes it raw where that is better, as it mostly is
 
 On each face all descents lower one joint loss: the trust in pixels and the shadows that belong to it are those of the
-defaults after stage one. Each begins in the light that suits its own start. Columns: the joint loss at the start, the
-least one after few and, from the defaults, after many steps (each with a schedule of its own), their seconds, and
-mean slider errors (a share of the range, sliders that move the head by more than 1 mm). The last lines compare few
-steps from the guess with many from the defaults. Without --networks the joint loss is that of landmarks, colours and
-sparsity.
+defaults after stage one. Columns: the joint loss at the start; the least one after few steps of the rate, and from the
+defaults after many of the fit's own rate; seconds of these steps; mean slider errors (a share of the range, sliders
+that move the head by more than 1 mm). The last lines compare few steps from the guess with many from the defaults.
+Without --networks the joint loss is that of landmarks, colours and sparsity.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.subject import Subject
     from facepipe.photo_options import PhotoFitOptions
 
-STAGES, STARTS = ("landmarks", "raw"), ("defaults", "guess")
+STAGES, STARTS = ("landmarks", "raw"), ("defaults", "defaults, lit", "guess")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +81,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the people (default 0)")
     parser.add_argument("--few", type=positive, default=20, help="steps (default 20)")
     parser.add_argument("--many", type=positive, default=200, help="steps (default 200)")
+    parser.add_argument("--rate", type=float, default=0.1, help="of the few steps (default 0.1)")
     parser.add_argument("--networks", action="store_true", help="with the terms of our own feature network")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
@@ -88,7 +91,7 @@ def main() -> None:
     lines = verdicts(found, arguments.few, arguments.many)
     print("\n".join(lines))
     if arguments.json:
-        settings = {name: getattr(arguments, name) for name in ("faces", "seed", "few", "many", "networks")}
+        settings = {name: getattr(arguments, name) for name in ("faces", "seed", "few", "many", "rate", "networks")}
         report = {**settings, "fits": [_numbers(one) for one in found], "verdicts": lines}
         arguments.json.write_text(json.dumps(report, indent=2, sort_keys=True), encoding="utf-8")
 
@@ -129,8 +132,10 @@ def _of_face(
         for start in STARTS:
             figures: dict[str, float] = {}
             for name in ("few", "many") if start == "defaults" else ("few",):
-                steps = getattr(arguments, name)
-                end = _descended(made, loss, states[start], replace(options, iterations=steps))
+                own = replace(options, iterations=getattr(arguments, name))
+                own = replace(own, rate=arguments.rate) if name == "few" else own
+                state = states[start.partition(",")[0]]
+                end = _descended(made, loss, state, own, lit=start != "defaults")
                 figures |= {name: end.loss, f"{name}_s": end.seconds, f"{name}_slider": end.slider, "begin": end.begin}
             yield Descents(face=made.number, stage=stage, start=start, **figures)
 
@@ -157,14 +162,16 @@ def _calibrate(loss: JointLoss, state: State) -> None:
     loss.calibrate(_lit(loss, state))
 
 
-def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions) -> _End:
-
+def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions, *, lit: bool) -> _End:
+    from facepipe.learn.photo.amortised_light import in_better_light
     from facepipe.learn.photo.descent import descend
     from facepipe.learn.photo.fit import _lit
 
     kept = list(loss.shadows)
     start = _lit(loss, state)
     loss.shadows[:] = kept
+    if lit:
+        start = in_better_light(loss, start)
     began = time.perf_counter()
     descent = descend(loss, start, options)
     seconds, totals = time.perf_counter() - began, [one["total"] for one in descent.history]

@@ -14,14 +14,14 @@ from facepipe.learn.face_model import FaceModel
 from facepipe.learn.photo.amortised_descent import NetworkDescent
 from facepipe.learn.photo.amortised_losses import PictureLoss
 from facepipe.learn.photo.amortised_network import StartNetwork
-from facepipe.start_options import StartOptions
 from facepipe.learn.photo.amortised_pictures import HEAD, Picture
 from facepipe.learn.photo.amortised_renders import Portraits
 from facepipe.learn.photo.amortised_warm_up import WarmUp
 from facepipe.learn.photo.landmark_rig import LandmarkRig
-from facepipe.photo_options import PhotoFitOptions
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
+from facepipe.photo_options import PhotoFitOptions
+from facepipe.start_options import StartOptions
 
 HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
 
@@ -73,9 +73,10 @@ def train_start(
         before = descent.best
         warm_up = WarmUp(network, portraits, terms.landmark_sigma, options)
         warm_up.landmarks(done)
-        warm_up.renders(renders if photos else learnt, done)
+        taught = renders if photos else learnt
+        warm_up.renders(taught, done)
         descent.judge()
-        warnings = descent.descend(learnt, options, done)
+        warnings = descent.descend(learnt, options, warm_up.known(taught), done)
     return Trained(
         network=descent.keep_best(),
         subject=subject,

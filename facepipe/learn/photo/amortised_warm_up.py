@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +13,13 @@ from facepipe.errors import FitError
 from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.photo.amortised_losses import Taught, TaughtLoss
 from facepipe.learn.photo.amortised_network import SIZE, StartNetwork
-from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
 from facepipe.learn.photo.amortised_people import People, random_people
 from facepipe.learn.photo.amortised_pictures import Picture
 from facepipe.learn.photo.amortised_pose import CropSpace
 from facepipe.learn.photo.amortised_renders import Portraits
 from facepipe.learn.photo.amortised_varied import batch, noisy_landmarks, varied
 from facepipe.learn.photo.landmark_fit import eye_distance
+from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -41,12 +41,27 @@ class WarmUp:
 
     def renders(self, renders: Sequence[Picture], done: Callable[[int], None]) -> None:
         """From pictures and landmarks together."""
-        if not renders:
-            return
-        needed = self._options.batches * BATCH
-        rounds = [self._rng.permutation(len(renders)) for _ in range(-(-needed // len(renders)))]
-        batches = iter(np.concatenate([*rounds, np.zeros(0, dtype=np.int64)])[:needed].reshape(-1, BATCH))
-        self._descend(self._options.batches, lambda: self._pictures([renders[i] for i in next(batches)]), done)
+        batches = self._batches(renders)
+        self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
+
+    def known(self, renders: Sequence[Picture]) -> Callable[[], Tensor] | None:
+        """The loss of a batch, another one each time; None where there are no renders."""
+        batches = self._batches(renders)
+
+        def loss() -> Tensor:
+            images, marks, right = self._pictures(next(batches))
+            return self._loss(self._network(images, marks), right)
+
+        return loss if renders else None
+
+    def _batches(self, renders: Sequence[Picture]) -> Iterator[list[Picture]]:
+        """Endless, each render once in a round."""
+        waiting: list[int] = []
+        while renders:
+            while len(waiting) < BATCH:
+                waiting += self._rng.permutation(len(renders)).tolist()
+            yield [renders[i] for i in waiting[:BATCH]]
+            waiting = waiting[BATCH:]
 
     def _descend(
         self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[int], None]

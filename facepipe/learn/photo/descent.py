@@ -41,7 +41,7 @@ def descend(
     A loss or slope that is not finite ends it, with the best so far.
     """
     at, best, least = start, start.copy(), math.inf
-    move = _Adam() if options.optimiser == "adam" else _plain
+    move = Adam() if options.optimiser == "adam" else _plain
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
         terms = loss(at)
@@ -73,7 +73,7 @@ def _plain(slopes: Sequence[Tensor], rates: Sequence[float]) -> list[Tensor]:
     return [rate * slope for slope, rate in zip(slopes, rates, strict=True)]
 
 
-class _Adam:
+class Adam:
     """Kingma and Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, algorithm 1.
 
     Ten lines of our own: the first use of torch's imports its compiler, which takes longer than forty steps.

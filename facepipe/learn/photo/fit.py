@@ -104,11 +104,14 @@ def _fit(
 
 
 def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
-    """The one with less joint loss, each in its own light."""
-    shadows = list(loss.shadows)
+    """The one with less joint loss, each in the light that suits it: there may be few steps to find that in."""
+    from facepipe.learn.photo.amortised_light import in_better_light
+
+    begin, shadows = in_better_light(loss, begin), list(loss.shadows)
     with torch.no_grad():
         reached = float(loss(begin)["total"])
-        other = _lit(loss, start)
+    other = in_better_light(loss, _lit(loss, start))
+    with torch.no_grad():
         if float(loss(other)["total"]) < reached:
             return other
     loss.shadows[:] = shadows

@@ -37,7 +37,7 @@ class JointLoss:
         self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
         self.shadows: list[Tensor | None] = [None] * len(self.photos)  # as `Look.shadow`
         subject = fit.subject
-        self._spreads: list[tuple[float, ...]] = [SPREAD] * len(self.photos)
+        self.spreads: list[tuple[float, ...]] = [SPREAD] * len(self.photos)
         self._free = torch.as_tensor(subject.sliders)
         self._shapes = torch.as_tensor(subject.expressions, dtype=torch.int64)
         self._lower, self._upper, self._default = (
@@ -67,7 +67,7 @@ class JointLoss:
         with torch.no_grad():
             for view, photo in enumerate(self.photos):
                 image = self.image(at, view)
-                self._spreads[view] = spread_of(to_srgb(image[..., :3]), photo.pixels, image[..., 3])
+                self.spreads[view] = spread_of(to_srgb(image[..., :3]), photo.pixels, image[..., 3])
 
     def sliders(self, shares: Tensor) -> Tensor:
         """(s,) values of all sliders from the free ones' shares (f,)."""
@@ -104,7 +104,7 @@ class JointLoss:
         image = self.image(at, view)
         picture = to_srgb(image[..., :3])
         if self.options.color:
-            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3], self._spreads[view])
+            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3], self.spreads[view])
         return {**terms, **self._features(picture, view)}
 
     def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
