@@ -19,15 +19,15 @@ class StartOptions:
     """
 
     people: int = field(
-        default=300_000,
+        default=100_000,
         metadata={"help": "random people whose landmarks are learnt from first", "range": (0, 100_000_000)},
     )
     renders: int = field(
-        default=4000, metadata={"help": "random renders of FACE with known parameters", "range": (0, 200_000)}
+        default=2000, metadata={"help": "random renders of FACE with known parameters", "range": (0, 200_000)}
     )
-    epochs: int = field(default=8, metadata={"help": "times that these are learnt from", "range": (0, 1000)})
+    epochs: int = field(default=4, metadata={"help": "times that these are learnt from", "range": (0, 1000)})
     steps: int = field(
-        default=100,
+        default=400,
         metadata={"help": f"of the joint loss after that, with {JOINT_BATCH} pictures each", "range": (0, 1_000_000)},
     )
     seed: int = field(default=0, metadata={"help": "of people, first weights and order", "range": (0, 2**31 - 1)})

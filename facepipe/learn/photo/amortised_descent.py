@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from facepipe.learn.photo.amortised_losses import PictureLoss, outside
 from facepipe.learn.photo.amortised_network import Output, StartNetwork
@@ -55,20 +54,14 @@ class NetworkDescent:
         self,
         pictures: Sequence[Picture],
         options: StartOptions,
-        known: Callable[[], Tensor] | None,
         done: Callable[[int], None],
     ) -> tuple[str, ...]:
-        """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning.
-
-        :param known: a loss of renders whose truth is known, which goes along so that it is not forgotten
-        """
+        """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
         network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
         optimiser = torch.optim.Adam(network.parameters(), lr=_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _RATE)
         for step in range(options.steps):
             optimiser.zero_grad()
-            if known is not None:
-                known().backward()
             if not self._slopes([pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)], rng):
                 return (_NOT_FINITE.format(step),)
             torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
@@ -92,18 +85,11 @@ class NetworkDescent:
             if not bool(loss.detach().isfinite()):
                 return False
             loss.backward()
-        slopes = _evened([one.grad for one in leaves])
-        if not all(bool(one.isfinite().all()) for one in slopes):
+        slopes = [one.grad for one in leaves]
+        if not all(one is not None and bool(one.isfinite().all()) for one in slopes):
             return False
         torch.autograd.backward(list(found), slopes)
         return True
-
-
-def _evened(slopes: Sequence[Tensor]) -> list[Tensor]:
-    """Slopes (b, ...) of which no picture's is steeper than the median: edges that miss each other say little."""
-    steep = torch.cat(list(slopes), dim=1).norm(dim=1, keepdim=True)
-    factor = (steep.median() / steep.clamp(min=1e-12)).clamp(max=1)
-    return [one * factor for one in slopes]
 
 
 def row(found: Output, number: int) -> Output:

@@ -73,10 +73,9 @@ def train_start(
         before = descent.best
         warm_up = WarmUp(network, portraits, terms.landmark_sigma, options)
         warm_up.landmarks(done)
-        taught = renders if photos else learnt
-        warm_up.renders(taught, done)
+        warm_up.renders(renders if photos else learnt, done)
         descent.judge()
-        warnings = descent.descend(learnt, options, warm_up.known(taught), done)
+        warnings = descent.descend(learnt, options, done)
     return Trained(
         network=descent.keep_best(),
         subject=subject,

@@ -44,16 +44,6 @@ class WarmUp:
         batches = self._batches(renders)
         self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
 
-    def known(self, renders: Sequence[Picture]) -> Callable[[], Tensor] | None:
-        """The loss of a batch, another one each time; None where there are no renders."""
-        batches = self._batches(renders)
-
-        def loss() -> Tensor:
-            images, marks, right = self._pictures(next(batches))
-            return self._loss(self._network(images, marks), right)
-
-        return loss if renders else None
-
     def _batches(self, renders: Sequence[Picture]) -> Iterator[list[Picture]]:
         """Endless, each render once in a round."""
         waiting: list[int] = []
