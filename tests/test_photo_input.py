@@ -102,7 +102,9 @@ def modes() -> dict[str, tuple[Callable[[Image.Image], Image.Image], str, float]
 def test_every_mode_shows_the_same_colours(tmp_path: Path, mode: str) -> None:
     made, kind, most = modes()[mode]
     image = made(Image.fromarray(picture()))
-    photo = read(tmp_path, encoded(image, kind, **({"quality": 100} if kind == "JPEG" else {})))
+    # Pillow 10 can't read the plain TIFFs of YCbCr that it writes
+    options = {"JPEG": {"quality": 100}, "TIFF": {"compression": "tiff_lzw"} if mode == "YCbCr" else {}}.get(kind, {})
+    photo = read(tmp_path, encoded(image, kind, **options))
     assert apart(photo, picture()) < most
     assert any("CMYK without a colour profile" in one for one in photo.warnings) == ("CMYK" in mode)
 

@@ -109,7 +109,7 @@ def read(source: Path, options: Options) -> Imported:
     for number, weight in _target_weights(data, options.targets).items():
         points = points + weight * data.target(number)
     if not (np.abs(points) <= LARGEST).all():
-        raise InputError("option targets", "weights so large that points overflow")
+        raise InputError(source, "points overflow, expected smaller vertices, or smaller weights of targets")
     skeleton = read_skeleton(data, points)
     shapes = _shape_offsets(data, options.shapes)
     kinds = [kind for kind in data.names("vertex_kind_names") if kind in MESHES]
