@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 ENDS = {
     "iterations": "all steps made",
     "loss-threshold": "ended at the loss asked for",
-    "no-progress": "ended where nothing was left to gain",
     "not-finite": "ended by a loss that was not finite",
 }
 

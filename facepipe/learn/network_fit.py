@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+from facepipe.learn.one_thread import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -61,7 +61,7 @@ def train(
     :param checked: other samples; training stops where their error has not fallen for `patience` steps, and the best is
         taken
     """
-    with _one_thread():
+    with one_thread():
         linear, offset = _least_squares(_tensor(samples.inputs), _tensor(samples.outputs))
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
         left = [(x, y - x @ linear - offset) for x, y in parts]
@@ -163,14 +163,3 @@ def _least_squares(features: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
 
 def _tensor(values: FloatArray) -> Tensor:
     return torch.as_tensor(np.asarray(values, dtype=np.float64))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Sums come in the same order whatever the machine's threads, and matrices this small are fastest so."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.face_model import FaceModel
+from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.amortised_descent import NetworkDescent
 from facepipe.learn.photo.amortised_losses import PictureLoss
 from facepipe.learn.photo.amortised_network import StartNetwork
@@ -61,7 +61,7 @@ def train_start(
     """
     subject = Subject.of(parts, expressions)
     terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0)  # a step has to be quick
-    with _one_thread(), torch.random.fork_rng(devices=[]):
+    with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(options.seed)
         model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.of(subject)
         portraits = Portraits(subject, model, landmarks)
@@ -103,14 +103,3 @@ def _parted(pictures: Sequence[Picture], seed: int) -> tuple[list[Picture], list
         raise InputError("training", f"{len(pictures)} pictures, expected 4 or more (photos, or renders)")
     order = np.random.default_rng([seed, 0]).permutation(len(pictures))
     return [pictures[i] for i in order[judged:]], [pictures[i] for i in order[:judged]]
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Sums come in the same order whatever the machine's threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

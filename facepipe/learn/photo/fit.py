@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.light import KERNEL
+from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
@@ -28,7 +28,6 @@ from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -61,20 +60,8 @@ def fit_photos(
     :raises InputError: no photo, arrays that don't fit, a face without the 68 landmarks or without sliders
     """
     _check(photos, landmarks)
-    with _one_thread():
+    with one_thread():
         return _fit(parts, photos, landmarks, options, expressions, extractors, start, done)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """The small steps of a fit gain little from more threads, and lose much where other programs use the cores."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with one_thread():
-            yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _fit(

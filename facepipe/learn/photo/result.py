@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
-Stopped = Literal["iterations", "loss-threshold", "no-progress", "not-finite"]
+Stopped = Literal["iterations", "loss-threshold", "not-finite"]
 
 
 @dataclass(frozen=True, kw_only=True)

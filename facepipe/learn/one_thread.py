@@ -1,0 +1,26 @@
+"""torch and BLAS on one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+from facepipe import threads
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Inside the block; as before after it.
+
+    Sums come in the same order whatever the machine's threads, and steps as small as ours gain little from more, but
+    lose much where other programs use the cores.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threads.one_thread():
+            yield
+    finally:
+        torch.set_num_threads(before)
