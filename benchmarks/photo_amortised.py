@@ -157,18 +157,18 @@ def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: 
 
 def _calibrate(loss: JointLoss, state: State) -> None:
     """The joint loss as a fit that starts there has it."""
-    from facepipe.learn.photo.fit import _lit
+    from facepipe.learn.photo import lighting
 
-    loss.calibrate(_lit(loss, state))
+    loss.calibrate(lighting.lit(loss, state))
 
 
 def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions, *, lit: bool) -> _End:
-    from facepipe.learn.photo.amortised_light import in_better_light
+    from facepipe.learn.photo import lighting
+    from facepipe.learn.photo.better_light import in_better_light
     from facepipe.learn.photo.descent import descend
-    from facepipe.learn.photo.fit import _lit
 
     kept = list(loss.shadows)
-    start = _lit(loss, state)
+    start = lighting.lit(loss, state)
     loss.shadows[:] = kept
     if lit:
         start = in_better_light(loss, start)

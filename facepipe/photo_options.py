@@ -30,7 +30,7 @@ class PhotoFitOptions:
         metadata={"help": "adam, or the plain descent of the document", "choices": ("adam", "gradient-descent")},
     )
     rate: float = field(
-        default=0.02,
+        default=0.04,
         metadata={"help": "size of a step, of a slider's range (adam), or per slope (plain)", "range": (1e-9, 1e3)},
     )
     size: int = field(

@@ -8,17 +8,17 @@ from functools import cache
 import numpy as np
 from learned import torch
 
-from facepipe.learn.camera import rotation_matrices
 from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.key_light import DARK, KeyLight
 from facepipe.learn.light import ambient, distant
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
+from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
-from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 from facepipe.sample import make
@@ -53,7 +53,7 @@ class Portrait:
     spaces: tuple[PoseSpace, ...]
     images: tuple[np.ndarray, ...]  # (size, size, 3) sRGB
     landmarks: tuple[np.ndarray, ...]  # (68, 2)
-    shadows: tuple[torch.Tensor | None, ...]
+    shadows: tuple[Shadows | None, ...]
 
 
 def photo_space(own: Subject, size: int) -> PoseSpace:
@@ -91,12 +91,19 @@ def random_light(rng: np.random.Generator) -> torch.Tensor:
 
 
 @cache
-def portrait(seed: int = 0, size: int = 96, views: int = 1, shadows: bool = False) -> Portrait:
-    """Photos of a random person in random light before grey."""
+def portrait(
+    seed: int = 0, size: int = 96, views: int = 1, shadows: bool = False, lamp: tuple[float, ...] | None = None
+) -> Portrait:
+    """Photos of a random person in random light before grey.
+
+    :param shadows: that the face casts on itself
+    :param lamp: (8,) beside that light, as `KeyLight`; with shadows
+    """
     rng, face = np.random.default_rng([seed, 1]), model()
     state, space = random_state(seed, views), photo_space(subject(), size)
     tint = torch.tensor(rng.uniform(0.7, 1.2, (len(face.colors.names), 3)), dtype=torch.float32).log()
-    truth = Unknowns.of(state, [random_light(rng) for _ in range(views)], tint)
+    lamps = [torch.tensor(lamp or DARK)] * views
+    truth = Unknowns.of(state, [random_light(rng) for _ in range(views)], tint, lamps)
     blank = LandmarkFit(subject(), [np.zeros((68, 2))] * views, [space] * views, Priors())
     landmarks = blank.landmarks(state)
     images, shades = [], []
@@ -105,20 +112,19 @@ def portrait(seed: int = 0, size: int = 96, views: int = 1, shadows: bool = Fals
         sliders = torch.as_tensor(subject().slider_values(state.shares), dtype=torch.float32)
         weights = torch.as_tensor(subject().shape_weights(state.expressions[view]), dtype=torch.float32)
         with torch.no_grad():
-            points, turn = face.rig(sliders, weights), rotation_matrices(camera.rotation).mT
-            shadow = None
-            if shadows:
-                shadow = shadow_transfer(points @ turn, face.normals(points) @ turn, face.outline.triangles)
+            points = face.rig(sliders, weights)
+            shade = Shadows.of(face, points, camera, lamps[view][:3]) if shadows or lamp else None
             look = Look(
                 camera=camera,
                 light=truth.light[view].detach(),
                 background=torch.full((3,), 0.2),
                 tint=tint.exp(),
-                shadow=shadow,
+                shadow=shade and shade.transfer,
+                key=shade and KeyLight(numbers=lamps[view], arriving=shade.arriving),
             )
             image = to_srgb(face.image(points, look, height=size, width=size)[..., :3])
         images.append(image.numpy())
-        shades.append(shadow)
+        shades.append(shade)
     return Portrait(
         truth=truth,
         state=state,

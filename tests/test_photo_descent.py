@@ -15,7 +15,7 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.photo_options import PhotoFitOptions
 
 Loss = Callable[[Unknowns], dict[str, torch.Tensor]]
-NAMES = ("shares", "expressions", "poses", "light", "tint")
+NAMES = ("shares", "expressions", "poses", "light", "key", "tint")
 
 
 def start(seed: int = 0) -> Unknowns:

@@ -1,4 +1,4 @@
-"""The joint loss of photo fits: what each term measures, its gradient, and light and colours in closed form."""
+"""The joint loss of photo fits: what each term measures, and its gradient."""
 
 from __future__ import annotations
 
@@ -10,16 +10,11 @@ import feature_graphs
 import numpy as np
 import pytest
 from learned import tensor, torch
-from photo_people import SMILE, Portrait, joint_loss, model, moved, portrait, subject
+from photo_people import SMILE, Portrait, joint_loss, moved, portrait, subject
 
-from facepipe.learn.face_model import Look
 from facepipe.learn.features.extractor import Extractor, load_extractor
-from facepipe.learn.light import shade
 from facepipe.learn.photo.color_loss import color_loss
 from facepipe.learn.photo.feature_losses import FeatureLosses, attributes, content, identity
-from facepipe.learn.photo.joint_loss import single
-from facepipe.learn.photo.relight import relight
-from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 
 ALONE = {
     "landmarks": 0.0,
@@ -285,69 +280,7 @@ def test_image_terms_of_several_photos_are_means() -> None:
             spaces=own.spaces[:1],
             shadows=own.shadows[:1],
         )
-        rows = {one: getattr(at, one)[view : view + 1] for one in ("expressions", "poses", "light")}
+        rows = {one: getattr(at, one)[view : view + 1] for one in ("expressions", "poses", "light", "key")}
         alone.append(joint_loss(part, sparsity=0.0, expression_sparsity=0.0)(replace(at, **rows)))
     for name in ("landmarks", "color", "total"):
         assert both[name].item() == pytest.approx((alone[0][name] + alone[1][name]).item() / 2, rel=1e-5)
-
-
-# Light and colours in closed form
-
-
-def shading_error(found: torch.Tensor, true: torch.Tensor) -> float:
-    """Of white surfaces that are turned less than 75 degrees from the viewer, as a share of their mean colour."""
-    normals = torch.nn.functional.normalize(torch.randn((2000, 3), generator=torch.Generator().manual_seed(0)), dim=1)
-    seen = normals[normals[:, 2] > 0.26]
-    one, other = shade(seen, found), shade(seen, true)
-    return ((one - other).abs().mean() / other.mean()).item()
-
-
-@pytest.mark.parametrize("shadows", [False, True])
-def test_light_and_colors_of_a_picture_of_its_own_are_found_again(shadows: bool) -> None:
-    own = portrait(seed=1, size=128, shadows=shadows)
-    loss = joint_loss(own)
-    photo, face = loss.photos[0], model()
-    look = loss.look(own.truth, 0)
-    with torch.no_grad():
-        points = face.rig(loss.sliders(own.truth.shares), loss.weights(own.truth.expressions[0]))
-        light, tint = relight(face, points, look.camera, photo, own.shadows[0])
-        height, width = photo.size
-        again = replace(look, light=light, tint=tint)
-        image = face.image(points, again, height=height, width=width)
-    off = (to_srgb(image[..., :3]) - photo.pixels).abs()[image[..., 3] > 0.99]
-    assert off.mean() < 0.012
-    true = own.truth.tint.detach().exp()
-    skin = face.colors.names.index("Skin")
-    np.testing.assert_allclose(tint[skin], torch.ones(3), atol=1e-6)
-    assert shading_error(light, own.truth.light[0].detach() * true[skin]) < 0.05
-    hair = face.colors.names.index("Hair")
-    color = face.colors.colors[hair]
-    np.testing.assert_allclose(color * tint[hair], color * true[hair] / true[skin], atol=0.02)
-
-
-def test_light_bears_with_a_dark_blot() -> None:
-    own = portrait(seed=1, size=128)
-    loss = joint_loss(own)
-    face, look = model(), loss.look(own.truth, 0)
-    image = own.images[0].copy()
-    middle = own.landmarks[0][33].astype(int)
-    image[middle[1] : middle[1] + 14, middle[0] : middle[0] + 14] = 0.02
-    blotted = WorkingPhoto.of(image, own.landmarks[0], 128)
-    with torch.no_grad():
-        points = face.rig(loss.sliders(own.truth.shares), loss.weights(own.truth.expressions[0]))
-        light, _ = relight(face, points, look.camera, loss.photos[0])
-        other, _ = relight(face, points, look.camera, blotted)
-    assert shading_error(other, light) < 0.05
-
-
-def test_a_face_out_of_the_picture_is_lit_somehow() -> None:
-    own = portrait()
-    loss = joint_loss(own)
-    look: Look = loss.look(own.truth, 0)
-    away = replace(single(look.camera), center=look.camera.center + 1e4)
-    with torch.no_grad():
-        points = model().rig()
-    light, tint = relight(model(), points, away, loss.photos[0])
-    assert light.isfinite().all()
-    assert light.norm() > 0
-    assert (tint == 1).all()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from solids import ball
 
 from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.self_shadow import shadow_transfer
+from facepipe.learn.self_shadow import shadow_transfer, visibility
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -130,3 +130,27 @@ def test_place_and_size_do_not_matter() -> None:
 def test_without_triangles_nothing_is_shaded() -> None:
     points, normals, _ = room()
     assert (shadow_transfer(points, normals, torch.zeros((0, 3), dtype=torch.int64)) == 0).all()
+
+
+def test_a_lamp_casts_the_shadow_of_the_wall() -> None:
+    """From 45 degrees behind a wall of height 1, the floor is dark up to 1 from it, and light beyond its ends."""
+    points, _, triangles = room()
+    arriving = visibility(points, triangles, flat((-math.sqrt(0.5), 0.0, math.sqrt(0.5))))[: 20 * 20].reshape(20, 20)
+    assert (arriving[1:-1, 1:-1] < 0.05).all()
+    slanted = torch.nn.functional.normalize(flat((-0.5, 0.0, 1.0)), dim=0)  # the shadow is half as long
+    arriving = visibility(points, triangles, slanted)[: 20 * 20].reshape(20, 20)[:, 3:-3]
+    along = np.linspace(0, 1, 20)
+    assert (arriving[(along > 0.06) & (along < 0.45)] < 0.05).all()
+    assert (arriving[along > 0.55] > 0.95).all()
+
+
+def test_sharp_views_have_sharp_shadows() -> None:
+    points, _, triangles = room()
+    slanted = torch.nn.functional.normalize(flat((-0.5, 0.0, 1.0)), dim=0)
+    floor = square((0, -0.5, 0), (1, 0, 0), (0, 1, 0), 200)[0]
+    finer = torch.cat([points, flat(floor)])
+    widths = []
+    for resolution in (64, 512):
+        arriving = visibility(finer, triangles, slanted, resolution)[len(points) :].reshape(200, 200).mean(dim=1)
+        widths.append(int(((arriving > 0.02) & (arriving < 0.98)).sum()))
+    assert widths[1] < 0.3 * widths[0]

@@ -11,7 +11,6 @@ import numpy as np
 import onnx
 import pytest
 from learned import torch
-from photo_people import joint_loss, portrait
 from PIL import Image
 
 from facepipe.cli import main
@@ -21,7 +20,6 @@ from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient
 from facepipe.learn.photo.amortised import Guess, load_start
 from facepipe.learn.photo.amortised_graph import start_graph
-from facepipe.learn.photo.amortised_light import in_better_light
 from facepipe.learn.photo.amortised_losses import POSE_MEAN, relative_pose
 from facepipe.learn.photo.amortised_metadata import start_metadata
 from facepipe.learn.photo.amortised_network import SIZE, held
@@ -364,20 +362,6 @@ def test_a_fit_begins_at_the_guess_where_that_is_better(
     assert best["landmarks"] < 1e-6 < default["landmarks"]  # stage one would be drawn to the defaults
     assert best["total"] < default["total"]
     assert worst["total"] < 1.5 * default["total"]
-
-
-def test_light_is_found_again() -> None:
-    """A face that stands where it stood, in grey light: most of what the colours are off goes, nothing moves."""
-    person = portrait(0)
-    loss = joint_loss(person, content=0.0, identity=0.0, attributes=0.0)
-    grey = ambient(torch.full((3,), 0.4))[None]
-    start = replace(person.truth, light=grey, tint=torch.zeros_like(person.truth.tint))
-    found = in_better_light(loss, start, steps=300)
-    with torch.no_grad():
-        before, after = (float(loss(one)["color"]) for one in (start, found))
-    assert after < 0.2 * before
-    assert torch.equal(found.poses, start.poses)
-    assert torch.equal(found.shares, start.shares)
 
 
 def test_the_fit_command_takes_the_network(

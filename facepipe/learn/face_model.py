@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from facepipe.learn.antialias import antialias
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.colors import SurfaceColors
+from facepipe.learn.key_light import KeyLight
 from facepipe.learn.light import shade
 from facepipe.learn.normals import PointNormals
 from facepipe.learn.outline import Outline
@@ -31,6 +33,7 @@ class Look:
     tint: Tensor | None = None  # (materials, 3) multiplies the materials' colours
     textures: Mapping[str, Tensor] | None = None  # material -> (h, w, 3) linear texels, instead of its own
     shadow: Tensor | None = None  # (n, 9) of each point, as `facepipe.learn.self_shadow`; None: nothing shades
+    key: KeyLight | None = None  # a lamp beside `light`
 
 
 class FaceModel:
@@ -84,8 +87,14 @@ class FaceModel:
         normals = self.normals(points) @ rotation_matrices(camera.rotation).mT
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
         shadow = None if look.shadow is None else interpolate(look.shadow, triangles, raster, weights)
-        lit = shade(torch.nn.functional.normalize(normals, dim=1), look.light, shadow)
-        color = lit * self.colors(raster, weights, look.tint, look.textures)
+        normals = normalize(normals, dim=1)
+        lit, own = shade(normals, look.light, shadow), self.colors(raster, weights, look.tint, look.textures)
+        color = lit * own
+        if look.key is not None:
+            towards_eye = normalize(-interpolate(local, triangles, raster, weights), dim=1)
+            arriving = interpolate(look.key.arriving[:, None], triangles, raster, weights)[:, 0]
+            matt, mirrored = look.key.shade(normals, towards_eye, arriving)
+            color = color + matt * own + mirrored
         values = torch.cat([color, torch.ones_like(color[:, :1])], dim=1)
         background = torch.cat([look.background, torch.zeros_like(look.background[..., :1])], dim=-1)
         return antialias(raster.paint(values, background), screen, self.outline, raster)

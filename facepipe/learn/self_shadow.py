@@ -33,27 +33,30 @@ def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directio
     if not len(triangles):
         return points.new_zeros((len(points), 9))
     with torch.no_grad():
-        used = torch.unique(triangles)
-        low, high = points[used].amin(0), points[used].amax(0)
-        middle, size = (low + high) / 2, float((high - low).norm())
         lost = torch.zeros((len(points), 9), dtype=points.dtype)
-        for direction in _sphere(directions).to(points.dtype):
+        for direction in sphere(directions).to(points.dtype):
             cosine = (normals @ direction).clamp(min=0)
-            hidden = 1 - _seen(points - middle, triangles, direction, size)
-            lost += (cosine * hidden)[:, None] * basis(direction)[None]
+            lost += (cosine * (1 - visibility(points, triangles, direction)))[:, None] * basis(direction)[None]
         # light coefficients hold the cosine's share, as normals take them; what arrives from a direction does not
         return -lost * (4 / directions) / lost.new_tensor(KERNEL)
 
 
-def _seen(points: Tensor, triangles: Tensor, direction: Tensor, size: float) -> Tensor:
-    """(n,) share of the light from a direction that arrives, averaged over the nearest four pixels."""
+def visibility(points: Tensor, triangles: Tensor, direction: Tensor, resolution: int = RESOLUTION) -> Tensor:
+    """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), averaged over four pixels.
+
+    Without gradients.
+
+    :param resolution: pixels a side of the view from that direction
+    """
+    used = torch.unique(triangles)
+    low, high = points[used].amin(0), points[used].amax(0)
+    points, size = points - (low + high) / 2, float((high - low).norm())
     across = _perpendicular(direction)
-    scale = RESOLUTION / (1.02 * size)
-    x, y = (points @ one * scale + RESOLUTION / 2 for one in across)
+    middle, scale = resolution / 2, resolution / (1.02 * size)
     depth = _FAR * size - points @ direction
     shrink = _FAR * size / depth
-    x, y = (RESOLUTION / 2 + (one - RESOLUTION / 2) * shrink for one in (x, y))
-    nearness = rasterise(torch.stack([x, y, depth], dim=1), triangles, RESOLUTION, RESOLUTION).nearness
+    x, y = (middle + points @ one * scale * shrink for one in across)
+    nearness = rasterise(torch.stack([x, y, depth], dim=1), triangles, resolution, resolution).nearness
     limit = 1 / (depth - _SLACK * size)
     left, top = (x - 0.5).floor(), (y - 0.5).floor()
     fx, fy = x - 0.5 - left, y - 0.5 - top
@@ -61,12 +64,12 @@ def _seen(points: Tensor, triangles: Tensor, direction: Tensor, size: float) -> 
     for step in range(4):
         column, row = left + step % 2, top + step // 2
         share = (fx if step % 2 else 1 - fx) * (fy if step // 2 else 1 - fy)
-        at = row.clamp(0, RESOLUTION - 1).long() * RESOLUTION + column.clamp(0, RESOLUTION - 1).long()
+        at = row.clamp(0, resolution - 1).long() * resolution + column.clamp(0, resolution - 1).long()
         arriving += share * (nearness[at] <= limit)
     return arriving
 
 
-def _sphere(count: int) -> Tensor:
+def sphere(count: int) -> Tensor:
     """(count, 3) unit directions, evenly spread (a Fibonacci lattice)."""
     number = torch.arange(count, dtype=torch.float64) + 0.5
     z = 1 - 2 * number / count

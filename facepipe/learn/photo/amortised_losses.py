@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from facepipe.learn.face_model import FaceModel
+from facepipe.learn.key_light import DARK
+from facepipe.learn.light import basis
 from facepipe.learn.photo.amortised_network import SIZE, Output, held
 from facepipe.learn.photo.amortised_people import People
 from facepipe.learn.photo.amortised_pictures import Crop, Picture
@@ -19,6 +21,7 @@ from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
 from facepipe.learn.photo.relight import relight
+from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.rig import DifferentiableRig
@@ -118,6 +121,7 @@ class PictureLoss:
             expressions=held(found.expressions),
             poses=pose,
             light=torch.zeros((1, 9, 3)),
+            key=torch.tensor([DARK]),
             tint=torch.zeros((len(self.model.colors.names), 3)),
         )
         return loss(self._lit(loss, at))
@@ -126,7 +130,8 @@ class PictureLoss:
         with torch.no_grad():
             points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
             camera = single(loss.photos[0].camera(loss.fit.spaces[0].camera(at.poses[0])))
-            light, tint = relight(self.model, points, camera, loss.photos[0])
-        return Unknowns(
-            shares=at.shares, expressions=at.expressions, poses=at.poses, light=light[None], tint=tint.log()
-        )
+            photo = loss.photos[0]
+            surface = SeenSurface.of(self.model, points, camera, photo.size)
+            seen, count = photo.linear.reshape(-1, 3)[surface.raster.pixels], len(self.model.colors.names)
+            light, tint = relight(surface, seen, basis(surface.normals), count)
+        return replace(at, light=light[None], tint=tint.log())

@@ -14,9 +14,10 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.photo_options import PhotoFitOptions
 
 # Steps of each kind of unknown over those of sliders: [0175]-[0177] have a rate for each.
-_RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "tint": 1.0}
+_RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "key": 1.0, "tint": 1.0}
 _SLOWEST = 0.05  # of the rate, at the last step
 _RISE = 12  # steps
+_RENEWED = 50  # steps after which what a loss holds fixed is made anew
 _MEMORY = (0.9, 0.99)  # of the first and second moments
 _TINY = 1e-8
 
@@ -35,6 +36,7 @@ def descend(
     start: Unknowns,
     options: PhotoFitOptions,
     done: Callable[[int], None] | None = None,
+    renew: Callable[[Unknowns], None] | None = None,
 ) -> Descent:
     """The unknowns with the least loss of all steps; sliders and expressions stay in their ranges.
 
@@ -44,6 +46,9 @@ def descend(
     move = Adam() if options.optimiser == "adam" else _plain
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
+        if renew is not None and step and step % _RENEWED == 0:
+            renew(at)
+            least = math.inf  # the loss has changed
         terms = loss(at)
         history.append({name: float(value.detach()) for name, value in terms.items()})
         total = history[-1]["total"]

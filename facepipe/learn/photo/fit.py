@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from facepipe.errors import InputError
-from facepipe.learn.camera import rotation_matrices
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
-from facepipe.learn.light import KERNEL
 from facepipe.learn.one_thread import one_thread
+from facepipe.learn.photo.better_light import in_better_light
 from facepipe.learn.photo.descent import Descent, descend
-from facepipe.learn.photo.joint_loss import FEATURES, JointLoss, single
+from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
 from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
+from facepipe.learn.photo.lighting import lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
-from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
-from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 
@@ -82,22 +81,19 @@ def _fit(
     model = FaceModel(parts, largest_texture=options.size)
     working = [WorkingPhoto.of(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
     loss = JointLoss(model, fit, working, found, options)
-    begin = _lit(loss, state)
+    begin = lit(loss, state)
     loss.calibrate(begin)
-    if start is not None:
-        begin = _better(loss, begin, start)
-    descent = descend(loss, begin, options, done)
+    begin = in_better_light(loss, begin) if start is None else _better(loss, begin, start)
+    descent = descend(loss, begin, options, done, renew=partial(renew_shadows, loss))
     return _result(loss, descent)
 
 
 def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
     """The one with less joint loss, each in the light that suits it: there may be few steps to find that in."""
-    from facepipe.learn.photo.amortised_light import in_better_light
-
     begin, shadows = in_better_light(loss, begin), list(loss.shadows)
     with torch.no_grad():
         reached = float(loss(begin)["total"])
-    other = in_better_light(loss, _lit(loss, start))
+    other = in_better_light(loss, lit(loss, start))
     with torch.no_grad():
         if float(loss(other)["total"]) < reached:
             return other
@@ -152,24 +148,6 @@ def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions
     from facepipe.learn.networks import own_extractors
 
     return own_extractors([kind for kind in FEATURES if getattr(options, kind)])
-
-
-def _lit(loss: JointLoss, state: State) -> Unknowns:
-    """The unknowns of a state in the light that its photos show, with the shadows that the face casts on itself."""
-    model, lights, tints = loss.model, [], []
-    for view, photo in enumerate(loss.photos):
-        with torch.no_grad():
-            sliders = loss.sliders(torch.as_tensor(state.shares, dtype=torch.float32))
-            weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
-            camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
-            points, turn = model.rig(sliders, weights), rotation_matrices(camera.rotation).mT
-            shadow = shadow_transfer(points @ turn, model.normals(points) @ turn, model.outline.triangles)
-            shadow = shadow * shadow.new_tensor(KERNEL)  # a window: nine harmonics of sharp shadows ring
-            light, tint = relight(model, points, camera, photo, shadow)
-        loss.shadows[view] = shadow
-        lights.append(light)
-        tints.append(tint.log())
-    return Unknowns.of(state, lights, torch.stack(tints).mean(dim=0))
 
 
 def _result(loss: JointLoss, descent: Descent) -> PhotoFit:

@@ -11,10 +11,12 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
+from facepipe.learn.key_light import KeyLight
 from facepipe.learn.photo.color_loss import SPREAD, color_loss, spread_of
 from facepipe.learn.photo.feature_losses import FeatureLosses
 from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
 from facepipe.learn.photo.landmark_rig import CONTOUR
+from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo_options import PhotoFitOptions
@@ -35,7 +37,7 @@ class JointLoss:
         options: PhotoFitOptions,
     ) -> None:
         self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
-        self.shadows: list[Tensor | None] = [None] * len(self.photos)  # as `Look.shadow`
+        self.shadows: list[Shadows | None] = [None] * len(self.photos)  # None: no lamp either
         subject = fit.subject
         self.spreads: list[tuple[float, ...]] = [SPREAD] * len(self.photos)
         self._free = torch.as_tensor(subject.sliders)
@@ -89,12 +91,14 @@ class JointLoss:
     def look(self, at: Unknowns, view: int) -> Look:
         """Camera, light and colours of a photo."""
         camera = single(self.photos[view].camera(self.fit.spaces[view].camera(at.poses[view])))
+        shadows = self.shadows[view]
         return Look(
             camera=camera,
             light=at.light[view],
             background=self.photos[view].linear,
             tint=at.tint.exp(),
-            shadow=self.shadows[view],
+            shadow=None if shadows is None else shadows.transfer,
+            key=None if shadows is None else KeyLight(numbers=at.key[view], arriving=shadows.arriving),
         )
 
     def _of_view(self, at: Unknowns, sliders: Tensor, view: int) -> dict[str, Tensor]:

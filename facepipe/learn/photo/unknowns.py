@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.landmark_fit import State
 
 
@@ -20,16 +21,21 @@ class Unknowns:
     expressions: Tensor  # (v, e) 0..1
     poses: Tensor  # (v, 7) as `PoseSpace`
     light: Tensor  # (v, 9, 3)
+    key: Tensor  # (v, 8) as `KeyLight`
     tint: Tensor  # (materials, 3) logarithms of factors
 
     @classmethod
-    def of(cls, state: State, light: Sequence[Tensor], tint: Tensor) -> Unknowns:
-        """Free tensors in float32, poses in float64."""
+    def of(cls, state: State, light: Sequence[Tensor], tint: Tensor, key: Sequence[Tensor] | None = None) -> Unknowns:
+        """Free tensors in float32, poses in float64.
+
+        :param key: None: no lamps
+        """
         numbers = {
             "shares": torch.as_tensor(state.shares, dtype=torch.float32),
             "expressions": torch.as_tensor(state.expressions, dtype=torch.float32),
             "poses": torch.as_tensor(state.poses, dtype=torch.float64),
             "light": torch.stack(list(light)),
+            "key": torch.stack(list(key) if key is not None else [torch.tensor(DARK)] * len(light)),
             "tint": tint,
         }
         return cls(**{name: value.detach().clone().requires_grad_() for name, value in numbers.items()})

@@ -1,0 +1,95 @@
+"""A lamp beside the harmonics: the shading that `facepipe.render` has, its gradient, and images that it lights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from learned import torch
+from photo_people import joint_loss, model, portrait
+
+from facepipe.learn.key_light import DARK, KeyLight
+from facepipe.render.lighting import Light, Samples, Studio, lit
+
+DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5
+NUMBERS = torch.tensor([*DIRECTION, *COLOR, SHINE, math.log(2 / ROUGHNESS**4 - 2)], dtype=torch.float64)
+BLACK = (0.0, 0.0, 0.0)
+
+
+def surface(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Random unit normals, unit directions to the eye, mostly on one side, and shares of light that arrive."""
+    rng = np.random.default_rng(0)
+    vectors = (rng.normal(size=(count, 3)) + np.array([0.0, 0.0, 1.5]) for _ in range(2))
+    normals, eye = (torch.tensor(one / np.linalg.norm(one, axis=1, keepdims=True)) for one in vectors)
+    return normals, eye, torch.tensor(rng.uniform(size=count))
+
+
+def lamp(numbers: torch.Tensor = NUMBERS) -> KeyLight:
+    return KeyLight(numbers=numbers, arriving=torch.ones(1))
+
+
+def test_it_shines_as_the_lamps_of_pictures_do() -> None:
+    """`facepipe.render` has the same model, written without torch."""
+    normals, eye, _ = surface()
+    all_of_it = torch.ones(len(normals), dtype=torch.float64)
+    matt, mirrored = lamp().shade(normals, eye, all_of_it)
+    whole = np.ones(len(normals), np.float32)
+    samples = Samples(
+        normals=normals.numpy().astype(np.float32),
+        towards_eye=eye.numpy().astype(np.float32),
+        up=np.array([0, 1, 0], np.float32),
+        base=np.full((len(normals), 3), 0.3, np.float32),
+        roughness=np.full(len(normals), ROUGHNESS, np.float32),
+        opacity=whole,
+        ambient=whole,
+        key_light=whole,
+    )
+    alone = Light(direction=DIRECTION, color=COLOR, highlight=SHINE)
+    pictured = lit(samples, Studio(lights=(alone,), sky=BLACK, ground=BLACK, shadows=False, compress=False))
+    np.testing.assert_allclose((0.3 * matt + mirrored).clamp(max=1), pictured, atol=2e-5)
+    assert mirrored.max() > 0.05
+
+
+def test_what_does_not_arrive_neither_lights_nor_shines() -> None:
+    normals, eye, arriving = surface()
+    whole, part = (lamp().shade(normals, eye, share) for share in (torch.ones_like(arriving), arriving))
+    for one, other in zip(whole, part, strict=True):
+        torch.testing.assert_close(one * arriving[:, None], other)
+
+
+def test_its_gradient() -> None:
+    normals, eye, arriving = surface(12)
+    free = [one.clone().requires_grad_() for one in (NUMBERS, normals, eye)]
+    assert torch.autograd.gradcheck(lambda n, a, e: lamp(n).shade(a, e, arriving), free)
+
+
+def test_negative_light_is_none() -> None:
+    normals, eye, arriving = surface()
+    for index in (3, 6):
+        numbers = NUMBERS.clone()
+        numbers[index : index + 3 if index == 3 else index + 1] = -1.0
+        matt, mirrored = lamp(numbers).shade(normals, eye, arriving)
+        assert (mirrored == 0).all()
+        assert (matt == 0).all() == (index == 3)
+
+
+def test_an_image_shows_it() -> None:
+    """Where something stands before it, the image is that without a lamp; elsewhere brighter, in its colour."""
+    red = torch.tensor([0.0, 0.3, 1.0, 0.8, 0.0, 0.0, 0.5, 3.0])
+    own = portrait(size=128, lamp=tuple(red.tolist()))
+    loss = joint_loss(own)
+    with torch.no_grad():
+        shown = loss.image(own.truth, 0)
+        black = loss.image(replace(own.truth, key=torch.tensor([DARK])), 0)
+        shadows = loss.shadows[0]
+        assert shadows is not None
+        loss.shadows[0] = replace(shadows, arriving=torch.zeros_like(shadows.arriving))
+        hidden = loss.image(own.truth, 0)
+    assert len(shadows.arriving) == len(model().rig())
+    torch.testing.assert_close(hidden, black)
+    added = (shown - black)[..., :3]
+    torch.testing.assert_close(added[..., 1:], torch.zeros_like(added[..., 1:]), atol=1e-6, rtol=0)
+    assert added[..., 0].min() > -1e-6
+    assert added[..., 0].max() > 0.15
+    assert 0.1 < float((added[..., 0] > 0.01).float().mean()) < 0.6
