@@ -38,7 +38,7 @@ from tables import aligned
 if TYPE_CHECKING:
     from recovery_targets import RecoveryTarget
 
-    from facepipe.learn.photo.amortised import Guess
+    from facepipe.learn.photo.amortised.guess import Guess
     from facepipe.learn.photo.joint_loss import JointLoss
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.subject import Subject
@@ -105,7 +105,7 @@ def measured(arguments: argparse.Namespace) -> list[Descents]:
     """Every face from every start."""
     from recovery_targets import sample, target
 
-    from facepipe.learn.photo.amortised import load_start
+    from facepipe.learn.photo.amortised.guess import load_start
     from facepipe.learn.photo.subject import Subject
     from facepipe.photo_options import PhotoFitOptions
 

@@ -18,16 +18,16 @@ from facepipe.errors import FacepipeError, InputError
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient
-from facepipe.learn.photo.amortised import Guess, load_start
-from facepipe.learn.photo.amortised_graph import start_graph
-from facepipe.learn.photo.amortised_losses import POSE_MEAN, relative_pose
-from facepipe.learn.photo.amortised_metadata import start_metadata
-from facepipe.learn.photo.amortised_network import SIZE, held
-from facepipe.learn.photo.amortised_people import random_people
-from facepipe.learn.photo.amortised_pictures import HEAD, Picture
-from facepipe.learn.photo.amortised_pose import CropSpace
-from facepipe.learn.photo.amortised_renders import Portraits
-from facepipe.learn.photo.amortised_training import Trained, train_start
+from facepipe.learn.photo.amortised.graph import start_graph
+from facepipe.learn.photo.amortised.guess import Guess, load_start
+from facepipe.learn.photo.amortised.losses import POSE_MEAN, relative_pose
+from facepipe.learn.photo.amortised.metadata import start_metadata
+from facepipe.learn.photo.amortised.network import SIZE, held
+from facepipe.learn.photo.amortised.people import random_people
+from facepipe.learn.photo.amortised.pictures import HEAD, Picture
+from facepipe.learn.photo.amortised.pose import CropSpace
+from facepipe.learn.photo.amortised.renders import Portraits
+from facepipe.learn.photo.amortised.training import Trained, train_start
 from facepipe.learn.photo.fit import fit_photos, pose_space
 from facepipe.learn.photo.joint_loss import single
 from facepipe.learn.photo.landmark_fit import State

@@ -198,7 +198,7 @@ def _start(parts: FaceParts, inputs: _Inputs, request: Request) -> State | None:
     """Where a network guesses that the fit should start; None: at the defaults."""
     if request.start is None:
         return None
-    from facepipe.learn.photo.amortised import load_start
+    from facepipe.learn.photo.amortised.guess import load_start
     from facepipe.learn.photo.fit import pose_space
     from facepipe.learn.photo.subject import Subject
 

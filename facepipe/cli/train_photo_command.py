@@ -31,8 +31,8 @@ from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.amortised_pictures import Picture
-    from facepipe.learn.photo.amortised_training import Trained
+    from facepipe.learn.photo.amortised.pictures import Picture
+    from facepipe.learn.photo.amortised.training import Trained
     from facepipe.learn.photo.subject import Subject
     from facepipe.start_options import StartOptions
 
@@ -56,8 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Render, train, write."""
     import facepipe
     from facepipe.atomic import write_bytes
-    from facepipe.learn.photo.amortised_graph import start_graph
-    from facepipe.learn.photo.amortised_metadata import start_metadata
+    from facepipe.learn.photo.amortised.graph import start_graph
+    from facepipe.learn.photo.amortised.metadata import start_metadata
     from facepipe.learn.photo.subject import Subject
     from facepipe.start_options import StartOptions
 
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _trained(
     arguments: argparse.Namespace, subject: Subject, options: StartOptions, photos: Sequence[Picture]
 ) -> Trained:
-    from facepipe.learn.photo.amortised_training import train_start
+    from facepipe.learn.photo.amortised.training import train_start
 
     with _under(arguments.face), progress("train", options.total) as bar:
         return train_start(subject.parts, options, photos=photos, expressions=arguments.expressions, done=bar.update)
@@ -104,7 +104,7 @@ def _photos(folder: Path | None, subject: Subject) -> tuple[list[Picture], list[
 
     :raises InputError: no such folder, or no photo with a face in it
     """
-    from facepipe.learn.photo.amortised_pictures import Picture
+    from facepipe.learn.photo.amortised.pictures import Picture
     from facepipe.learn.photo.fit import pose_space
     from facepipe.processors.photo_fit import own_landmarks, read_landmarks, read_photo
 

@@ -13,9 +13,9 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from facepipe.learn.networks.landmark_network import Block
-from facepipe.learn.photo.amortised_losses import POSE_MEAN, POSE_STD
-from facepipe.learn.photo.amortised_metadata import KEY
-from facepipe.learn.photo.amortised_network import COUNT, SIZE, SPREAD, StartNetwork
+from facepipe.learn.photo.amortised.losses import POSE_MEAN, POSE_STD
+from facepipe.learn.photo.amortised.metadata import KEY
+from facepipe.learn.photo.amortised.network import COUNT, SIZE, SPREAD, StartNetwork
 from facepipe.learn.photo.pose import NUMBERS
 
 OPSET, IR_VERSION = 15, 8

@@ -10,8 +10,8 @@ from torch.nn import functional
 
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
-from facepipe.learn.photo.amortised_people import People, random_people
-from facepipe.learn.photo.amortised_pictures import HEAD, Picture, Truth
+from facepipe.learn.photo.amortised.people import People, random_people
+from facepipe.learn.photo.amortised.pictures import HEAD, Picture, Truth
 from facepipe.learn.photo.fit import pose_space
 from facepipe.learn.photo.joint_loss import single
 from facepipe.learn.photo.landmark_rig import LandmarkRig

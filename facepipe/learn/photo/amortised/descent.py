@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from facepipe.learn.photo.amortised_losses import PictureLoss, outside
-from facepipe.learn.photo.amortised_network import Output, StartNetwork
-from facepipe.learn.photo.amortised_pictures import Picture
-from facepipe.learn.photo.amortised_varied import batch, noisy_landmarks, varied
+from facepipe.learn.photo.amortised.losses import PictureLoss, outside
+from facepipe.learn.photo.amortised.network import Output, StartNetwork
+from facepipe.learn.photo.amortised.pictures import Picture
+from facepipe.learn.photo.amortised.varied import batch, noisy_landmarks, varied
 from facepipe.start_options import JOINT_BATCH, StartOptions
 
 _RATE, _SLOWEST, _STEEPEST = 5e-4, 0.1, 20.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from facepipe.learn.photo.amortised_network import MEAN, SIZE, STD
+from facepipe.learn.photo.amortised.network import MEAN, SIZE, STD
 from facepipe.learn.photo.subject import Subject
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.amortised_training import Trained
+    from facepipe.learn.photo.amortised.training import Trained
     from facepipe.start_options import StartOptions
 
 KEY = "facepipe.photo"

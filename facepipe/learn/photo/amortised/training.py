@@ -11,12 +11,12 @@ import torch
 from facepipe.errors import InputError
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.photo.amortised_descent import NetworkDescent
-from facepipe.learn.photo.amortised_losses import PictureLoss
-from facepipe.learn.photo.amortised_network import StartNetwork
-from facepipe.learn.photo.amortised_pictures import HEAD, Picture
-from facepipe.learn.photo.amortised_renders import Portraits
-from facepipe.learn.photo.amortised_warm_up import WarmUp
+from facepipe.learn.photo.amortised.descent import NetworkDescent
+from facepipe.learn.photo.amortised.losses import PictureLoss
+from facepipe.learn.photo.amortised.network import StartNetwork
+from facepipe.learn.photo.amortised.pictures import HEAD, Picture
+from facepipe.learn.photo.amortised.renders import Portraits
+from facepipe.learn.photo.amortised.warm_up import WarmUp
 from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts

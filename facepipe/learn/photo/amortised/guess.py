@@ -14,9 +14,9 @@ import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.onnx_file import properties, read_model
-from facepipe.learn.photo.amortised_metadata import KEY, KIND, controls
-from facepipe.learn.photo.amortised_network import COUNT, SIZE
-from facepipe.learn.photo.amortised_pictures import Picture
+from facepipe.learn.photo.amortised.metadata import KEY, KIND, controls
+from facepipe.learn.photo.amortised.network import COUNT, SIZE
+from facepipe.learn.photo.amortised.pictures import Picture
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from facepipe.errors import FitError
 from facepipe.learn.features.crops import face_crop, to_crop
-from facepipe.learn.photo.amortised_losses import Taught, TaughtLoss
-from facepipe.learn.photo.amortised_network import SIZE, StartNetwork
-from facepipe.learn.photo.amortised_people import People, random_people
-from facepipe.learn.photo.amortised_pictures import Picture
-from facepipe.learn.photo.amortised_pose import CropSpace
-from facepipe.learn.photo.amortised_renders import Portraits
-from facepipe.learn.photo.amortised_varied import batch, noisy_landmarks, varied
+from facepipe.learn.photo.amortised.losses import Taught, TaughtLoss
+from facepipe.learn.photo.amortised.network import SIZE, StartNetwork
+from facepipe.learn.photo.amortised.people import People, random_people
+from facepipe.learn.photo.amortised.pictures import Picture
+from facepipe.learn.photo.amortised.pose import CropSpace
+from facepipe.learn.photo.amortised.renders import Portraits
+from facepipe.learn.photo.amortised.varied import batch, noisy_landmarks, varied
 from facepipe.learn.photo.landmark_fit import eye_distance
 from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from facepipe.learn.features.crops import face_crop, sample_crop, to_crop
-from facepipe.learn.photo.amortised_network import MEAN, SIZE, STD
-from facepipe.learn.photo.amortised_pose import CropSpace
+from facepipe.learn.photo.amortised.network import MEAN, SIZE, STD
+from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear
 

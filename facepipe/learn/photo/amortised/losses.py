@@ -12,10 +12,10 @@ from torch import Tensor
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.key_light import DARK
 from facepipe.learn.light import basis
-from facepipe.learn.photo.amortised_network import SIZE, Output, held
-from facepipe.learn.photo.amortised_people import People
-from facepipe.learn.photo.amortised_pictures import Crop, Picture
-from facepipe.learn.photo.amortised_pose import CropSpace
+from facepipe.learn.photo.amortised.network import SIZE, Output, held
+from facepipe.learn.photo.amortised.people import People
+from facepipe.learn.photo.amortised.pictures import Crop, Picture
+from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.fit import pose_space, priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit

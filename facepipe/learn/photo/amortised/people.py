@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from facepipe.learn.photo.amortised_pose import CropSpace
+from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.subject import Subject
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from facepipe.learn.photo.amortised_network import MEAN, STD
-from facepipe.learn.photo.amortised_pictures import Crop, Picture
+from facepipe.learn.photo.amortised.network import MEAN, STD
+from facepipe.learn.photo.amortised.pictures import Crop, Picture
 from facepipe.learn.photo.landmark_fit import eye_distance
 
 FloatArray = npt.NDArray[np.floating]
