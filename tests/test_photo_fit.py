@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
+import feature_graphs
 import learned  # noqa: F401  (skips without torch)
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from recovery_measures import recovery
 from recovery_targets import target
 
 from facepipe.errors import InputError
+from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.photo.fit import fit_photos
 from facepipe.learn.photo.result import PhotoFit
 from facepipe.learn.photo.view_image import project
@@ -191,6 +194,21 @@ def test_bad_arguments_are_told_in_a_line() -> None:
     for name, value in (("size", 8), ("iterations", -1), ("optimiser", "newton"), ("rate", float("nan"))):
         with pytest.raises(InputError, match=f"option {name}: is"):
             PhotoFitOptions(**{name: value})
+
+
+def test_networks_for_no_term_are_refused(tmp_path: Path) -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
+    network = load_extractor(feature_graphs.save(feature_graphs.arcface_like(32), tmp_path / "own.onnx"), "identity")
+    cases = {
+        ("landmarks", network): "extractors -> landmarks: no term of the joint loss, expected one of content, identity",
+        ("hair", network): "extractors -> hair: no term of the joint loss",
+        ("content", network): "extractors -> content: a network of identity, expected a network of content",
+        ("identity", "own.onnx"): "extractors -> identity: a str, expected a network of identity",
+    }
+    for (kind, one), expected in cases.items():
+        with pytest.raises(InputError, match=expected) as caught:
+            fit_photos(sample(), own.images, own.landmarks, options, extractors={kind: one})  # type: ignore[dict-item]
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow

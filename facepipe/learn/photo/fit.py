@@ -16,6 +16,7 @@ from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.better_light import in_better_light
 from facepipe.learn.photo.descent import Descent, descend
+from facepipe.learn.photo.fit_input import check_extractors
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
 from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
@@ -56,9 +57,11 @@ def fit_photos(
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
     :param done: called with 1 after each step
-    :raises InputError: no photo, arrays that don't fit, a face without the 68 landmarks or without sliders
+    :raises InputError: no photo, arrays that don't fit, networks of other kinds, a face without the 68 landmarks or
+        without sliders
     """
     _check(photos, landmarks)
+    check_extractors(extractors or {})
     with one_thread():
         return _fit(parts, photos, landmarks, options, expressions, extractors, start, done)
 
