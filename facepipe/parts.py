@@ -245,6 +245,16 @@ class Material:
 
 
 @dataclass(frozen=True, kw_only=True)
+class KeyLamp:
+    """The key light of a photo: a lamp so far away that its rays are parallel. Colours are linear."""
+
+    direction: tuple[float, float, float]  # from the face to the lamp, in camera coordinates, any length but 0
+    color: Color  # of a white matt surface that faces it; black would be no lamp
+    shine: float = 0.0  # strength of the highlight
+    exponent: float = 20.0  # of the highlight's Blinn-Phong lobe
+
+
+@dataclass(frozen=True, kw_only=True)
 class PhotoView:
     """What the face was fitted to: a photo, with the pinhole camera that sees the face as the photo does.
 
@@ -261,6 +271,7 @@ class PhotoView:
     center: tuple[float, float]  # principal point, pixels
     clipping: tuple[float, float]  # nearest and farthest depth that a viewer shows, stage units
     light: FloatArray  # (9, 3) spherical harmonics of red, green and blue, in camera coordinates
+    key: KeyLamp | None = None  # beside them; it alone has highlights
     tint: Mapping[str, Color] = field(default_factory=dict)  # material -> linear factor of its colour
     landmark_error: float = 0.0  # mean distance of the face's landmarks from the photo's, pixels
     animation: str | None = None  # the pose that the face has in the photo

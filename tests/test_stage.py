@@ -41,6 +41,7 @@ def full_photo() -> p.PhotoView:
         center=(300.25, 500.5),
         clipping=(1.5, 400.0),
         light=np.random.default_rng(3).normal(size=(9, 3)).astype(np.float32),
+        key=p.KeyLamp(direction=(0.5, -0.25, 2.0), color=(0.75, 0.0, 0.5), shine=1.25, exponent=30.5),
         tint={"Skin": (1.25, 0.875, 0.75)},
         landmark_error=2.5,
         animation="pose",

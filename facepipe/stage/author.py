@@ -65,9 +65,9 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     ):
         if value:
             prim.GetAttribute(name).Set(value)
+    check_photos(parts.name, parts.photos)
     _author_below(stage, root, parts, textures or {})
     check_sliders(parts.name, parts.sliders)
-    check_photos(parts.name, parts.photos)
     check_face_network(parts.name, parts)
     for slider in parts.sliders:
         author_slider(prim, slider)

@@ -75,13 +75,17 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
 
 def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
     prim.ApplyAPI(tokens.PHOTO_API)
-    names = sorted(photo.tint)
+    names, key = sorted(photo.tint), photo.key
     for name, value in (
         (tokens.PHOTO_IMAGE, photo.image),
         (tokens.PHOTO_SIZE, Gf.Vec2i(photo.width, photo.height)),
         (tokens.PHOTO_ANIMATION, photo.animation or ""),
         (tokens.PHOTO_LANDMARK_ERROR, photo.landmark_error),
         (tokens.PHOTO_LIGHT, to_vec3f(photo.light)),
+        (tokens.PHOTO_KEY_DIRECTION, key and Gf.Vec3f(*map(float, key.direction))),
+        (tokens.PHOTO_KEY_COLOR, key and Gf.Vec3f(*map(float, key.color))),
+        (tokens.PHOTO_KEY_SHINE, key and float(key.shine)),
+        (tokens.PHOTO_KEY_EXPONENT, key and float(key.exponent)),
         (tokens.PHOTO_TINTED_MATERIALS, names or None),
         (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[one] for one in names])) if names else None),
     ):

@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from facepipe.parts import PhotoView
+from facepipe.parts import KeyLamp, PhotoView
 
 MOST_PIXELS = 1 << 20  # a side
 LIGHT_ROWS = 9  # spherical harmonics up to the second order
@@ -34,4 +34,24 @@ def photo_fault(photo: PhotoView) -> str | None:
     if photo.landmark_error < 0:
         return f"landmark error {photo.landmark_error:g}, expected 0 or more"
     dark = [name for name, tint in photo.tint.items() if min(tint) < 0]
-    return f"a negative tint of '{dark[0]}', expected 0 or more" if dark else None
+    if dark:
+        return f"a negative tint of '{dark[0]}', expected 0 or more"
+    return None if photo.key is None else key_fault(photo.key)
+
+
+def key_fault(key: KeyLamp) -> str | None:
+    """What is wrong with the lamp of a photo, in float32."""
+    if len(key.direction) != 3 or len(key.color) != 3:
+        return f"key light of {len(key.direction)} and {len(key.color)} numbers, expected 3 of direction and of colour"
+    with np.errstate(over="ignore"):
+        single = np.array([*key.direction, *key.color, key.shine, key.exponent], dtype=np.float32)
+    if not np.isfinite(single).all():
+        return "key light with NaN, infinity or beyond float32, expected finite numbers"
+    direction, color, (shine, exponent) = np.split(single, (3, 6))
+    if not direction.any():
+        return "key light without direction, expected that to the lamp"
+    if color.min() < 0 or not color.any():
+        return f"key light of colour {tuple(map(float, key.color))}, expected 0 or more, and some light"
+    if shine < 0:
+        return f"key light with shine {key.shine:g}, expected 0 or more"
+    return None if exponent > 0 else f"key light with exponent {key.exponent:g}, expected more than 0"

@@ -8,7 +8,7 @@ from pxr import Usd, UsdGeom
 
 from facepipe import tokens
 from facepipe.errors import SchemaError
-from facepipe.parts import PhotoView
+from facepipe.parts import KeyLamp, PhotoView
 from facepipe.stage.film import Film, from_film
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.photo_faults import photo_fault
@@ -61,6 +61,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
         center=center,
         clipping=(float(near), float(far)),
         light=floats(value(tokens.PHOTO_LIGHT), 3),
+        key=read_key_lamp(prim),
         tint={str(name): (tint[0], tint[1], tint[2]) for name, tint in zip(materials, tints, strict=True)},
         landmark_error=float(value(tokens.PHOTO_LANDMARK_ERROR)),
         animation=str(value(tokens.PHOTO_ANIMATION) or "") or None,
@@ -69,3 +70,17 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     if fault:
         raise SchemaError(where, fault)
     return photo
+
+
+def read_key_lamp(prim: Usd.Prim) -> KeyLamp | None:
+    """The lamp of a photo, whatever its numbers are; None: it has none, or a black one."""
+
+    def numbers(name: str) -> list[float]:
+        return [float(one) for one in floats(prim.GetAttribute(name).Get())]
+
+    color = numbers(tokens.PHOTO_KEY_COLOR)
+    if not any(color):
+        return None
+    (red, green, blue), (x, y, z) = color, numbers(tokens.PHOTO_KEY_DIRECTION)
+    (shine,), (exponent,) = numbers(tokens.PHOTO_KEY_SHINE), numbers(tokens.PHOTO_KEY_EXPONENT)
+    return KeyLamp(direction=(x, y, z), color=(red, green, blue), shine=shine, exponent=exponent)

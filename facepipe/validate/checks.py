@@ -104,6 +104,7 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderNetwork", networks.slider_network),
     Check("PhotoCameras", photos.photo_cameras),
     Check("PhotoLight", photos.photo_light),
+    Check("PhotoKeyLight", photos.photo_key),
     Check("PhotoPoses", photos.photo_poses, "warning"),
     Check("RecipeOptions", control.recipe_options),
     Check("RecipeDigests", control.recipe_digests, "warning"),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 from pxr import Usd, UsdGeom
 
 from facepipe import tokens
-from facepipe.stage.photo_faults import LIGHT_ROWS, MOST_PIXELS
-from facepipe.stage.read_photos import is_photo
+from facepipe.stage.guard import UNREADABLE
+from facepipe.stage.photo_faults import LIGHT_ROWS, MOST_PIXELS, key_fault
+from facepipe.stage.read_photos import is_photo, read_key_lamp
 from facepipe.validate.problem import Problem, at
 from facepipe.validate.views import FaceView, array, numbers, value, words
 
@@ -49,6 +51,20 @@ def photo_light(face: FaceView) -> Iterator[Problem]:
             yield at(f"{prim.GetPath()}.{tokens.PHOTO_TINTS}", f"{count} tints, expected {len(materials)}")
         elif tints is not None and (tints < 0).any():
             yield at(f"{prim.GetPath()}.{tokens.PHOTO_TINTS}", "below 0, expected factors of 0 or more")
+
+
+def photo_key(face: FaceView) -> Iterator[Problem]:
+    """The key light of a photo has a direction, light of 0 or more, and a shine whose exponent is above 0."""
+    for prim in _photos(face):
+        try:
+            key = read_key_lamp(prim)
+        except (*UNREADABLE, RuntimeError):
+            continue  # the check of readable values reports it
+        if key is None or not np.isfinite([*key.direction, *key.color, key.shine, key.exponent]).all():
+            continue  # the check of finite numbers reports it
+        fault = key_fault(key)
+        if fault:
+            yield at(prim, fault)
 
 
 def photo_poses(face: FaceView) -> Iterator[Problem]:
