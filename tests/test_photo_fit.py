@@ -20,6 +20,7 @@ from recovery_targets import target
 from facepipe.errors import InputError
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.photo.fit import fit_photos
+from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.result import PhotoFit
 from facepipe.learn.photo.view_image import project
 from facepipe.parts import FaceParts, SliderNetwork
@@ -182,6 +183,13 @@ def test_bad_arguments_are_told_in_a_line() -> None:
         ([image, image], [marks, lost], "landmarks 1"),
         ([image], [marks[:67]], r"landmarks 0: shape \(67, 2\)"),
         ([image], [np.full((68, 2), 40.0)], "landmarks 0"),
+        ([image.tolist()], [marks], "photo 0: a list, expected an array of floating-point sRGB 0 to 1"),
+        ([(255 * image).astype(np.uint8)], [marks], "photo 0: numbers of type uint8, expected .* floating-point sRGB"),
+        ([image.astype(str)], [marks], "photo 0: numbers of type <U"),
+        ([255 * image], [marks], "photo 0: values .* to .*, expected 0 to 1"),
+        ([image], [marks.tolist()], r"landmarks 0: a list, expected a finite array \(68, 2\) of pixels"),
+        ([image], [marks.astype(object)], "landmarks 0: numbers of type object"),
+        (image, [marks], "photos: 96 with 1 sets of landmarks"),
     ]
     for photos, landmarks, expected in cases:
         with pytest.raises(InputError, match=expected) as caught:
@@ -194,6 +202,42 @@ def test_bad_arguments_are_told_in_a_line() -> None:
     for name, value in (("size", 8), ("iterations", -1), ("optimiser", "newton"), ("rate", float("nan"))):
         with pytest.raises(InputError, match=f"option {name}: is"):
             PhotoFitOptions(**{name: value})
+
+
+def test_whole_pixels_are_landmarks_of_any_integer_type() -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=0, size=64)
+    marks = own.landmarks[0].round()
+    found = [
+        fit_photos(sample(), own.images, [marks.astype(kind)], options, extractors={}).sliders
+        for kind in (np.float64, np.uint8)
+    ]
+    assert found[0] == found[1]
+
+
+def test_starts_that_do_not_fit_are_told_in_a_line() -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
+    true = own.state
+    lost, far = true.poses.copy(), true.poses.copy()
+    lost[0, 2], far[0, 6] = np.nan, 1e3
+    cases: dict[str, State] = {
+        r"start -> shares: shape \(3,\), expected finite \(\d+,\): one for each free": replace(
+            true, shares=np.full(3, 0.5)
+        ),
+        r"start -> expressions: shape \(2, \d+\), expected finite \(1, ": replace(
+            true, expressions=true.expressions.repeat(2, axis=0)
+        ),
+        r"start -> expressions: shape \(1, 1\)": replace(true, expressions=true.expressions[:, :1]),
+        r"start -> poses: shape \(7,\), expected finite \(1, 7\)": replace(true, poses=true.poses[0]),
+        "start -> poses: NaN or infinity": replace(true, poses=lost),
+        "start -> poses -> photo 0: beyond every camera": replace(true, poses=far),
+        "start -> shares: values .* to 1.*, expected 0 to 1": replace(true, shares=true.shares + 0.5),
+        "start -> expressions: values -1 to ": replace(true, expressions=true.expressions - 1),
+        "start -> shares: a list": replace(true, shares=true.shares.tolist()),
+    }
+    for expected, start in cases.items():
+        with pytest.raises(InputError, match=expected) as caught:
+            fit_photos(sample(), own.images, own.landmarks, options, extractors={}, start=start)
+        assert "\n" not in str(caught.value)
 
 
 def test_networks_for_no_term_are_refused(tmp_path: Path) -> None:

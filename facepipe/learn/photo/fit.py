@@ -9,17 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from facepipe.errors import InputError
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.better_light import in_better_light
 from facepipe.learn.photo.descent import Descent, descend
-from facepipe.learn.photo.fit_input import check_extractors
+from facepipe.learn.photo.fit_input import check_extractors, check_photos, check_start
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
-from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State, eye_distance
-from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
+from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
+from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
 from facepipe.learn.photo.lighting import lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
@@ -57,10 +56,10 @@ def fit_photos(
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
     :param done: called with 1 after each step
-    :raises InputError: no photo, arrays that don't fit, networks of other kinds, a face without the 68 landmarks or
-        without sliders
+    :raises InputError: no photo, arrays or a start that don't fit, networks of other kinds, a face without the 68
+        landmarks or without sliders
     """
-    _check(photos, landmarks)
+    landmarks = check_photos(photos, landmarks)
     check_extractors(extractors or {})
     with one_thread():
         return _fit(parts, photos, landmarks, options, expressions, extractors, start, done)
@@ -78,6 +77,7 @@ def _fit(
 ) -> PhotoFit:
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
+    start = None if start is None else check_start(start, subject, spaces)
     fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
     state = fit.solve(fit.start() if start is None else start)
     found = _extractors(extractors, options) if options.iterations else {}
@@ -102,20 +102,6 @@ def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
             return other
     loss.shadows[:] = shadows
     return begin
-
-
-def _check(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> None:
-    if not photos or len(photos) != len(landmarks):
-        raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
-    for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
-        if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size or not np.isfinite(photo).all():
-            raise InputError(f"photo {number}", f"shape {photo.shape}, expected finite (height, width, 3)")
-        if photo.max() > 1 or photo.min() < 0:
-            raise InputError(f"photo {number}", f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
-        if np.shape(marks) != (COUNT, 2) or not np.isfinite(marks).all():
-            raise InputError(f"landmarks {number}", f"shape {np.shape(marks)}, expected finite ({COUNT}, 2)")
-        if not eye_distance(marks) > 0:
-            raise InputError(f"landmarks {number}", "outer corners of the eyes at one place, expected those of a face")
 
 
 def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:

@@ -2,12 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.photo.joint_loss import FEATURES
+from facepipe.learn.photo.landmark_fit import State, eye_distance
+from facepipe.learn.photo.landmark_rig import COUNT
+from facepipe.learn.photo.pose import NUMBERS, PoseSpace
+from facepipe.learn.photo.subject import Subject
+
+FloatArray = npt.NDArray[np.floating]
+
+_PHOTO = "expected an array of floating-point sRGB 0 to 1"
+_LANDMARKS = f"expected a finite array ({COUNT}, 2) of pixels"
+
+
+def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> list[FloatArray]:
+    """The landmarks in float64.
+
+    :raises InputError: no photo, or arrays that are no photos with a face's landmarks
+    """
+    if len(photos) == 0 or len(photos) != len(landmarks):
+        raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
+    for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
+        _check_photo(f"photo {number}", photo)
+        _check_landmarks(f"landmarks {number}", marks)
+    return [np.asarray(marks, dtype=np.float64) for marks in landmarks]
+
+
+def _check_photo(where: str, photo: FloatArray) -> None:
+    _check_array(where, photo, "f", _PHOTO)
+    if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
+        raise InputError(where, f"shape {photo.shape}, expected finite (height, width, 3)")
+    if not np.isfinite(photo).all():
+        raise InputError(where, "NaN or infinity, expected finite (height, width, 3)")
+    if photo.max() > 1 or photo.min() < 0:
+        raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
+
+
+def _check_landmarks(where: str, marks: FloatArray) -> None:
+    _check_array(where, marks, "fiu", _LANDMARKS)
+    if marks.shape != (COUNT, 2):
+        raise InputError(where, f"shape {marks.shape}, {_LANDMARKS}")
+    if not np.isfinite(marks).all():
+        raise InputError(where, f"NaN or infinity, {_LANDMARKS}")
+    if not eye_distance(marks) > 0:
+        raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
+
+
+def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> State:
+    """The same in float64.
+
+    :raises InputError: a state of another face, of another number of photos, or of what can't be
+    """
+    views = len(spaces)
+    checked = State(
+        shares=_numbers("shares", start.shares, (len(subject.sliders),), "one for each free slider"),
+        expressions=_numbers(
+            "expressions", start.expressions, (views, len(subject.expressions)), "photos, expressions"
+        ),
+        poses=_numbers("poses", start.poses, (views, NUMBERS), "photos, numbers of a pose"),
+    )
+    for name, values in (("shares", checked.shares), ("expressions", checked.expressions)):
+        if values.size and not 0 <= values.min() <= values.max() <= 1:
+            raise InputError(f"start -> {name}", f"values {values.min():g} to {values.max():g}, expected 0 to 1")
+    for number, (space, pose) in enumerate(zip(spaces, checked.poses, strict=True)):
+        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))
+        if not (camera.translation.isfinite().all() and camera.focal.isfinite() and camera.focal > 0):
+            raise InputError(f"start -> poses -> photo {number}", "beyond every camera, expected a pose of a head")
+    return checked
+
+
+def _numbers(name: str, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
+    where, expected = f"start -> {name}", f"expected finite {shape}: {what}"
+    _check_array(where, values, "f", expected)
+    if values.shape != shape:
+        raise InputError(where, f"shape {values.shape}, {expected}")
+    if not np.isfinite(values).all():
+        raise InputError(where, f"NaN or infinity, {expected}")
+    return np.asarray(values, dtype=np.float64)
 
 
 def check_extractors(extractors: Mapping[Kind, Extractor]) -> None:
@@ -19,3 +98,10 @@ def check_extractors(extractors: Mapping[Kind, Extractor]) -> None:
         if not isinstance(one, Extractor) or kind not in one.kinds:
             gives = f"a network of {', '.join(one.kinds)}" if isinstance(one, Extractor) else f"a {type(one).__name__}"
             raise InputError(where, f"{gives}, expected a network of {kind} (`load_extractor`)")
+
+
+def _check_array(where: str, values: object, kinds: str, expected: str) -> None:
+    if not isinstance(values, np.ndarray):
+        raise InputError(where, f"a {type(values).__name__}, {expected}")
+    if values.dtype.kind not in kinds:
+        raise InputError(where, f"numbers of type {values.dtype}, {expected}")
