@@ -46,7 +46,8 @@ class PhotoFitOptions:
     )
     expression_sparsity: float = field(default=0.1, metadata={"help": "weight of the expressions", "range": (0.0, 1e6)})
     landmark_sigma: float = field(
-        default=0.02, metadata={"help": "how far landmarks are off, of the distance of the eyes", "range": (1e-4, 1.0)}
+        default=0.02,
+        metadata={"help": "how far landmarks are off, of the distance of the outer eye corners", "range": (1e-4, 1.0)},
     )
     focal_sigma: float = field(
         default=0.35,

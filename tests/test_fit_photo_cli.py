@@ -175,7 +175,7 @@ def test_missed_landmarks_are_told_by_the_exit_code(person: Path, capsys: pytest
     _, err = capsys.readouterr()
     assert code == 1
     assert err.count("\n") == 1
-    assert "of the eye distance, expected at most 0.1 %" in err
+    assert "of the distance of the outer eye corners, expected at most 0.1 %" in err
     assert facepipe.open("off.usda").photos
 
 

@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 from styles import Style, hair_height
 
+from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.crops import TEMPLATE
 from facepipe.learn.light import ambient, distant, shade
 from facepipe.learn.rasterise import barycentrics, interpolate, rasterise
@@ -121,7 +122,7 @@ def render(
 
 def _mouth_open(marks: FloatArray) -> bool:
     gap = np.linalg.norm(marks[61:64] - marks[[67, 66, 65]], axis=1).max()
-    return bool(gap > 0.02 * np.linalg.norm(marks[36] - marks[45]) + 0.004)
+    return bool(gap > 0.02 * eye_distance(marks) + 0.004)
 
 
 def _shown(topology: heads.Topology, marks: FloatArray, screen: torch.Tensor) -> tuple[torch.Tensor, IntArray]:

@@ -82,7 +82,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
         add(f"--{name.replace('_', '-')}", type=Path, metavar="FILE", help=text)
     text = "network of `facepipe train-photo` for FACE, which guesses where to start"
     add("--start", type=Path, metavar="FILE", help=text)
-    text = "mean error, percent of the distance of the eyes, above which the exit code is 1 (default 8)"
+    text = "mean error, percent of the distance of the outer eye corners, above which the exit code is 1 (default 8)"
     add("--landmark-threshold", type=float, default=absent, metavar="PERCENT", help=text)
     text = "weight of the landmarks (default 1.0)"
     add("--landmark-weight", dest="landmarks", type=float, default=absent, metavar="LANDMARKS", help=text)

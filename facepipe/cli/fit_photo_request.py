@@ -24,7 +24,7 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
     "identity_model": "identity",
     "attribute_model": "attributes",
 }
-_THRESHOLD = 8.0  # percent of the distance of the eyes
+_THRESHOLD = 8.0  # percent of the distance of the outer eye corners
 _LANDMARKER, _START = "landmarker", "start"
 _SETTINGS = ("faces", "expressions", "landmark_threshold", "fit")
 
@@ -42,7 +42,7 @@ class Request:
     faces: tuple[int | None, ...]  # one a photo: which of several
     expressions: tuple[str, ...] | None  # None: those with ARKit's names
     options: PhotoFitOptions
-    threshold: float  # of the mean landmark error, percent of the distance of the eyes
+    threshold: float  # of the mean landmark error, percent of the distance of the outer eye corners
     out: Path
     report: Path | None  # folder
     flatten: bool

@@ -59,8 +59,8 @@ def _points(rig: Rig, parts: FaceParts, fit: PhotoFit, view: FittedView | None =
 
 
 def _photo(rig: Rig, parts: FaceParts, fit: PhotoFit, model: FaceModel, photo: Photo, view: FittedView) -> SheetPhoto:
+    from facepipe.geometry.eye_distance import eye_distance
     from facepipe.learn.photo.view_image import project, view_image
-    from facepipe.processors.photo_fit.report import eye_distance
     from facepipe.render import SheetPhoto
 
     points = _points(rig, parts, fit, view)

@@ -24,7 +24,7 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider], second
     loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
     steps = f"{report.steps} steps in {seconds:.1f} s"
     head = f"{out}: {count} photo{'s' * (count != 1)}, {steps}, {ENDS[report.stopped]}{loss}"
-    rows: list[list[object]] = [["landmarks off by", "pixels", "of the eye distance", "expression"]]
+    rows: list[list[object]] = [["landmarks off by", "pixels", "of the outer eye corners' distance", "expression"]]
     for name, photo in report.photos.items():
         share = f"{percent(photo):.1f} %"
         rows.append([name, f"{photo.landmark_error_px:.2f}", share, _largest(photo.expressions, {})])
@@ -40,16 +40,17 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider], second
 
 
 def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
-    """A line for each photo whose landmarks are off by more than `threshold` percent of the distance of the eyes."""
+    """A line for each photo whose landmarks are off by more than `threshold` percent."""
     return [
-        f"{name}: landmarks off by {percent(photo):.1f} % of the eye distance, expected at most {threshold:g} %"
+        f"{name}: landmarks off by {percent(photo):.1f} % of the distance of the outer eye corners, "
+        f"expected at most {threshold:g} %"
         for name, photo in report.photos.items()
         if percent(photo) > threshold
     ]
 
 
 def percent(photo: PhotoReport) -> float:
-    """The mean landmark error, percent of the distance of the eyes."""
+    """The mean landmark error, percent of the distance of the outer eye corners."""
     return 100 * photo.landmark_error_px / max(photo.eye_distance_px, 1e-9)
 
 

@@ -44,7 +44,7 @@ class SheetPhoto:
     targets: FloatArray  # (l, 2) landmarks that the fit was given, pixels
     landmarks: FloatArray  # (l, 2) landmarks of the fitted face, pixels
     landmark_error: float  # mean, pixels
-    eye_distance: float  # pixels, what the error is a percentage of
+    eye_distance: float  # pixels between the outer eye corners, what the error is a percentage of
     expressions: Mapping[str, float]  # shape -> weight, of the shapes that were free
 
 
@@ -94,7 +94,9 @@ def _facts(sheet: PhotoSheet) -> list[str]:
         facts.append(f"{sheet.seconds:.1f} s")
     errors = [photo.landmark_error for photo in sheet.photos]
     shares = [photo.landmark_error / photo.eye_distance for photo in sheet.photos]
-    facts.append(f"landmark error {np.mean(errors):.2f} px, {np.mean(shares):.1%} of the eye distance")
+    facts.append(
+        f"landmark error {np.mean(errors):.2f} px, {np.mean(shares):.1%} of the distance of the outer eye corners"
+    )
     return facts + ([sheet.note] if sheet.note else [])
 
 

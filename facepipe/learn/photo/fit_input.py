@@ -9,10 +9,11 @@ import numpy.typing as npt
 import torch
 
 from facepipe.errors import InputError
+from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.photo.joint_loss import FEATURES
-from facepipe.learn.photo.landmark_fit import State, eye_distance
+from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.landmark_rig import COUNT
 from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, EYE_CORNERS, LandmarkRig, landmark_points
+from facepipe.geometry.eye_distance import eye_distance
+from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
@@ -210,12 +211,6 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
     ahead, behind = own + _STEP * np.eye(len(own)), own - _STEP * np.eye(len(own))
     ahead[:, :bounded], behind[:, :bounded] = np.minimum(ahead[:, :bounded], 1), np.maximum(behind[:, :bounded], 0)
     return ahead, behind
-
-
-def eye_distance(landmarks: FloatArray) -> float:
-    """Pixels between the outer corners of the eyes."""
-    one, other = landmarks[list(EYE_CORNERS)]
-    return float(np.linalg.norm(one - other))
 
 
 def huber(residuals: Tensor) -> Tensor:

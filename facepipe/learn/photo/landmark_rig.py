@@ -27,7 +27,6 @@ IntArray = npt.NDArray[np.integer]
 SCHEME = "multipie68"
 COUNT = 68
 CONTOUR = slice(0, 17)
-EYE_CORNERS = (36, 45)  # outer
 _ROW = 0.012  # of the head height: half the width of a row
 _STATIONS = 24  # at which a row may have a point
 _INWARD = 0.22  # of the head height that a row reaches towards the middle and the front

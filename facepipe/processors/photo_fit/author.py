@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facepipe import tokens
+from facepipe.geometry.eye_distance import eye_distance
 from facepipe.names import unique_identifiers
 from facepipe.parts import Animation, FaceParts, FloatArray, PhotoView, Recipe
 from facepipe.processors.photo_fit.camera_views import camera_to_world, clipping_range
 from facepipe.processors.photo_fit.fit_checks import check_fit, mixed_sliders
-from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, eye_distance, loss_ends
+from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, loss_ends
 from facepipe.processors.sliders import SetSliders, SetSlidersReport
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play

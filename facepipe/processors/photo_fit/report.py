@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.parts import FloatArray
 from facepipe.reports import Report
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped
-
-_EYES = (slice(36, 42), slice(42, 48))  # of the 68 landmarks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +22,7 @@ class PhotoReport:
     size: tuple[int, int]  # width and height of the photo as it was fitted
     expressions: Mapping[str, float]  # shape -> weight, beside what sliders drive
     landmark_error_px: float  # mean distance of the face's landmarks from the photo's
-    eye_distance_px: float  # between the middles of the eyes in the photo
+    eye_distance_px: float  # between the outer corners of the eyes in the photo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +61,3 @@ def loss_ends(history: Sequence[Mapping[str, float]]) -> dict[str, Loss]:
                 first = found[name].first if name in found else float(value)
                 found[name] = Loss(first=first, last=float(value))
     return {name: found[name] for name in sorted(found)}
-
-
-def eye_distance(landmarks: FloatArray) -> float:
-    """Pixels between the middles of the eyes of (68, 2) landmarks."""
-    left, right = (np.asarray(landmarks, dtype=np.float64)[eye].mean(axis=0) for eye in _EYES)
-    return float(np.linalg.norm(left - right))

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.photo.amortised.network import MEAN, STD
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
-from facepipe.learn.photo.landmark_fit import eye_distance
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -21,7 +21,7 @@ _CELLS = 4  # a side of the picture that shades
 
 
 def noisy_landmarks(picture: Picture, sigma: float, rng: np.random.Generator) -> FloatArray:
-    """(68, 2) with noise of up to `sigma`, a share of the distance of the eyes."""
+    """(68, 2) with noise of up to `sigma`, a share of the distance of the outer eye corners."""
     spread = sigma * rng.uniform(0, 1) * max(eye_distance(picture.landmarks), 1.0)
     return np.asarray(picture.landmarks + spread * rng.standard_normal(picture.landmarks.shape))
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from facepipe.errors import FitError
+from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.photo.amortised.losses import Taught, TaughtLoss
 from facepipe.learn.photo.amortised.network import SIZE, StartNetwork
@@ -18,7 +19,6 @@ from facepipe.learn.photo.amortised.pictures import Picture
 from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.amortised.renders import Portraits
 from facepipe.learn.photo.amortised.varied import batch, noisy_landmarks, varied
-from facepipe.learn.photo.landmark_fit import eye_distance
 from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
 
 FloatArray = npt.NDArray[np.floating]
@@ -30,7 +30,7 @@ class WarmUp:
     """Adam on the distance from the truth, its rate rising and falling once in each part."""
 
     def __init__(self, network: StartNetwork, portraits: Portraits, sigma: float, options: StartOptions) -> None:
-        """:param sigma: noise of landmarks, of the distance of the eyes"""
+        """:param sigma: noise of landmarks, of the distance of the outer eye corners"""
         self._network, self._portraits, self._sigma, self._options = network, portraits, sigma, options
         self._loss = TaughtLoss(portraits.subject)
         self._rng = np.random.default_rng([options.seed, 2])
