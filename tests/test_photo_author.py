@@ -19,6 +19,7 @@ from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 import facepipe
+from facepipe import tokens
 from facepipe.errors import FitError, InputError, SchemaError
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
@@ -54,6 +55,12 @@ def camera(rng: np.random.Generator, points: np.ndarray, backward: np.ndarray, u
     )
 
 
+def key_light(rng: np.random.Generator) -> np.ndarray:
+    """(8,) numbers of a lamp."""
+    direction = rng.normal(size=3)
+    return np.array([*direction / np.linalg.norm(direction), *rng.uniform(0, 1, 4), rng.uniform(1, 5)])
+
+
 def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
     """Random values in their ranges, of all sliders over bones and of expressions beside them."""
     rng = np.random.default_rng(seed)
@@ -68,6 +75,7 @@ def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
                 expressions={name: float(rng.uniform(0, 1)) for name in face.shapes[:6]},
                 camera=camera(rng, points, np.array(backward, float), np.array(up, float)),
                 light=rng.normal(size=(9, 3)),
+                key=key_light(rng),
                 landmarks=targets + 1,
                 targets=targets,
                 landmark_error=float(rng.uniform(0, 3)),
@@ -213,10 +221,25 @@ def test_every_kind_of_file_is_valid_and_keeps_photos(
     for view, expected, own in zip(fit.views, person.photos, face.photos, strict=True):
         assert (own.name, own.image, own.width, own.height) == (expected.name, expected.image, *SIZE)
         np.testing.assert_allclose(own.light, view.light, rtol=1e-6)
+        assert own.key is not None
+        numbers = (*own.key.direction, *own.key.color, own.key.shine, np.log(own.key.exponent))
+        np.testing.assert_allclose(numbers, view.key, rtol=1e-6)
         assert own.tint.keys() == fit.tint.keys()
         assert own.landmark_error == pytest.approx(view.landmark_error)
         assert own.focal == pytest.approx(view.camera.focal, rel=1e-7)
         assert own.center == pytest.approx(view.camera.center, abs=1e-4)
+
+
+@pytest.mark.parametrize("color", [0.0, 1e-60])
+def test_a_photo_in_light_without_a_lamp(head: Path, person: Face, fit: PhotoFit, tmp_path: Path, color: float) -> None:
+    """Nothing of a lamp is authored, and that of a fit before goes."""
+    dark = with_key(dict.fromkeys((3, 4, 5), color))(fit)
+    for source in (head, Path(str(person.stage.GetRootLayer().realPath))):
+        face = fitted(source, tmp_path / f"{source.stem}.out.usda", dark)
+        assert [one.key is None for one in face.photos] == [False, True, False]
+        assert validate(tmp_path / f"{source.stem}.out.usda") == ()
+    text = (tmp_path / "head.out.usda").read_text()
+    assert [text.count(name) for name in (tokens.PHOTO_LIGHT, tokens.PHOTO_KEY_COLOR)] == [3, 2]
 
 
 def test_exports(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
@@ -264,6 +287,18 @@ def on_view(**changes: object) -> Callable[[PhotoFit], PhotoFit]:
     return lambda fit: replace(fit, views=(fit.views[0], replace(fit.views[1], **changes), *fit.views[2:]))
 
 
+def with_key(changes: dict[int, float]) -> Callable[[PhotoFit], PhotoFit]:
+    """The lamp of the second view with other numbers, by index."""
+
+    def changed(fit: PhotoFit) -> PhotoFit:
+        key = fit.views[1].key.copy()
+        for index, number in changes.items():
+            key[index] = number
+        return on_view(key=key)(fit)
+
+    return changed
+
+
 def on_camera(**changes: object) -> Callable[[PhotoFit], PhotoFit]:
     return lambda fit: on_view(camera=replace(fit.views[1].camera, **changes))(fit)
 
@@ -288,6 +323,15 @@ REFUSED: dict[str, tuple[Callable[[PhotoFit], PhotoFit], str]] = {
     "infinite light": (on_view(light=np.full((9, 3), np.inf)), "my-photo.jpg -> light: NaN or infinity"),
     "light of few rows": (on_view(light=np.ones((4, 3))), "my-photo.jpg -> light: shape (4, 3), expected (9, 3)"),
     "light beyond float32": (on_view(light=np.full((9, 3), 1e300)), "beyond float32"),
+    "NaN of a lamp": (with_key({3: NAN}), "my-photo.jpg -> key: NaN"),
+    "lamp of few numbers": (on_view(key=np.ones(7)), "my-photo.jpg -> key: shape (7,), expected (8,)"),
+    "lamp without direction": (with_key({0: 0, 1: 0, 2: 0}), "my-photo.jpg -> key: direction 0"),
+    "lamp that darkens": (with_key({4: -0.5}), "my-photo.jpg -> key: colour"),
+    "lamp too bright": (with_key({4: 1e300}), "beyond float32"),
+    "lamp of negative shine": (with_key({6: -0.5}), "my-photo.jpg -> key: shine -0.5"),
+    "lamp of infinite exponent": (with_key({7: 1e4}), "key -> exponent: NaN or infinity"),
+    "lamp of huge exponent": (with_key({7: 100.0}), "beyond float32"),
+    "lamp without exponent": (with_key({7: -1e4}), "exponent 0"),
     "negative error": (on_view(landmark_error=-1.0), "my-photo.jpg -> landmark_error: -1"),
     "NaN of a camera": (on_camera(rotation=np.full(3, NAN)), "my-photo.jpg -> camera -> rotation: NaN"),
     "matrix for a rotation": (on_camera(rotation=np.eye(3)), "my-photo.jpg -> camera -> rotation: shape (3, 3)"),

@@ -12,6 +12,7 @@ from learned import tensor
 from facepipe.cli.fit_photo_sheet import report_sheet
 from facepipe.errors import InputError
 from facepipe.learn.camera import Camera
+from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts
 from facepipe.processors.photo_fit import Photo
@@ -38,7 +39,15 @@ def fitted(parts: FaceParts) -> tuple[PhotoFit, np.ndarray]:
     light = np.zeros((9, 3))
     light[0] = 3.0
     marks = np.zeros((68, 2))
-    view = FittedView(expressions=SMILE, camera=camera, light=light, landmarks=marks, targets=marks, landmark_error=0.5)
+    view = FittedView(
+        expressions=SMILE,
+        camera=camera,
+        light=light,
+        key=np.array(DARK),
+        landmarks=marks,
+        targets=marks,
+        landmark_error=0.5,
+    )
     fit = PhotoFit(
         sliders=SLIDERS, views=(view,), tint={"Skin": (0.5, 0.25, 1.0)}, history=({"total": 1.0},), steps=1,
         stopped="iterations",

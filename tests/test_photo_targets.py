@@ -243,6 +243,7 @@ def test_the_face_is_what_a_viewer_sees(face: tuple[FaceParts, Rig]) -> None:
 
 def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: list[RecoveryTarget]) -> None:
     pytest.importorskip("torch")
+    from facepipe.learn.key_light import DARK
     from facepipe.learn.photo import result
 
     parts, rig = face
@@ -258,6 +259,7 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
         expressions=target.expressions,
         camera=camera,
         light=np.zeros((9, 3)),
+        key=np.array(DARK),
         landmarks=target.exact,
         targets=target.landmarks,
         landmark_error=0.0,

@@ -8,7 +8,9 @@ import torch
 
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.key_light import KeyLight
 from facepipe.learn.photo.result import FittedCamera, FittedView
+from facepipe.learn.photo.shadows import Shadows
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -22,20 +24,26 @@ def project(camera: FittedCamera, points: FloatArray) -> FloatArray:
 
 
 def view_image(model: FaceModel, view: FittedView, points: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """(h, w, 4) linear colour on black and coverage 0..1 of a face as the photo of a view shows it.
+    """(h, w, 4) linear colour on black and coverage 0..1 of a face as the photo of a view shows it, self-shadows too.
 
     :param points: (n, 3) world points
     :param size: width and height of the photo; the image of a larger one than `LARGEST` is reduced to that
     """
     share = min(1.0, LARGEST / max(size))
     width, height = (max(1, round(each * share)) for each in size)
-    look = Look(
-        camera=camera_of(view.camera, share, torch.float32),
-        light=torch.as_tensor(np.asarray(view.light), dtype=torch.float32),
-        background=torch.zeros(3),
-    )
+    numbers = (view.light, view.key, points)
+    light, key, place = (torch.as_tensor(np.asarray(one), dtype=torch.float32) for one in numbers)
+    camera = camera_of(view.camera, share, torch.float32)
     with torch.no_grad():
-        image = model.image(torch.as_tensor(points, dtype=torch.float32), look, height=height, width=width)
+        shadows = Shadows.of(model, place, camera, key[:3])
+        look = Look(
+            camera=camera,
+            light=light,
+            background=torch.zeros(3),
+            shadow=shadows.transfer,
+            key=KeyLight(numbers=key, arriving=shadows.arriving),
+        )
+        image = model.image(place, look, height=height, width=width)
     return np.asarray(image.numpy())
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from facepipe import tokens
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.names import unique_identifiers
-from facepipe.parts import Animation, FaceParts, FloatArray, PhotoView, Recipe
+from facepipe.parts import Animation, FaceParts, FloatArray, KeyLamp, PhotoView, Recipe
 from facepipe.processors.photo_fit.camera_views import camera_to_world, clipping_range
 from facepipe.processors.photo_fit.fit_checks import check_fit, mixed_sliders
 from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, loss_ends
@@ -122,10 +122,21 @@ def _view(face: Face, name: str, photo: Photo, view: FittedView, fit: PhotoFit, 
         center=(float(x), float(y)),
         clipping=clipping_range(f"{face.where} -> photo {photo.name}", to_world, points),
         light=np.asarray(view.light, dtype=np.float64),
+        key=_key(np.asarray(view.key, dtype=np.float64)),
         tint={material: (float(r), float(g), float(b)) for material, (r, g, b) in fit.tint.items()},
         landmark_error=float(view.landmark_error),
         animation=name,
     )
+
+
+def _key(numbers: FloatArray) -> KeyLamp | None:
+    """The lamp of (8,) numbers of a view; None where it is black in float32."""
+    with np.errstate(over="ignore", under="ignore"):  # the stage refuses infinity
+        black, exponent = not np.float32(numbers[3:6]).any(), float(np.exp(numbers[7]))
+    if black:
+        return None
+    x, y, z, red, green, blue = map(float, numbers[:6])
+    return KeyLamp(direction=(x, y, z), color=(red, green, blue), shine=float(numbers[6]), exponent=exponent)
 
 
 def _ended(fit: PhotoFit) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.finite import require_finite
-from facepipe.parts import Slider
+from facepipe.parts import FloatArray, Slider
 from facepipe.stage import Face
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def check_fit(face: Face, fit: PhotoFit, photos: Sequence[Photo]) -> None:
             raise InputError(f"{where} -> camera", f"focal length {view.camera.focal:g}, expected more than 0")
         if view.landmark_error < 0:
             raise InputError(f"{where} -> landmark_error", f"{view.landmark_error:g}, expected 0 or more")
+        _check_key(f"{where} -> key", view.key)
         _check_expressions(face, where, view.expressions)
     _check_tint(face, fit)
 
@@ -48,8 +49,18 @@ def _shapes(view: FittedView) -> Iterator[tuple[str, tuple[int, ...], tuple[int,
     yield "camera -> translation", np.shape(view.camera.translation), (3,)
     yield "camera -> center", np.shape(view.camera.center), (2,)
     yield "light", np.shape(view.light), (9, 3)
+    yield "key", np.shape(view.key), (8,)
     yield "landmarks", np.shape(view.landmarks), (68, 2)
     yield "targets", np.shape(view.targets), (68, 2)
+
+
+def _check_key(where: str, key: FloatArray) -> None:
+    if not np.any(key[:3]):
+        raise InputError(where, "direction 0, expected that to the lamp")
+    if np.min(key[3:6]) < 0:
+        raise InputError(where, f"colour {tuple(map(float, key[3:6]))}, expected 0 or more")
+    if key[6] < 0:
+        raise InputError(where, f"shine {key[6]:g}, expected 0 or more")
 
 
 def _check_expressions(face: Face, where: str, expressions: Mapping[str, float]) -> None:
