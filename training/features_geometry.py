@@ -21,6 +21,7 @@ import scenes
 import torch
 from features_heads import neutral_landmarks
 from scipy.spatial.transform import Rotation
+from script_arguments import add_heads
 
 from facepipe.learn.features.crops import face_crop, to_crop
 
@@ -45,9 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Landmarks of random heads, without pictures.")
     parser.add_argument("out", type=Path, help="the .npz file")
     parser.add_argument("--persons", type=int, default=40000, help="how many (default 40000)")
-    parser.add_argument("--seed", type=int, default=3)
-    default = Path(__file__).parents[2] / "shared/data/ict_facekit/ict_facekit.npz"
-    parser.add_argument("--ict", type=Path, default=default, help="ict_facekit.npz")
+    add_heads(parser, seed=3)
     options = parser.parse_args()
     torch.set_num_threads(1)
     studio = heads.Studio(options.ict)

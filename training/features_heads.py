@@ -11,7 +11,6 @@ arrays of a shard are those of `heads.py`, and
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import head_sources
 import heads
@@ -20,6 +19,7 @@ import painting
 import scenes
 import styles
 import torch
+from script_arguments import add_heads, add_shards
 
 SHARD = 150  # pictures
 _FIRST = 1_000_000  # beyond the persons of `heads.py`
@@ -63,14 +63,10 @@ def neutral_landmarks(subject: head_sources.Subject) -> np.ndarray:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Render random heads that change their looks.")
-    parser.add_argument("out", type=Path, help="folder for the shards")
-    parser.add_argument("--count", type=int, default=4650, help=f"pictures, in shards of {SHARD}")
-    parser.add_argument("--first", type=int, default=0, help="number of the first shard")
+    add_shards(parser, count=4650, shard=SHARD)
     parser.add_argument("--views", type=int, default=3, help="pictures a person (default 3)")
     parser.add_argument("--sample-share", type=float, default=0.3, help="of persons with sliders (default 0.3)")
-    parser.add_argument("--seed", type=int, default=1)
-    default = Path(__file__).parents[2] / "shared/data/ict_facekit/ict_facekit.npz"
-    parser.add_argument("--ict", type=Path, default=default, help="ict_facekit.npz")
+    add_heads(parser, seed=1)
     options = parser.parse_args()
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)

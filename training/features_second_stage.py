@@ -26,6 +26,7 @@ from features_marked import MarkedNetwork, take_trunk
 from features_network import SIZE, normalised
 from features_reader import Modes, read_off
 from features_scores import held_out_scores
+from script_arguments import add_training
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from train_features import BATCH, HELD_OUT, batches, say
@@ -43,9 +44,7 @@ def main() -> None:
     parser.add_argument("geometry", type=Path, help="landmarks of features_geometry.py")
     parser.add_argument("data", type=Path, nargs="+", help="folders that the first stage was trained on")
     parser.add_argument("--more", type=Path, required=True, help="folder of more persons")
-    parser.add_argument("-o", dest="out", type=Path, required=True, help="the ONNX file")
-    parser.add_argument("--steps", type=int, default=1200, help=f"batches of {BATCH} heads (default 1200)")
-    parser.add_argument("--seed", type=int, default=0, help="of weights, batches and lights (default 0)")
+    add_training(parser, steps=1200, batch=f"{BATCH} heads")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)

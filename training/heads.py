@@ -33,6 +33,7 @@ import pictures
 import scenes
 import styles
 import torch
+from script_arguments import add_heads, add_shards
 
 SHARD, VIEWS = 500, 4
 _SEEDS = (0, 1, 2, 3, 4, 5)  # of the sample; the first, the average head, half of the time
@@ -130,12 +131,8 @@ def write_shard(studio: Studio, number: int, seed: int, folder: Path) -> None:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Render random heads to train networks on.")
-    parser.add_argument("out", type=Path, help="folder for the shards")
-    parser.add_argument("--count", type=int, default=16000, help=f"pictures, in shards of {SHARD}")
-    parser.add_argument("--first", type=int, default=0, help="number of the first shard")
-    parser.add_argument("--seed", type=int, default=0)
-    default = Path(__file__).parents[2] / "shared/data/ict_facekit/ict_facekit.npz"
-    parser.add_argument("--ict", type=Path, default=default, help="ict_facekit.npz")
+    add_shards(parser, count=16000, shard=SHARD)
+    add_heads(parser, seed=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)

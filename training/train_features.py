@@ -29,6 +29,7 @@ from features_export import to_onnx
 from features_losses import IdentityLoss, attribute_loss, class_weights, light_loss, semantic_loss
 from features_network import CLASSES, CONTENT, EMBEDDING, MEAN, SIZE, STD, FeatureNetwork, normalised
 from features_scores import held_out_scores
+from script_arguments import add_training
 from torch import Tensor, nn
 
 from facepipe.atomic import write_bytes
@@ -43,11 +44,7 @@ def main() -> None:
     """Train, score, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="+", help="folders of shards")
-    parser.add_argument("-o", dest="out", type=Path, required=True, help="the ONNX file")
-    parser.add_argument("--seed", type=int, default=0, help="of weights, batches and lights (default 0)")
-    parser.add_argument(
-        "--steps", type=int, default=5000, help=f"batches of {BATCH} heads in two lights (default 5000)"
-    )
+    add_training(parser, steps=5000, batch=f"{BATCH} heads in two lights")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)

@@ -15,6 +15,7 @@ import landmark_data
 import numpy as np
 import torch
 from landmark_export import to_onnx
+from script_arguments import add_training
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
@@ -98,10 +99,8 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Train the landmark network on renders of random heads.")
     parser.add_argument("data", type=Path, help="folder of shards that heads.py wrote")
-    parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--shards", type=int, default=16, help="how many of them; the first is held out")
-    parser.add_argument("--steps", type=int, default=5000, help=f"of {_BATCH} pictures")
-    parser.add_argument("--seed", type=int, default=0)
+    add_training(parser, steps=5000, batch=f"{_BATCH} pictures")
     options = parser.parse_args()
     torch.set_num_threads(1)
     held_out = landmark_data.read(options.data, range(1))
