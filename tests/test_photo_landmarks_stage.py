@@ -354,6 +354,44 @@ def test_sliders_that_act_through_a_learned_network_alone_may_move() -> None:
     assert [one.name for one in own.free_sliders] == ["deep"]
 
 
+def learned_smile(weight: float) -> SliderNetwork:
+    """The nose's width smiles, as far as the jaw's is wide too; the brows are taken and weighed with nothing."""
+    return SliderNetwork(
+        sliders=("noseWidth", "jawWidth", "browHeight"),
+        channels=((EYE, "tx"),),
+        shapes=("mouthSmileLeft",),
+        activation="relu",
+        weights=(np.float32([[1, 1, 0]]), np.float32([[0.1], [weight]])),
+        biases=(np.float32([-1.5]), np.zeros(2, np.float32)),
+    )
+
+
+def test_sliders_that_smile_through_a_learned_network_are_no_persons() -> None:
+    """As those that drive an expression themselves; nearly none is none."""
+    names = [one.name for one in subject().free_sliders]
+
+    def free(network: SliderNetwork, expressions: Sequence[str] | None = None) -> list[str]:
+        own = Subject.of(replace(sample(), slider_network=network), expressions)
+        return [one.name for one in own.free_sliders]
+
+    assert {"noseWidth", "jawWidth", "browHeight"} < set(names)
+    assert free(learned_smile(0.5)) == [one for one in names if one not in ("noseWidth", "jawWidth")]
+    for nothing in (0.0, 1e-3):
+        assert free(learned_smile(nothing)) == names
+    assert free(learned_smile(0.5), ["jawOpen"]) == [one.name for one in Subject.of(sample(), ["jawOpen"]).free_sliders]
+
+
+def test_networks_of_other_faces_are_refused() -> None:
+    with pytest.raises(InputError, match="slider network: no slider 'ear'"):
+        Subject.of(replace(sample(), slider_network=replace(learned_smile(0.5), sliders=("ear", "jawWidth", "x"))))
+
+
+def test_sliders_act_through_a_learned_network_that_weighs_them() -> None:
+    idle = (Slider(name="noseWidth"), Slider(name="jawWidth"), Slider(name="browHeight"))
+    own = Subject.of(replace(sample(), sliders=idle, slider_network=learned_smile(0.0)))
+    assert [one.name for one in own.free_sliders] == ["noseWidth", "jawWidth"]
+
+
 def test_bad_faces_are_refused() -> None:
     with pytest.raises(InputError, match="expression grin: unknown, expected a shape of the face"):
         Subject.of(sample(), ("grin",))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.parts import SliderNetwork
+from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS
 
 FloatArray = npt.NDArray[np.floating]
@@ -86,6 +86,24 @@ def network_fault(network: SliderNetwork) -> str | None:
     if sizes[-1] != outputs or not outputs or not network.sliders:
         return f"{sizes[0]} sliders and {sizes[-1]} outputs for {outputs} channels and shapes, expected as many, some"
     return None
+
+
+def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str, dict[str, float]]:
+    """By slider that it takes, how much each shape's weight changes at most as that slider alone goes to its ends.
+
+    The others are at their defaults, at their least and at their largest values meanwhile: what two sliders do together
+    counts for both. Sliders that the first layer weighs with 0 do nothing.
+    """
+    own = {one.name: one for one in sliders}
+    ranges = np.array([[own[name].default, own[name].minimum, own[name].maximum] for name in network.sliders])
+    found = {}
+    for number, name in enumerate(network.sliders):
+        values = np.repeat(ranges.T[:, None], 3, axis=1)  # by what the others and this one are at
+        values[:, :, number] = ranges[number]
+        weights = evaluate(network, values)[..., len(network.channels) :]
+        if network.weights[0][:, number].any():
+            found[name] = dict(zip(network.shapes, np.ptp(weights, axis=1).max(axis=0).tolist(), strict=True))
+    return found
 
 
 def kept(network: SliderNetwork, joint: Callable[[str], bool], shape: Callable[[str], bool]) -> SliderNetwork | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,11 @@ from facepipe.errors import InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.slider_network import check_network, shape_changes
 
 FloatArray = npt.NDArray[np.floating]
+
+_SEEN = 0.01  # change of a shape's weight from which a learned network's slider drives it: less is noise of training
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,18 +32,19 @@ class Subject:
     def of(cls, parts: FaceParts, expressions: Sequence[str] | None = None) -> Subject:
         """The face's own controls.
 
-        Sliders that drive expressions stay as they are: a person's sliders must not contain the photo's smile.
+        Sliders that drive expressions, themselves or through the face's learned network, stay as they are: a person's
+        sliders must not contain the photo's smile.
 
         :param expressions: shapes that are expressions; None: those with ARKit's names
-        :raises InputError: a shape that the face has not, or no slider to fit
+        :raises InputError: a shape that the face has not, a network that doesn't fit it, or no slider to fit
         """
         rig = build(parts)
         unknown = [name for name in expressions or () if name not in rig.shapes]
         if unknown:
             raise InputError(f"{parts.name} -> expression {unknown[0]}", "unknown, expected a shape of the face")
         names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
-        learned = () if parts.slider_network is None else parts.slider_network.sliders
-        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, one.name in learned)]
+        learned = _learned(parts, rig)
+        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, learned.get(one.name))]
         if not free:
             raise InputError(
                 f"{parts.name} -> sliders", "none that shape a person, expected some (`facepipe sliders FACE --help`)"
@@ -83,8 +87,17 @@ class Subject:
         return weights
 
 
-def _of_a_person(slider: Slider, expressions: set[str], learned: bool) -> bool:
-    """:param learned: whether a network of the face takes the slider"""
+def _learned(parts: FaceParts, rig: Rig) -> dict[str, dict[str, float]]:
+    """What the face's network changes by each slider, by shape."""
+    if parts.slider_network is None:
+        return {}
+    check_network(parts.slider_network, {one.name for one in parts.sliders}, rig.joints)
+    return shape_changes(parts.slider_network, parts.sliders)
+
+
+def _of_a_person(slider: Slider, expressions: set[str], learned: Mapping[str, float] | None) -> bool:
+    """:param learned: how much a network of the face changes shapes by the slider; None: it has none for that"""
     driven = {shape for shape, _ in slider.shapes}
-    acts = bool(driven or slider.channels or learned)
+    acts = bool(driven or slider.channels or learned is not None)
+    driven |= {shape for shape, change in (learned or {}).items() if change > _SEEN}
     return acts and slider.maximum > slider.minimum and not driven & expressions
