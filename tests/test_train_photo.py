@@ -371,6 +371,7 @@ def test_the_fit_command_takes_the_network(
     Image.fromarray(picture.pixels).save(tmp_path / "photo.png")
     (tmp_path / "photo.json").write_text(json.dumps({"multipie68": picture.landmarks.tolist()}))
     words = ["fit-photo", tmp_path / "photo.png", face, "--landmarks", tmp_path / "photo.json", "--iterations", "0"]
+    words += ["--size", "64"]
     words += ["-o", tmp_path / "person.usda", "--start", network_file]
     assert main([*map(str, words)]) in (0, 1)
     recipe = read_photo_recipe(tmp_path / "person.usda")
