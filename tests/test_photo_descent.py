@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from learned import torch
 
+from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.unknowns import Unknowns
@@ -24,7 +25,14 @@ def start(seed: int = 0) -> Unknowns:
         shares=rng.uniform(0.3, 0.7, 4), expressions=rng.uniform(0.3, 0.7, (2, 3)), poses=rng.normal(size=(2, 7))
     )
     light = [torch.tensor(rng.normal(size=(9, 3)), dtype=torch.float32) for _ in range(2)]
-    return Unknowns.of(state, light, torch.tensor(rng.normal(size=(2, 3)), dtype=torch.float32))
+    lamps = [torch.tensor((*rng.normal(size=3), *rng.uniform(0.3, 0.7, 4), 3.0), dtype=torch.float32) for _ in range(2)]
+    return Unknowns.of(state, light, torch.tensor(rng.normal(size=(2, 3)), dtype=torch.float32), lamps)
+
+
+def test_without_lamps_they_are_dark() -> None:
+    own = start()
+    bare = Unknowns.of(own.state(), list(own.light), own.tint)
+    assert bare.key.tolist() == torch.tensor([DARK, DARK]).tolist()
 
 
 def bowl(at: Unknowns, goal: float = 0.5, width: float = 1.0) -> dict[str, torch.Tensor]:
@@ -197,14 +205,17 @@ def test_unknowns_are_numbers_of_their_own() -> None:
     with torch.no_grad():
         own.shares.add_(5.0)
         own.expressions.sub_(5.0)
+        own.key.sub_(5.0)
     assert (copy.shares == start().shares).all()
     assert not copy.shares.requires_grad
     own.clamp()
     assert own.shares.tolist() == [1.0] * 4
     assert own.expressions.unique().tolist() == [0.0]
+    assert own.key[:, 3:7].unique().tolist() == [0.0]
+    assert own.key[:, [0, 1, 2, 7]].max() < 0, "directions and exponents go anywhere"
     state = copy.state()
     assert state.poses.dtype == state.shares.dtype == np.float64
-    again = Unknowns.of(state, list(copy.light), copy.tint)
+    again = Unknowns.of(state, list(copy.light), copy.tint, list(copy.key))
     for name in NAMES:
         assert (getattr(again, name) == getattr(copy, name)).all()
         assert getattr(again, name).requires_grad

@@ -65,5 +65,6 @@ def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unkno
         with torch.no_grad():
             for unknown, change in zip(found, move(slopes, [pace] * 3), strict=True):
                 unknown -= change
+            found[1][:, 3:7].clamp_(min=0)
     light, key, tint = (one.detach().clone().requires_grad_() for one in best)
     return replace(at, light=light, key=key, tint=tint)

@@ -44,13 +44,12 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         transfer, key = shadows_of_harmonics(model, points, camera), photo.linear.new_tensor(DARK)
         shape = basis(surface.normals) + surface.at_pixels(transfer)
         light, tint = relight(surface, seen, shape, count)
-        towards = find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
-        if towards is not None:
-            key[:3] = towards
+        lamp = find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
+        key = key if lamp is None else lamp
         arriving = shadows_of_lamp(model, points, camera, key[:3])
         loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
-        if towards is not None:
-            column = (surface.normals @ towards).clamp(min=0) * surface.at_pixels(arriving)
+        if lamp is not None:
+            column = (surface.normals @ lamp[:3]).clamp(min=0) * surface.at_pixels(arriving)
             light, tint = relight(surface, seen, torch.cat([shape, column[:, None]], dim=1), count)
             key[3:6] = light[9].clamp(min=0)
         return light[:9], key, tint.log()

@@ -10,7 +10,7 @@ from facepipe.learn.photo.seen_surface import SeenSurface
 
 _ROUNDS = 4
 OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow
-_RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3)  # keeps harmonics that few normals show small
+_RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3, 1e-6)  # keeps harmonics that few normals show small
 _DOUBT = 2e-4  # of all the light, with which a material keeps its own colour among the others
 _LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
 
@@ -32,25 +32,34 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
         if not len(seen):
             return light, tint
         for _ in range(_ROUNDS):
-            light = light_of(shape, surface.colors * tint[surface.materials], seen)
+            light, _ = light_of(shape, surface.colors * tint[surface.materials], seen)
             lit = surface.colors * (shape @ light).clamp(min=1e-3)
             tint = _tint(tint, lit, seen, surface.materials, count)
         main = int(torch.bincount(surface.materials, minlength=count).argmax())
         return light * tint[main], tint / tint[main]
 
 
-def light_of(shape: Tensor, color: Tensor, seen: Tensor) -> Tensor:
-    """(k, 3) numbers of the light under which surfaces of these colours look as seen."""
+def light_of(
+    shape: Tensor, color: Tensor, seen: Tensor, mirrored: Tensor | None = None, outlier: float = OUTLIER
+) -> tuple[Tensor, Tensor]:
+    """(k, 3) numbers of the light under which surfaces of these colours look as seen, and (m, 3) of what they mirror.
+
+    :param shape: (p, k) how white surfaces take each number
+    :param mirrored: (p, m) light that surfaces mirror whatever their colour; None: none
+    :param outlier: linear light that pixels may be off before they count less
+    """
+    white = seen[:, :0] if mirrored is None else mirrored
     columns = []
     for channel in range(3):
-        rows, target = shape * color[:, channel : channel + 1], seen[:, channel]
+        rows = torch.cat([shape * color[:, channel : channel + 1], white], dim=1)
+        target, trust = seen[:, channel], torch.ones_like(seen[:, channel])
         ridge = torch.diag(rows.new_tensor(_RIDGE[: rows.shape[1]])) * (rows * rows).sum() / 3
-        trust = torch.ones_like(target)
         for _ in range(3):
             solution = torch.linalg.solve(rows.T @ (rows * trust[:, None]) + ridge, rows.T @ (trust * target))
-            trust = 1 / (1 + ((rows @ solution - target) / OUTLIER) ** 2)
+            trust = 1 / (1 + ((rows @ solution - target) / outlier) ** 2)
         columns.append(solution)
-    return torch.stack(columns, dim=1)
+    light, glint = torch.stack(columns, dim=1).split([shape.shape[1], white.shape[1]])
+    return light, glint
 
 
 def _tint(tint: Tensor, lit: Tensor, seen: Tensor, material: Tensor, count: int) -> Tensor:

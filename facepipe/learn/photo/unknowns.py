@@ -54,8 +54,9 @@ class Unknowns:
         return Unknowns(**{field.name: getattr(self, field.name).detach().clone() for field in fields(self)})
 
     def clamp(self) -> None:
-        """Put sliders and expressions back into their ranges."""
+        """Put sliders and expressions back into their ranges, and lamps to no less than nothing."""
         with torch.no_grad():
+            self.key[:, 3:7].clamp_(min=0)
             self.shares.clamp_(0, 1)
             self.expressions.clamp_(0, 1)
 
