@@ -23,6 +23,7 @@ from facepipe.photo_options import PhotoFitOptions
 
 FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
 IMAGE = ("color", *FEATURES)
+_CORNER = 1e-3  # of a range, below which L1 norms are smooth
 
 
 class JointLoss:
@@ -59,7 +60,7 @@ class JointLoss:
         terms = [self._of_view(at, sliders, view) for view in views]
         result = {name: sum(each[name] for each in terms) / len(terms) for name in terms[0]}
         off = (at.shares - self._default).abs()
-        result["sparsity"] = (off * off + 1e-4).sqrt().sum()
+        result["sparsity"] = (off * off + _CORNER**2).sqrt().sum()
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
         weighted = {name: getattr(options, name) * value for name, value in result.items() if getattr(options, name)}
         return {**weighted, "total": sum(weighted.values(), 0 * at.poses.sum())}  # with a slope without terms too
