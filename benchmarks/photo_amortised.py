@@ -10,13 +10,13 @@ that no training saw, with noisy landmarks. Rows, means over the faces, by what 
   landmarks       stage one, bounded Levenberg-Marquardt on landmarks and priors
   raw             nothing: the defaults with the pose of an affine camera, or the guess as it is
   defaults        as `facepipe fit-photo` begins
-  defaults, lit   in the light of least joint loss, as fits from a guess begin
-  guess           lit too; `facepipe fit-photo --start` takes it raw where that is better, as it mostly is
+  guess           as `facepipe fit-photo --start` does; it takes the raw one where that is better, as it mostly is
 
-On each face all descents lower one joint loss: the trust in pixels and the shadows that belong to it are those of the
-defaults after stage one. Columns: the joint loss at the start; the least one after few steps of the rate, and from the
-defaults after many of the fit's own rate; seconds of these steps; mean slider errors (a share of the range, sliders
-that move the head by more than 1 mm). The last lines compare few steps from the guess with many from the defaults.
+On each face all descents lower one joint loss: the trust in pixels is that of the defaults after stage one, and shadows
+are always those of the face as it is, renewed once more before its loss is told. Columns: the joint loss at the start,
+after few steps of the rate, and from the defaults after many of the fit's own rate; seconds of these steps; mean slider
+errors (a share of the range, sliders that move the head by more than 1 mm). The last lines compare few steps from the
+guess with many from the defaults.
 Without --networks the joint loss is that of landmarks, colours and sparsity.
 """
 
@@ -28,6 +28,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,9 +43,10 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.joint_loss import JointLoss
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.subject import Subject
+    from facepipe.learn.photo.unknowns import Unknowns
     from facepipe.photo_options import PhotoFitOptions
 
-STAGES, STARTS = ("landmarks", "raw"), ("defaults", "defaults, lit", "guess")
+STAGES, STARTS = ("landmarks", "raw"), ("defaults", "guess")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,8 +136,7 @@ def _of_face(
             for name in ("few", "many") if start == "defaults" else ("few",):
                 own = replace(options, iterations=getattr(arguments, name))
                 own = replace(own, rate=arguments.rate) if name == "few" else own
-                state = states[start.partition(",")[0]]
-                end = _descended(made, loss, state, own, lit=start != "defaults")
+                end = _descended(made, loss, states[start], own)
                 figures |= {name: end.loss, f"{name}_s": end.seconds, f"{name}_slider": end.slider, "begin": end.begin}
             yield Descents(face=made.number, stage=stage, start=start, **figures)
 
@@ -162,21 +163,26 @@ def _calibrate(loss: JointLoss, state: State) -> None:
     loss.calibrate(lighting.lit(loss, state))
 
 
-def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions, *, lit: bool) -> _End:
+def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions) -> _End:
     from facepipe.learn.photo import lighting
     from facepipe.learn.photo.better_light import in_better_light
     from facepipe.learn.photo.descent import descend
 
-    kept = list(loss.shadows)
-    start = lighting.lit(loss, state)
-    loss.shadows[:] = kept
-    if lit:
-        start = in_better_light(loss, start)
+    start = in_better_light(loss, lighting.lit(loss, state))
+    begin = _total(loss, start)
     began = time.perf_counter()
-    descent = descend(loss, start, options)
-    seconds, totals = time.perf_counter() - began, [one["total"] for one in descent.history]
-    slider = _slider_error(made, loss.fit.subject, descent.best.state().shares)
-    return _End(begin=totals[0], loss=min(totals), seconds=seconds, slider=slider)
+    best = descend(loss, start, options, renew=partial(lighting.renew_shadows, loss)).best
+    seconds = time.perf_counter() - began
+    lighting.renew_shadows(loss, best)
+    slider = _slider_error(made, loss.fit.subject, best.state().shares)
+    return _End(begin=begin, loss=_total(loss, best), seconds=seconds, slider=slider)
+
+
+def _total(loss: JointLoss, at: Unknowns) -> float:
+    import torch
+
+    with torch.no_grad():
+        return float(loss(at)["total"])
 
 
 def _slider_error(made: RecoveryTarget, subject: Subject, shares: np.ndarray) -> float:
