@@ -42,7 +42,7 @@ class PhotoFitOptions:
     identity: float = field(default=0.2, metadata={"help": "weight of the identity", "range": (0.0, 1e6)})
     attributes: float = field(default=0.0, metadata={"help": "weight of the attributes", "range": (0.0, 1e6)})
     sparsity: float = field(
-        default=0.035, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
+        default=0.043, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
     )
     expression_sparsity: float = field(default=0.1, metadata={"help": "weight of the expressions", "range": (0.0, 1e6)})
     landmark_sigma: float = field(
