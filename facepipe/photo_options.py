@@ -45,6 +45,10 @@ class PhotoFitOptions:
         default=0.043, metadata={"help": "weight of the sliders' distance from their defaults", "range": (0.0, 1e6)}
     )
     expression_sparsity: float = field(default=0.1, metadata={"help": "weight of the expressions", "range": (0.0, 1e6)})
+    hue: float = field(
+        default=10.0,
+        metadata={"help": "weight of another hue of the key light than around it", "range": (0.0, 1e6)},
+    )
     landmark_sigma: float = field(
         default=0.02,
         metadata={"help": "how far landmarks are off, of the distance of the outer eye corners", "range": (1e-4, 1.0)},

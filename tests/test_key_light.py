@@ -6,10 +6,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from learned import torch
 from photo_people import joint_loss, model, portrait
 
-from facepipe.learn.key_light import DARK, KeyLight
+from facepipe.learn.key_light import DARK, KeyLight, hue_cost
 from facepipe.render.lighting import Light, Samples, Studio, lit
 
 DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5
@@ -93,3 +94,19 @@ def test_an_image_shows_it() -> None:
     assert added[..., 0].min() > -1e-6
     assert added[..., 0].max() > 0.15
     assert 0.1 < float((added[..., 0] > 0.01).float().mean()) < 0.6
+
+
+def test_another_hue_than_around_it_costs() -> None:
+    """Nothing for hues as near as those of lamps and windows, more the farther, whatever the strength of the light."""
+    grey = torch.zeros((9, 3), dtype=torch.float64)
+    grey[0] = 0.8
+
+    def cost(red: float, green: float, blue: float, strength: float = 1.0) -> float:
+        lamp = torch.tensor([0, 0, 1, strength * red, strength * green, strength * blue, 0.5, 3.0], dtype=torch.float64)
+        return hue_cost(grey, lamp).item()
+
+    assert cost(1, 1, 1) == cost(1.15, 1.0, 0.8) == 0
+    assert 0 < cost(1.4, 1.0, 0.6) < cost(1.6, 1.0, 0.4)
+    assert cost(1.6, 1.0, 0.4) == pytest.approx(cost(1.6, 1.0, 0.4, strength=3.0), rel=0.05)
+    assert cost(1.6, 1.0, 0.4, strength=1e-4) < 0.02 * cost(1.6, 1.0, 0.4)
+    assert hue_cost(grey, torch.tensor(DARK, dtype=torch.float64)) == 0

@@ -29,7 +29,7 @@ from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.photo_options import PhotoFitOptions
 from facepipe.rig import slide
 
-TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity")
+TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity", "hue")
 ALONE = dict.fromkeys(TERMS, 0.0)
 
 
@@ -49,7 +49,7 @@ def slider_error(found: PhotoFit, seed: int = 0) -> float:
 
 @cache
 def usual() -> PhotoFit:
-    return fitted(iterations=10, rate=0.005)
+    return fitted(iterations=16, rate=0.005)
 
 
 @cache
@@ -62,7 +62,7 @@ def without_photo() -> PhotoFit:
 def test_a_fit_finds_the_person_and_the_camera() -> None:
     own, fit = portrait(), usual()
     (view,) = fit.views
-    assert (fit.stopped, fit.steps, fit.warnings) == ("iterations", 10, ())
+    assert (fit.stopped, fit.steps, fit.warnings) == ("iterations", 16, ())
     assert view.landmark_error < 0.5
     assert np.linalg.norm(view.landmarks - own.landmarks[0], axis=1).mean() < 0.8
     default = float(np.abs(own.state.shares - subject().default_shares).mean())
@@ -72,7 +72,7 @@ def test_a_fit_finds_the_person_and_the_camera() -> None:
     smile = [view.expressions[name] for name in ("mouthSmileLeft", "mouthSmileRight")]
     assert min(smile) > 0.15, "true: 0.5 and 0.4"
     totals = [terms["total"] for terms in fit.history]
-    assert len(totals) == 11
+    assert len(totals) == 17
     assert min(totals) < 0.9 * totals[0]
 
 
@@ -96,7 +96,7 @@ def test_results_are_in_range_and_of_the_photo() -> None:
 
 
 def test_the_same_twice() -> None:
-    other = fitted(iterations=10, rate=0.005)
+    other = fitted(iterations=16, rate=0.005)
     assert usual().sliders == other.sliders
     assert usual().history == other.history
     assert (usual().views[0].light == other.views[0].light).all()

@@ -24,6 +24,7 @@ ALONE = {
     "attributes": 0.0,
     "sparsity": 0.0,
     "expression_sparsity": 0.0,
+    "hue": 0.0,
 }
 NETWORKS = {
     "content": lambda: feature_graphs.bisenet_like(32),
@@ -199,6 +200,7 @@ def test_terms_are_weighted_switched_off_and_summed(extractors: dict[str, Extrac
     own = portrait()
     at = moved(own.truth, "light", 0.1 * torch.ones(1, 9, 3))
     at = moved(at, "poses", tensor([[0.01, 0.02, 0, 0.01, 0, 0.02, 0]]))
+    at = moved(at, "key", tensor([[0, 0, 0, 0.1, 0.5, 0.9, 0, 0]]))
     weights = {name: 0.5 + number for number, name in enumerate(ALONE)}
     every = joint_loss(own, extractors, **weights)(at)
     assert sorted(every) == sorted([*ALONE, "total"])

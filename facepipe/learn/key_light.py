@@ -14,6 +14,8 @@ from torch.nn import functional
 NUMBERS = 8  # of a lamp: direction, colour, strength of the shine and logarithm of its exponent
 DARK = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 3.0)  # no lamp
 _FACING = 0.04  # what a surface of index of refraction 1.5 reflects of light that falls straight on
+_DIM = 1e-2  # linear light that has no hue worth the name
+_ALIKE = 0.25  # by which hues may differ: lamps and windows do
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,3 +43,13 @@ class KeyLight:
         mirrored = _FACING + (1 - _FACING) * grazing**5
         lobe = (exponent + 2) / 8 * (normals * half).sum(dim=1).clamp(min=1e-4) ** exponent
         return matt, (shine * mirrored * lobe)[:, None] * matt
+
+
+def hue_cost(light: Tensor, key: Tensor) -> Tensor:
+    """How much a lamp (8,) and the light around it (9, 3) differ in hue beyond what is usual: squares, mostly 0.
+
+    Without it a blue lamp and yellow harmonics, or the reverse, paint patches on a face whose colours don't fit.
+    """
+    lamp, around = key[3:6].clamp(min=0), light[0].clamp(min=0)
+    hues = [(one + _DIM) / (one.mean() + _DIM) for one in (lamp, around)]
+    return (((hues[0] - hues[1]).abs() - _ALIKE).clamp(min=0) ** 2).sum() * (lamp.mean() / _DIM).clamp(max=1)

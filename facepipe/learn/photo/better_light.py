@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from facepipe.learn.key_light import KeyLight
+from facepipe.learn.key_light import KeyLight, hue_cost
 from facepipe.learn.light import shade
 from facepipe.learn.photo.color_loss import color_loss
 from facepipe.learn.photo.descent import Adam
@@ -25,7 +25,7 @@ _STEPS, _RATE, _SLOWEST = 60, 0.05, 0.1
 
 
 class _View:
-    """The colours' term of one photo, in which nothing but light and colours moves."""
+    """What a photo says of light, in which nothing but light and colours moves."""
 
     def __init__(self, loss: JointLoss, at: Unknowns, view: int) -> None:
         photo, look = loss.photos[view], loss.look(at, view)
@@ -33,12 +33,12 @@ class _View:
         self.surface = SeenSurface.of(loss.model, points, look.camera, photo.size)
         self.shadow = None if look.shadow is None else self.surface.at_pixels(look.shadow)
         self.arriving = None if look.key is None else self.surface.at_pixels(look.key.arriving)
-        self.photo, self.spread = photo, loss.spreads[view]
+        self.photo, self.spread, self.options = photo, loss.spreads[view], loss.options
         covered = torch.zeros(photo.size).flatten()
         self.coverage = covered.index_fill(0, self.surface.raster.pixels, 1.0).reshape(photo.size)
 
     def loss(self, light: Tensor, key: Tensor, tint: Tensor) -> Tensor:
-        """The term itself."""
+        """The terms that light changes, weighted."""
         surface = self.surface
         own, white = surface.colors * tint.exp()[surface.materials], shade(surface.normals, light, self.shadow)
         color = white * own
@@ -47,7 +47,8 @@ class _View:
             matt, mirrored = lamp.shade(surface.normals, surface.towards_eye, self.arriving)
             color = color + matt * own + mirrored
         image = to_srgb(surface.raster.paint(color, self.photo.linear))
-        return color_loss(image, self.photo.pixels, self.coverage, self.spread)
+        color = color_loss(image, self.photo.pixels, self.coverage, self.spread)
+        return self.options.color * color + self.options.hue * hue_cost(light, key)
 
 
 def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unknowns:

@@ -11,7 +11,7 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
-from facepipe.learn.key_light import KeyLight
+from facepipe.learn.key_light import KeyLight, hue_cost
 from facepipe.learn.photo.color_loss import SPREAD, color_loss, spread_of
 from facepipe.learn.photo.feature_losses import FeatureLosses
 from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
@@ -62,6 +62,7 @@ class JointLoss:
         off = (at.shares - self._default).abs()
         result["sparsity"] = (off * off + _CORNER**2).sqrt().sum()
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
+        result["hue"] = torch.stack([hue_cost(*one) for one in zip(at.light, at.key, strict=True)]).mean()
         weighted = {name: getattr(options, name) * value for name, value in result.items() if getattr(options, name)}
         return {**weighted, "total": sum(weighted.values(), 0 * at.poses.sum())}  # with a slope without terms too
 
