@@ -57,7 +57,7 @@ def fitted(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(made, folder, dirs_exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        assert fit_photo(*ONE, "-o", "person.usda", "--report", "report", *FAST, "--iterations", "12") == 0
+        assert fit_photo(*ONE, "-o", "person.usda", "--report", "report", *FAST) == 0
     return folder
 
 
