@@ -304,10 +304,9 @@ def test_text_is_never_wider_than_its_room(text: str, room: float) -> None:
     assert text_width(shown, size) <= room
     if text_width(text, 25.0) <= room:
         assert (shown, size) == (text, 25.0)
-    head, dots, tail = shown.partition("...")
-    if shown != text and dots:
-        assert text.startswith(head)
-        assert text.endswith(tail)
+    gaps = [i for i in range(len(shown) - 2) if shown[i : i + 3] == "..."]
+    if shown and shown != text:  # a text may have dots of its own beside those of the gap
+        assert any(text.startswith(shown[:i]) and text.endswith(shown[i + 3 :]) for i in gaps)
 
 
 def test_expression_bars_are_as_long_as_their_weights() -> None:
