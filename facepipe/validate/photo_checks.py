@@ -59,9 +59,7 @@ def photo_key(face: FaceView) -> Iterator[Problem]:
         try:
             key = read_key_lamp(prim)
         except (*UNREADABLE, RuntimeError):
-            yield at(
-                prim, "key light that can't be read, expected vectors and numbers as FacepipePhotoAPI says"
-            )
+            yield at(prim, "key light that can't be read, expected vectors and numbers as FacepipePhotoAPI says")
             continue
         if key is None or not np.isfinite([*key.direction, *key.color, key.shine, key.exponent]).all():
             continue  # the check of finite numbers reports it
