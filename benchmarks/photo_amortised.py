@@ -11,12 +11,13 @@ that no training saw, with noisy landmarks. Rows, means over the faces, by what 
   raw             nothing: the defaults with the pose of an affine camera, or the guess as it is
   defaults        as `facepipe fit-photo` begins
   guess           as `facepipe fit-photo --start` does; it takes the raw one where that is better, as it mostly is
+  truth           at the person's own sliders, expression and camera: no guess of these can be better
 
 On each face all descents lower one joint loss: the trust in pixels is that of the defaults after stage one, and shadows
 are always those of the face as it is, renewed once more before its loss is told. Columns: the joint loss at the start,
 after few steps of the rate, and from the defaults after many of the fit's own rate; seconds of these steps; mean slider
 errors (a share of the range, sliders that move the head by more than 1 mm). The last lines compare few steps from the
-guess with many from the defaults.
+guess, and from the truth, with many from the defaults.
 Without --networks the joint loss is that of landmarks, colours and sparsity.
 """
 
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.unknowns import Unknowns
     from facepipe.photo_options import PhotoFitOptions
 
-STAGES, STARTS = ("landmarks", "raw"), ("defaults", "guess")
+STARTS = (("landmarks", "defaults"), ("landmarks", "guess"), ("raw", "defaults"), ("raw", "guess"), ("raw", "truth"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,20 +126,26 @@ def measured(arguments: argparse.Namespace) -> list[Descents]:
 def _of_face(
     made: RecoveryTarget, guess: Guess, options: PhotoFitOptions, arguments: argparse.Namespace
 ) -> Iterator[Descents]:
+    from recovery_state import true_state
+
     image = made.image.astype(np.float32) / 255
     loss = _joint_loss(made, image, guess, options)
-    raw = {"defaults": loss.fit.start(), "guess": guess(image, made.landmarks, loss.fit.spaces[0])}
-    solved = {start: loss.fit.solve(state) for start, state in raw.items()}
-    _calibrate(loss, solved["defaults"])
-    for stage, states in zip(STAGES, (solved, raw), strict=True):
-        for start in STARTS:
-            figures: dict[str, float] = {}
-            for name in ("few", "many") if start == "defaults" else ("few",):
-                own = replace(options, iterations=getattr(arguments, name))
-                own = replace(own, rate=arguments.rate) if name == "few" else own
-                end = _descended(made, loss, states[start], own)
-                figures |= {name: end.loss, f"{name}_s": end.seconds, f"{name}_slider": end.slider, "begin": end.begin}
-            yield Descents(face=made.number, stage=stage, start=start, **figures)
+    space = loss.fit.spaces[0]
+    raw = {
+        "defaults": loss.fit.start(),
+        "guess": guess(image, made.landmarks, space),
+        "truth": true_state(made, guess.subject, space),
+    }
+    _calibrate(loss, loss.fit.solve(raw["defaults"]))
+    for stage, start in STARTS:
+        state = loss.fit.solve(raw[start]) if stage == "landmarks" else raw[start]
+        figures: dict[str, float] = {}
+        for name in ("few", "many") if start == "defaults" else ("few",):
+            own = replace(options, iterations=getattr(arguments, name))
+            own = replace(own, rate=arguments.rate) if name == "few" else own
+            end = _descended(made, loss, state, own)
+            figures |= {name: end.loss, f"{name}_s": end.seconds, f"{name}_slider": end.slider, "begin": end.begin}
+        yield Descents(face=made.number, stage=stage, start=start, **figures)
 
 
 def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: PhotoFitOptions) -> JointLoss:
@@ -203,7 +210,7 @@ def table(found: list[Descents], few: int, many: int) -> str:
     """The means for people."""
     steps = [f"{few} steps", f"{many} steps"]
     cells = [("first", "start", "begin", *steps, *steps, "sliders", "sliders")]
-    for stage, start in ((stage, start) for stage in STAGES for start in STARTS):
+    for stage, start in STARTS:
         own = [one for one in found if (one.stage, one.start) == (stage, start)]
         names = ("begin", "few", "many", "few_s", "many_s", "few_slider", "many_slider")
         means = {name: float(np.mean([getattr(one, name) for one in own])) for name in names}
@@ -214,17 +221,15 @@ def table(found: list[Descents], few: int, many: int) -> str:
 
 def verdicts(found: list[Descents], few: int, many: int) -> list[str]:
     """Few steps from the guess against many from the defaults: alike before, and the quickest of both."""
-    by_way = {
-        (stage, start): [one for one in found if (one.stage, one.start) == (stage, start)]
-        for stage in STAGES
-        for start in STARTS
-    }
-    ways = [(stage, stage) for stage in STAGES] + [("raw", "landmarks")]
+    by_way = {way: [one for one in found if (one.stage, one.start) == way] for way in STARTS}
+    defaults = [one for one in STARTS if one[1] == "defaults"]
+    ways = [((stage, "guess"), (stage, start)) for stage, start in defaults]
+    ways += [(("raw", start), ("landmarks", "defaults")) for start in ("guess", "truth")]
     lines = []
-    for guessed, default in ways:
-        pairs = zip(by_way[guessed, "guess"], by_way[default, "defaults"], strict=True)
+    for begun, default in ways:
+        pairs = zip(by_way[begun], by_way[default], strict=True)
         ratios = [one.few / other.many for one, other in pairs]
-        what = f"guess ({guessed}) + {few} steps over defaults ({default}) + {many} steps"
+        what = f"{begun[1]} ({begun[0]}) + {few} steps over defaults ({default[0]}) + {many} steps"
         reached = f"no higher on {sum(one <= 1 for one in ratios)} of {len(ratios)}"
         lines.append(f"{what}: joint loss {np.mean(ratios):.3f} times as high, worst {max(ratios):.3f}; {reached}")
     return lines

@@ -22,6 +22,7 @@ from recovery_measures import (
     slider_reach,
     weight_error,
 )
+from recovery_state import true_state
 from recovery_targets import ACTIVE, PLACES, RecoveryTarget, head_without_neck, posed, random_expression, targets
 from scipy.spatial.transform import Rotation
 
@@ -273,6 +274,23 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
     off = recovery(parts, rig, target, replace(fit, sliders={}))
     assert off.geometry_mm == pytest.approx(off.default_mm)
     assert posed(parts, rig, {}, {}) == pytest.approx(rig.evaluate())
+
+
+def test_the_truth_as_unknowns_of_a_fit_shows_the_same_points(smiling: list[RecoveryTarget]) -> None:
+    torch = pytest.importorskip("torch")
+    from facepipe.learn.photo.fit import pose_space
+    from facepipe.learn.photo.subject import Subject
+
+    target, subject = smiling[0], Subject.of(make(0))
+    space = pose_space(subject, SIZE, SIZE)
+    state = true_state(target, subject, space)
+    values, weights = subject.slider_values(state.shares), subject.shape_weights(state.expressions[0])
+    names = dict(zip((one.name for one in subject.parts.sliders), values, strict=True))
+    assert {name: names[name] for name in target.sliders} == pytest.approx(target.sliders)
+    shown = dict(zip(subject.rig.shapes, weights, strict=True))
+    assert {name: weight for name, weight in shown.items() if weight} == pytest.approx(target.expressions)
+    seen = space.camera(torch.as_tensor(state.poses[0])).project(torch.as_tensor(target.points))[:, :2]
+    assert seen.numpy() == pytest.approx(pixels(target.camera, target.points), abs=1e-6)
 
 
 def test_aims_that_are_missed_are_said_to_be() -> None:

@@ -62,6 +62,23 @@ def test_the_tour_runs(tmp_path: Path) -> None:
     assert [source.name for source in recipe.sources] == ["head.usda", "other.usda"]
 
 
+@pytest.mark.slow
+def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
+    """Its lines as they stand, on a real photo, with landmarks by the project's own network."""
+    pytest.importorskip("torch")
+    photo = SHARED / "data" / "photos" / "astronaut.png"
+    if not photo.exists():
+        pytest.skip("the shared data is not beside the project")
+    shutil.copy(photo, tmp_path / "portrait.jpg")
+    tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    (lines,) = (block.splitlines() for block in blocks("sh") if "fit-photo" in block)
+    for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
+        done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+    assert {"sheet.png", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
+    assert (tmp_path / "me.onnx").stat().st_size > 0
+
+
 def test_the_demo_makes_everything(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "facepipe", "demo", "demo"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
