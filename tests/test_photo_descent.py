@@ -72,24 +72,37 @@ def test_plain_descent_keeps_its_rate() -> None:
     np.testing.assert_allclose(found.shares, expected, atol=1e-6)
 
 
-def test_adam_is_that_of_torch_with_steps_that_shrink() -> None:
+@pytest.mark.parametrize(("steps", "memory", "rise"), [(60, 0.9, 12), (12, 2 / 3, 3.6)])
+def test_adam_is_that_of_torch_with_steps_that_shrink(steps: int, memory: float, rise: float) -> None:
+    """Few steps remember less."""
     own, peer = start(), start()
 
     def loss(at: Unknowns) -> dict[str, torch.Tensor]:
         rough = sum(((getattr(at, name).double() - 0.5).abs() + 0.1).log().sum() for name in NAMES)
         return {"total": rough + 1000.0}
 
-    steps, rate = 12, 0.01
+    rate = 0.12 / steps
     run(loss, own, rate=rate, iterations=steps)
-    optimiser = torch.optim.Adam([peer.shares, peer.expressions], lr=rate, betas=(0.9, 0.99))
+    optimiser = torch.optim.Adam([peer.shares, peer.expressions], lr=rate, betas=(memory, 0.99))
     for step in range(steps):
         falling = 0.05 + 0.95 * 0.5 * (1 + math.cos(math.pi * step / steps))
-        optimiser.param_groups[0]["lr"] = rate * falling * (step + 1) / steps  # all of them rise
+        optimiser.param_groups[0]["lr"] = rate * falling * min(1, (step + 1) / rise)
         optimiser.zero_grad()
         loss(peer)["total"].backward()
         optimiser.step()
     np.testing.assert_allclose(own.shares.detach(), peer.shares.detach(), atol=1e-5)
     np.testing.assert_allclose(own.expressions.detach(), peer.expressions.detach(), atol=1e-5)
+
+
+def test_a_first_step_moves_heads_less_than_sliders() -> None:
+    own, before = start(), start()
+    run(bowl, own, rate=0.01, iterations=1)
+    moved = {name: (getattr(own, name) - getattr(before, name)).detach().abs() for name in NAMES}
+    np.testing.assert_allclose(moved["shares"], 0.01, rtol=1e-3)
+    steps = moved["poses"].numpy() / 0.01
+    assert (steps[:, 3:6] < 0.1).all(), "place and size, which move every pixel"
+    assert (steps[:, :3] < 0.5).all()
+    np.testing.assert_allclose(steps[0], steps[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "gradient-descent"])

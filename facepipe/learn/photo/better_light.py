@@ -64,8 +64,8 @@ def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unkno
         slopes = torch.autograd.grad(total, found, allow_unused=True, materialize_grads=True)
         pace = _RATE * (1 - (1 - _SLOWEST) * step / steps)
         with torch.no_grad():
-            for unknown, change in zip(found, move(slopes, [pace] * 3), strict=True):
-                unknown -= change
+            for unknown, change in zip(found, move(slopes), strict=True):
+                unknown -= pace * change
             found[1][:, 3:7].clamp_(min=0)
     light, key, tint = (one.detach().clone().requires_grad_() for one in best)
     return replace(at, light=light, key=key, tint=tint)

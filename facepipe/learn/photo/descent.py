@@ -13,12 +13,14 @@ from facepipe.learn.photo.result import Stopped
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.photo_options import PhotoFitOptions
 
-# Steps of each kind of unknown over those of sliders: [0175]-[0177] have a rate for each.
-_RATES = {"shares": 1.0, "expressions": 1.0, "poses": 0.25, "light": 1.0, "key": 1.0, "tint": 1.0}
+# Steps of poses, as `PoseSpace`, over those of everything else. A step of a head's place, in sides of the photo, moves
+# all its pixels farther than a step of a slider moves any; the document has one rate for poses ([0177]).
+_POSES = {"adam": (0.2, 0.2, 0.2, 0.02, 0.02, 0.05, 0.5), "gradient-descent": (0.25,) * 7}
 _SLOWEST = 0.05  # of the rate, at the last step
-_RISE = 12  # steps
-_RENEWED = 50  # steps after which what a loss holds fixed is made anew
-_MEMORY = (0.9, 0.99)  # of the first and second moments
+_RISE = (12, 0.3)  # steps, and at most this share of a descent
+_RENEWED = (10, 50)  # least and most steps after which what a loss holds fixed is made anew; half a descent otherwise
+_MEMORY = (10, 0.25)  # slopes that the first moment remembers, and at most this share of a descent
+_SECOND = 0.99  # memory of the second moment
 _TINY = 1e-8
 
 
@@ -43,10 +45,11 @@ def descend(
     A loss or slope that is not finite ends it, with the best so far.
     """
     at, best, least = start, start.copy(), math.inf
-    move = Adam() if options.optimiser == "adam" else _plain
+    move = Adam(_within(_MEMORY, options)) if options.optimiser == "adam" else _plain
+    renewed = min(max(options.iterations // 2, _RENEWED[0]), _RENEWED[1])
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
-        if renew is not None and step and step % _RENEWED == 0:
+        if renew is not None and step and step % renewed == 0:
             renew(at)
             least = math.inf  # the loss has changed
         terms = loss(at)
@@ -64,42 +67,44 @@ def descend(
         if not all(bool(one.isfinite().all()) for one in slopes):
             return Descent(best=best, history=tuple(history), stopped="not-finite")
         with torch.no_grad():
-            rates = [options.rate * _RATES[name] * _pace(step, options) for name in at.names()]
-            for unknown, change in zip(at.tensors(), move(slopes, rates), strict=True):
-                unknown -= change
+            rate = options.rate * _pace(step, options)
+            for name, unknown, change in zip(at.names(), at.tensors(), move(slopes), strict=True):
+                unknown -= rate * (change * change.new_tensor(_POSES[options.optimiser]) if name == "poses" else change)
         at.clamp()
         if done is not None:
             done(1)
     return Descent(best=best, history=tuple(history), stopped="iterations")
 
 
-def _plain(slopes: Sequence[Tensor], rates: Sequence[float]) -> list[Tensor]:
-    """[0175]-[0177]: the rate times the slope."""
-    return [rate * slope for slope, rate in zip(slopes, rates, strict=True)]
+def _plain(slopes: Sequence[Tensor]) -> list[Tensor]:
+    """[0175]-[0177]: the slope, of which a step takes the rate's share."""
+    return list(slopes)
 
 
 class Adam:
-    """Kingma and Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, algorithm 1.
+    """Kingma and Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, algorithm 1, steps of rate 1.
 
     Ten lines of our own: the first use of torch's imports its compiler, which takes longer than forty steps.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, memory: float = _MEMORY[0]) -> None:
+        """:param memory: slopes that the first moment remembers, 1 or more"""
+        self._keep = (1 - 1 / max(memory, 1.0), _SECOND)
         self._count = 0
         self._first: list[Tensor] = []
         self._second: list[Tensor] = []
 
-    def __call__(self, slopes: Sequence[Tensor], rates: Sequence[float]) -> list[Tensor]:
+    def __call__(self, slopes: Sequence[Tensor]) -> list[Tensor]:
         if not self._first:
             self._first, self._second = ([torch.zeros_like(one) for one in slopes] for _ in range(2))
         self._count += 1
         for first, second, slope in zip(self._first, self._second, slopes, strict=True):
-            first.lerp_(slope, 1 - _MEMORY[0])
-            second.lerp_(slope * slope, 1 - _MEMORY[1])
-        bias = [1 - memory**self._count for memory in _MEMORY]
+            first.lerp_(slope, 1 - self._keep[0])
+            second.lerp_(slope * slope, 1 - self._keep[1])
+        bias = [1 - keep**self._count for keep in self._keep]
         return [
-            rate * (first / bias[0]) / ((second / bias[1]).sqrt() + _TINY)
-            for rate, first, second in zip(rates, self._first, self._second, strict=True)
+            (first / bias[0]) / ((second / bias[1]).sqrt() + _TINY)
+            for first, second in zip(self._first, self._second, strict=True)
         ]
 
 
@@ -109,4 +114,9 @@ def _pace(step: int, options: PhotoFitOptions) -> float:
         return 1.0
     share = min(step / max(options.iterations, 1), 1.0)
     falling = _SLOWEST + (1 - _SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-    return falling * min(1.0, (step + 1) / min(_RISE, options.iterations))
+    return falling * min(1.0, (step + 1) / max(_within(_RISE, options), 1.0))
+
+
+def _within(steps: tuple[int, float], options: PhotoFitOptions) -> float:
+    """So many steps, and at most a share of the descent."""
+    return min(steps[0], steps[1] * options.iterations)
