@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.key_light import DARK
@@ -22,6 +23,7 @@ from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
 from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.seen_surface import SeenSurface
+from facepipe.learn.photo.shadows import Shadows, shadows_of_lamp
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.rig import DifferentiableRig
@@ -124,14 +126,24 @@ class PictureLoss:
             key=torch.tensor([DARK]),
             tint=torch.zeros((len(self.model.colors.names), 3)),
         )
-        return loss(self._lit(loss, at))
+        lamp = None if picture.truth is None else picture.truth.lamp
+        return loss(self._lit(loss, at, lamp))
 
-    def _lit(self, loss: JointLoss, at: Unknowns) -> Unknowns:
+    def _lit(self, loss: JointLoss, at: Unknowns, lamp: Tensor | None) -> Unknowns:
+        """In harmonics, and a lamp where one is known: to look for it takes longer than all else."""
+        photo = loss.photos[0]
         with torch.no_grad():
             points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
-            camera = single(loss.photos[0].camera(loss.fit.spaces[0].camera(at.poses[0])))
-            photo = loss.photos[0]
+            camera = single(photo.camera(loss.fit.spaces[0].camera(at.poses[0])))
             surface = SeenSurface.of(self.model, points, camera, photo.size)
+            shape, key = basis(surface.normals), at.key[0]
+            if lamp is not None:
+                arriving = shadows_of_lamp(self.model, points, camera, lamp[:3])
+                loss.shadows[0] = Shadows(transfer=points.new_zeros((len(points), 9)), arriving=arriving)
+                facing = (surface.normals @ normalize(lamp[:3], dim=0)).clamp(min=0)
+                shape = torch.cat([shape, (facing * surface.at_pixels(arriving))[:, None]], dim=1)
             seen, count = photo.linear.reshape(-1, 3)[surface.raster.pixels], len(self.model.colors.names)
-            light, tint = relight(surface, seen, basis(surface.normals), count)
-        return replace(at, light=light[None], tint=tint.log())
+            light, tint = relight(surface, seen, shape, count)
+            if lamp is not None:
+                key = torch.cat([lamp[:3], light[9].clamp(min=0), lamp[6:]])
+        return replace(at, light=light[None, :9], key=key[None], tint=tint.log())

@@ -22,11 +22,12 @@ HEAD = 160  # pixels a side, about, at which heads are seen
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """The parameters of a render."""
+    """The parameters of a render, and its lamp."""
 
     shares: FloatArray  # (f,)
     expressions: FloatArray  # (e,)
     pose: FloatArray  # (7,) as `PoseSpace`
+    lamp: Tensor  # (8,) as `KeyLight`
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from facepipe.learn.face_model import FaceModel, Look
+from facepipe.learn.key_light import KeyLight
 from facepipe.learn.light import ambient, distant
 from facepipe.learn.photo.amortised.people import People, random_people
 from facepipe.learn.photo.amortised.pictures import HEAD, Picture, Truth
 from facepipe.learn.photo.fit import pose_space
 from facepipe.learn.photo.joint_loss import single
 from facepipe.learn.photo.landmark_rig import LandmarkRig
+from facepipe.learn.photo.shadows import shadows_of_lamp
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.working_photo import to_srgb
 
@@ -33,17 +35,22 @@ class Portraits:
     def picture(self, rng: np.random.Generator) -> Picture:
         """Somebody, somewhere."""
         one = random_people(self.subject, self.space, 1, rng)
-        truth = Truth(shares=one.shares[0], expressions=one.expressions[0], pose=one.poses[0])
+        lamp = random_lamp(rng)
+        truth = Truth(shares=one.shares[0], expressions=one.expressions[0], pose=one.poses[0], lamp=lamp)
         sliders = torch.as_tensor(self.subject.slider_values(truth.shares), dtype=torch.float32)
         weights = torch.as_tensor(self.subject.shape_weights(truth.expressions), dtype=torch.float32)
-        look = Look(
-            camera=single(self.space.camera(torch.as_tensor(truth.pose))),
-            light=random_light(rng),
-            background=random_background(rng, HEAD),
-            tint=self._tint(rng),
-        )
+        camera = single(self.space.camera(torch.as_tensor(truth.pose)))
         with torch.no_grad():
-            image = to_srgb(self.model(sliders, weights, look, height=HEAD, width=HEAD)[..., :3])
+            points = self.model.rig(sliders, weights)
+            arriving = shadows_of_lamp(self.model, points, camera, lamp[:3])
+            look = Look(
+                camera=camera,
+                light=random_light(rng),
+                key=KeyLight(numbers=lamp, arriving=arriving),
+                background=random_background(rng, HEAD),
+                tint=self._tint(rng),
+            )
+            image = to_srgb(self.model.image(points, look, height=HEAD, width=HEAD)[..., :3])
         return Picture(
             pixels=(image * 255).round().to(torch.uint8).numpy(),
             left=0,
@@ -67,21 +74,30 @@ class Portraits:
         """(materials, 3) factors: dark to light, warm to cold, and each material a little apart."""
         materials = len(self.model.colors.names)
         common = np.exp(rng.uniform(-1.5, 0.3) + rng.normal(0, 0.12, 3))
-        own = np.exp(rng.normal(0, 0.35, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
+        own = np.exp(rng.normal(0, 0.5, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
         return torch.as_tensor((common * own).clip(0.02, 3.0), dtype=torch.float32)
 
 
+def random_lamp(rng: np.random.Generator) -> Tensor:
+    """(8,) as `KeyLight`: a lamp before the face."""
+    color = rng.uniform(0.3, BRIGHT) * rng.uniform(0.8, 1.2, 3)
+    shine, exponent = rng.uniform(0.2, 1.2), rng.uniform(2.0, 4.5)
+    return torch.as_tensor(np.array([*_way(rng, 75), *color, shine, exponent]), dtype=torch.float32)
+
+
 def random_light(rng: np.random.Generator) -> Tensor:
-    """(9, 3) spherical harmonics of a dim room with a lamp or up to three, mostly before the face."""
+    """(9, 3) spherical harmonics of a dim room with up to two lamps from anywhere."""
     light = ambient(torch.as_tensor(rng.uniform(DIM, 0.5) * rng.uniform(0.85, 1.15, 3), dtype=torch.float32))
-    for number in range(rng.integers(1, 4)):
-        around = rng.uniform(-1, 1) * np.radians(75 if number == 0 else 170)
-        up = np.radians(rng.uniform(-15, 60))
-        way = np.array([np.sin(around) * np.cos(up), np.sin(up), np.cos(around) * np.cos(up)])
-        strength = rng.uniform(0.3, BRIGHT) if number == 0 else rng.uniform(0.05, 0.5)
-        color = strength * rng.uniform(0.8, 1.2, 3)
+    for _ in range(rng.integers(0, 3)):
+        way, color = _way(rng, 170), rng.uniform(0.05, 0.5) * rng.uniform(0.8, 1.2, 3)
         light = light + distant(*(torch.as_tensor(one, dtype=torch.float32) for one in (way, color)))
     return light
+
+
+def _way(rng: np.random.Generator, around: float) -> FloatArray:
+    """(3,) unit, to a lamp up to so many degrees to a side of the camera, mostly above it."""
+    turn, up = np.radians(rng.uniform(-around, around)), np.radians(rng.uniform(-15, 60))
+    return np.array([np.sin(turn) * np.cos(up), np.sin(up), np.cos(turn) * np.cos(up)])
 
 
 def random_background(rng: np.random.Generator, size: int) -> Tensor:

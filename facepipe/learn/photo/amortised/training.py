@@ -60,7 +60,8 @@ def train_start(
     :raises FitError: a loss of renders that is not finite
     """
     subject = Subject.of(parts, expressions)
-    terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0)  # a step has to be quick
+    # A step has to be quick, and light is found for each guess: its hue says nothing of the guess.
+    terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0, hue=0.0)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(options.seed)
         model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.of(subject)
