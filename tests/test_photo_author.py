@@ -84,6 +84,7 @@ def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
         ),
         tint={one.name: (1.25, 0.9, 0.8) for one in face.materials[:1]},
         history=({"total": 3.0, "landmarks": 2.0}, {"total": 1.5, "landmarks": 1.0, "identity": 0.5}),
+        kept=1,
         steps=2,
         stopped="iterations",
     )

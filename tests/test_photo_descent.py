@@ -143,6 +143,7 @@ def test_the_best_of_all_steps_is_kept() -> None:
     descent = run(loss, iterations=10)
     assert [round(terms["total"]) for terms in descent.history] == [3, 2, 1, 0, 1, 2, 3, 4, 5, 6, 7]
     assert (descent.best.shares == visited[3]).all()
+    assert descent.kept == 3
     assert (visited[3] != visited[-1]).any()
 
 

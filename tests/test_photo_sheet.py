@@ -15,8 +15,8 @@ from PIL import Image
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts, Mesh, Slider
 from facepipe.render import photo_pictures as pictures
-from facepipe.render.curves import COLORS, HEIGHT, best_step, loss_curves, spread
-from facepipe.render.photo_sheet import WIDTH, PhotoSheet, SheetPhoto, photo_sheet
+from facepipe.render.curves import COLORS, HEIGHT, loss_curves, spread
+from facepipe.render.photo_sheet import WIDTH, PhotoSheet, SheetPhoto, facts, photo_sheet
 from facepipe.render.slider_table import ABOVE, MOST_SLIDERS, TRACK, UNDER, shape_table, slider_table
 from facepipe.render.typesetting import MUTED, fitted, text_width
 from facepipe.render.wireframe import wireframe
@@ -368,10 +368,12 @@ def test_histories_of_any_kind(history: list[dict[str, float]]) -> None:
     assert pixels(image).min() < 128
 
 
-def test_best_step_is_the_least_known_total() -> None:
-    assert best_step([{"total": NAN}, {"total": 2.0}, {"total": 1.0}, {"total": 1.5}]) == 2
-    assert best_step([{"total": NAN}, {}]) is None
-    assert best_step([]) is None
+def test_the_loss_that_is_told_is_that_of_the_face() -> None:
+    history = [{"total": NAN}, {"total": 2.0}, {"total": 1.0}, {"total": 1.5}]
+    assert "loss 1.5 at step 3" in facts(sheet(history=history, kept=3))
+    assert "loss 1 at step 2" in facts(sheet(history=history, kept=2))
+    assert not [one for one in facts(sheet(history=history)) if "loss" in one]
+    assert not [one for one in facts(sheet(history=[])) if "loss" in one]
 
 
 @settings(max_examples=80, deadline=None)

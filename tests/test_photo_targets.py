@@ -265,7 +265,9 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
         targets=target.landmarks,
         landmark_error=0.0,
     )
-    fit = result.PhotoFit(sliders=target.sliders, views=(view,), tint={}, history=(), steps=0, stopped="iterations")
+    fit = result.PhotoFit(
+        sliders=target.sliders, views=(view,), tint={}, history=(), kept=0, steps=0, stopped="iterations"
+    )
     found = recovery(parts, rig, target, fit)
     assert max(found.landmark_px, found.slider, found.geometry_mm, found.posed_mm, found.expression) < 1e-9
     assert found.noisy_px == pytest.approx(mean_distance(target.exact, target.landmarks))

@@ -29,7 +29,7 @@ def untinted(lamp: tuple[float, ...]) -> tuple[Portrait, Unknowns]:
 
 def view_of(own: Portrait, at: Unknowns) -> FittedView:
     """Of a fit that ended there."""
-    descent = Descent(best=at.copy(), history=({"total": 0.0},), stopped="iterations")
+    descent = Descent(best=at.copy(), kept=0, history=({"total": 0.0},), stopped="iterations")
     return fit_result(joint_loss(own), descent).views[0]
 
 

@@ -45,6 +45,7 @@ def report_sheet(
         photos=tuple(_photo(rig, tinted, fit, model, *one) for one in zip(photos, fit.views, strict=True)),
         sliders=fit.sliders,
         history=fit.history,
+        kept=fit.kept,
         seconds=seconds,
         note=ENDS[fit.stopped],
     )

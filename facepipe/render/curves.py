@@ -99,12 +99,6 @@ def loss_curves(history: Sequence[Mapping[str, float]], width: int, stages: Sequ
     return below([heading(width, "Losses", note), image], 8)
 
 
-def best_step(history: Sequence[Mapping[str, float]]) -> int | None:
-    """The step with the least total; None where no total is known."""
-    totals = np.array([each.get(TOTAL, np.nan) for each in history], dtype=np.float64)
-    return int(np.nanargmin(totals)) if np.isfinite(totals).any() else None
-
-
 def _terms(history: Sequence[Mapping[str, float]]) -> dict[str, FloatArray]:
     """Term -> losses by step, the total first, then in the order of their appearance."""
     names = list(dict.fromkeys(name for each in history for name in each))

@@ -15,7 +15,7 @@ from facepipe.finite import require_finite
 from facepipe.parts import FaceParts
 from facepipe.render import photo_pictures as pictures
 from facepipe.render.camera import View
-from facepipe.render.curves import TOTAL, best_step, loss_curves
+from facepipe.render.curves import TOTAL, loss_curves
 from facepipe.render.picture import PictureOptions, picture
 from facepipe.render.rasterise import NEAR
 from facepipe.render.slider_table import shape_table, slider_table
@@ -57,6 +57,7 @@ class PhotoSheet:
     photos: tuple[SheetPhoto, ...]
     sliders: Mapping[str, float]  # name -> value, of the sliders that were free
     history: Sequence[Mapping[str, float]]  # by step: "total" and each weighted term; NaN: not known
+    kept: int = 0  # step that the face is of
     stages: tuple[tuple[int, str], ...] = ()  # step at which a part of the fit begins, its name
     seconds: float | None = None
     note: str = ""  # how the fit ended
@@ -80,24 +81,24 @@ def photo_sheet(sheet: PhotoSheet) -> Image:
 def _head(sheet: PhotoSheet) -> Image:
     image = block(INNER, TITLE * 1.1 + BODY * 2.2)
     write(image, (0, TITLE * 0.86), f"{sheet.title}: {sheet.parts.name}", size=TITLE, room=INNER)
-    write(image, (0, TITLE * 1.1 + BODY * 1.3), "  ·  ".join(_facts(sheet)), color=MUTED, room=INNER)
+    write(image, (0, TITLE * 1.1 + BODY * 1.3), "  ·  ".join(facts(sheet)), color=MUTED, room=INNER)
     return image
 
 
-def _facts(sheet: PhotoSheet) -> list[str]:
+def facts(sheet: PhotoSheet) -> list[str]:
     """What one wants to know first."""
-    facts = [_count(len(sheet.photos), "photo"), _count(max(len(sheet.history) - 1, 0), "step")]
-    best = best_step(sheet.history)
-    if best is not None:
-        facts.append(f"least loss {sheet.history[best][TOTAL]:.3g} at step {best}")
+    told = [_count(len(sheet.photos), "photo"), _count(max(len(sheet.history) - 1, 0), "step")]
+    kept = [one.get(TOTAL, np.nan) for one in sheet.history[sheet.kept : sheet.kept + 1]]
+    if np.isfinite(kept).any():
+        told.append(f"loss {kept[0]:.3g} at step {sheet.kept}")
     if sheet.seconds is not None:
-        facts.append(f"{sheet.seconds:.1f} s")
+        told.append(f"{sheet.seconds:.1f} s")
     errors = [photo.landmark_error for photo in sheet.photos]
     shares = [photo.landmark_error / photo.eye_distance for photo in sheet.photos]
-    facts.append(
+    told.append(
         f"landmark error {np.mean(errors):.2f} px, {np.mean(shares):.1%} of the distance of the outer eye corners"
     )
-    return facts + ([sheet.note] if sheet.note else [])
+    return told + ([sheet.note] if sheet.note else [])
 
 
 def _count(number: int, what: str) -> str:

@@ -29,6 +29,7 @@ class Descent:
     """Where it ended."""
 
     best: Unknowns
+    kept: int  # step that these are of
     history: tuple[dict[str, float], ...]
     stopped: Stopped
 
@@ -44,7 +45,7 @@ def descend(
 
     A loss or slope that is not finite ends it, with the best so far.
     """
-    at, best, least = start, start.copy(), math.inf
+    at, best, kept, least = start, start.copy(), 0, math.inf
     move = Adam(_within(_MEMORY, options)) if options.optimiser == "adam" else _plain
     renewed = min(max(options.iterations // 2, _RENEWED[0]), _RENEWED[1])
     history: list[dict[str, float]] = []
@@ -56,16 +57,16 @@ def descend(
         history.append({name: float(value.detach()) for name, value in terms.items()})
         total = history[-1]["total"]
         if not math.isfinite(total):
-            return Descent(best=best, history=tuple(history), stopped="not-finite")
+            return Descent(best=best, kept=kept, history=tuple(history), stopped="not-finite")
         if total < least:
-            best, least = at.copy(), total
+            best, kept, least = at.copy(), step, total
         if total < options.loss_threshold:
-            return Descent(best=best, history=tuple(history), stopped="loss-threshold")
+            return Descent(best=best, kept=kept, history=tuple(history), stopped="loss-threshold")
         if step == options.iterations:
             break
         slopes = torch.autograd.grad(terms["total"], at.tensors(), allow_unused=True, materialize_grads=True)
         if not all(bool(one.isfinite().all()) for one in slopes):
-            return Descent(best=best, history=tuple(history), stopped="not-finite")
+            return Descent(best=best, kept=kept, history=tuple(history), stopped="not-finite")
         with torch.no_grad():
             rate = options.rate * _pace(step, options)
             for name, unknown, change in zip(at.names(), at.tensors(), move(slopes), strict=True):
@@ -73,7 +74,7 @@ def descend(
         at.clamp()
         if done is not None:
             done(1)
-    return Descent(best=best, history=tuple(history), stopped="iterations")
+    return Descent(best=best, kept=kept, history=tuple(history), stopped="iterations")
 
 
 def _plain(slopes: Sequence[Tensor]) -> list[Tensor]:

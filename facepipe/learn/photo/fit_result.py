@@ -30,6 +30,7 @@ def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
         views=tuple(_view(loss, best, state, view) for view in range(len(loss.photos))),
         tint={name: _color(factor) for name, factor in zip(names, best.tint.exp(), strict=True) if name},
         history=descent.history,
+        kept=descent.kept,
         steps=max(len(descent.history) - 1, 0),
         stopped=descent.stopped,
         warnings=warnings,

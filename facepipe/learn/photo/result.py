@@ -44,6 +44,7 @@ class PhotoFit:
     views: tuple[FittedView, ...]
     tint: Mapping[str, tuple[float, float, float]]  # material -> linear factor of its colour
     history: tuple[Mapping[str, float], ...]  # by step: "total" and each weighted term of the joint loss
-    steps: int  # of gradient descent that were made; the result is the best of them
+    kept: int  # step that the result is of: the best since shadows were last made anew
+    steps: int  # of gradient descent that were made
     stopped: Stopped
     warnings: tuple[str, ...] = ()
