@@ -113,7 +113,7 @@ def portrait(
         weights = torch.as_tensor(subject().shape_weights(state.expressions[view]), dtype=torch.float32)
         with torch.no_grad():
             points = face.rig(sliders, weights)
-            shade = Shadows.of(face, points, camera, lamps[view][:3]) if shadows or lamp else None
+            shade = Shadows.of(face, points, camera, lamps[view]) if shadows or lamp else None
             look = Look(
                 camera=camera,
                 light=truth.light[view].detach(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ from facepipe.learn.face_model import Look
 from facepipe.learn.key_light import DARK
 from facepipe.learn.light import ambient, basis, shade
 from facepipe.learn.photo.better_light import in_better_light
+from facepipe.learn.photo.descent import descend
 from facepipe.learn.photo.joint_loss import single
 from facepipe.learn.photo.lighting import lit, renew_shadows
 from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
+from facepipe.photo_options import PhotoFitOptions
 
 LAMP = (-0.6, 0.5, 0.7, 0.8, 0.7, 0.6, 0.6, 3.4)
 
@@ -131,6 +134,17 @@ def test_a_face_out_of_the_picture_has_no_lamp() -> None:
     poses = own.state.poses.copy()
     poses[:, 3:5] += 40.0
     assert lit(joint_loss(own), replace(own.state, poses=poses)).key[0].tolist() == pytest.approx(DARK)
+
+
+def test_a_covered_face_has_no_lamp_and_gets_none() -> None:
+    """Directions that explain noise a little better are no lamp, before a descent and after."""
+    own = portrait(seed=1, lamp=LAMP)
+    noise = np.random.default_rng(0).uniform(0, 1, own.images[0].shape).astype(np.float32)
+    loss = joint_loss(replace(own, images=(noise,)), content=0.0, identity=0.0)
+    begin = in_better_light(loss, lit(loss, own.state))
+    assert begin.key[0].tolist() == pytest.approx(DARK)
+    descent = descend(loss, begin, PhotoFitOptions(iterations=12), renew=partial(renew_shadows, loss))
+    assert descent.best.key[0].tolist() == pytest.approx(DARK)
 
 
 def test_shadows_are_renewed_for_the_face_as_it_is() -> None:

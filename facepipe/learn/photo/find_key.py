@@ -21,6 +21,7 @@ _RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each
 _SAMPLES = 4000  # pixels
 _OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which tell where a lamp stands
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
+_COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class _Candidate:
 
 
 def find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> Tensor | None:
-    """(8,) as `KeyLight`: the lamp that, beside harmonics, explains a photo best; None: none does.
+    """(8,) as `KeyLight`: the lamp that, beside harmonics, explains a photo best; None: none does, or nothing can.
 
     Directions are tried, all around and then nearer and nearer; colour and highlight are robust least squares. What is
     compared is the material with the most pixels, the skin: hair and eyes shine otherwise.
@@ -44,8 +45,11 @@ def find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tens
         return None
     with torch.no_grad():
         search = _Search(surface, points, seen, harmonics, colors)
+        without = search.cost_without()
+        if without >= _COVERED:
+            return None
         found = search.best(one for one in sphere(_CANDIDATES).to(points.dtype) if one[2] > _BEHIND)
-        if found.cost >= search.cost_without():
+        if found.cost >= without:
             return None
         for angle in _RINGS:
             other = search.best(_around(found.numbers[:3], angle))

@@ -28,7 +28,7 @@ def renew_shadows(loss: JointLoss, at: Unknowns) -> None:
     with torch.no_grad():
         for view in range(len(loss.photos)):
             points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
-            loss.shadows[view] = Shadows.of(loss.model, points, loss.look(at, view).camera, at.key[view, :3])
+            loss.shadows[view] = Shadows.of(loss.model, points, loss.look(at, view).camera, at.key[view])
 
 
 def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -46,7 +46,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         light, tint = relight(surface, seen, shape, count)
         lamp = find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
         key = key if lamp is None else lamp
-        arriving = shadows_of_lamp(model, points, camera, key[:3])
+        arriving = shadows_of_lamp(model, points, camera, key)
         loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
         if lamp is not None:
             column = (surface.normals @ lamp[:3]).clamp(min=0) * surface.at_pixels(arriving)

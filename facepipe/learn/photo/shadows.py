@@ -24,10 +24,10 @@ class Shadows:
     arriving: Tensor  # (n,) as `KeyLight.arriving`
 
     @classmethod
-    def of(cls, model: FaceModel, points: Tensor, camera: Camera, towards: Tensor) -> Shadows:
-        """Those of world points (n, 3) for a lamp in a direction (3,) of camera coordinates."""
+    def of(cls, model: FaceModel, points: Tensor, camera: Camera, lamp: Tensor) -> Shadows:
+        """Those of world points (n, 3) for a lamp (8,) as `KeyLight`."""
         transfer = shadows_of_harmonics(model, points, camera)
-        return cls(transfer=transfer, arriving=shadows_of_lamp(model, points, camera, towards))
+        return cls(transfer=transfer, arriving=shadows_of_lamp(model, points, camera, lamp))
 
 
 def shadows_of_harmonics(model: FaceModel, points: Tensor, camera: Camera) -> Tensor:
@@ -38,8 +38,10 @@ def shadows_of_harmonics(model: FaceModel, points: Tensor, camera: Camera) -> Te
         return transfer * transfer.new_tensor(KERNEL)  # a window: nine harmonics of sharp shadows ring
 
 
-def shadows_of_lamp(model: FaceModel, points: Tensor, camera: Camera, towards: Tensor) -> Tensor:
-    """(n,) as `KeyLight.arriving`, of world points (n, 3) and a direction (3,) of camera coordinates."""
+def shadows_of_lamp(model: FaceModel, points: Tensor, camera: Camera, lamp: Tensor) -> Tensor:
+    """(n,) as `KeyLight.arriving`, of world points (n, 3) and a lamp (8,); of a dark one nothing: it stays dark."""
     with torch.no_grad():
+        if not bool((lamp[3:6] > 0).any()):
+            return points.new_zeros(len(points))
         local = camera.to_camera(points)
-        return visibility(local, model.outline.triangles, normalize(towards, dim=0), _SHARP)
+        return visibility(local, model.outline.triangles, normalize(lamp[:3], dim=0), _SHARP)

@@ -138,7 +138,7 @@ class PictureLoss:
             surface = SeenSurface.of(self.model, points, camera, photo.size)
             shape, key = basis(surface.normals), at.key[0]
             if lamp is not None:
-                arriving = shadows_of_lamp(self.model, points, camera, lamp[:3])
+                arriving = shadows_of_lamp(self.model, points, camera, lamp)
                 loss.shadows[0] = Shadows(transfer=points.new_zeros((len(points), 9)), arriving=arriving)
                 facing = (surface.normals @ normalize(lamp[:3], dim=0)).clamp(min=0)
                 shape = torch.cat([shape, (facing * surface.at_pixels(arriving))[:, None]], dim=1)

@@ -42,7 +42,7 @@ class Portraits:
         camera = single(self.space.camera(torch.as_tensor(truth.pose)))
         with torch.no_grad():
             points = self.model.rig(sliders, weights)
-            arriving = shadows_of_lamp(self.model, points, camera, lamp[:3])
+            arriving = shadows_of_lamp(self.model, points, camera, lamp)
             look = Look(
                 camera=camera,
                 light=random_light(rng),
