@@ -11,7 +11,7 @@ that no training saw, with noisy landmarks. Rows, means over the faces, by what 
   raw             nothing: the defaults with the pose of an affine camera, or the guess as it is
   defaults        as `facepipe fit-photo` begins
   guess           as `facepipe fit-photo --start` does; it takes the raw one where that is better, as it mostly is
-  truth           at the person's own sliders, expression and camera: no guess of these can be better
+  truth           at the person's own sliders, expression and camera, what a network is trained to tell
 
 On each face all descents lower one joint loss: the trust in pixels is that of the defaults after stage one, and shadows
 are always those of the face as it is, renewed once more before its loss is told. Columns: the joint loss at the start,
