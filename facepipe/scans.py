@@ -1,0 +1,58 @@
+"""Scans of a face as plain numpy arrays, and where landmarks and painted markers lie on them.
+
+Coordinates are those of the scan's own file: any rotation, any unit. Rebuild finds both when it fits the neutral.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+LANDMARK_SCHEME = "multipie68"
+LANDMARK_COUNT = 68
+
+
+def no_triangles() -> IntArray:
+    """(0, 3) int32: what a point cloud has."""
+    return np.zeros((0, 3), np.int32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scan:
+    """One scanned surface, or a cloud of points."""
+
+    name: str
+    points: FloatArray  # (n, 3) float64
+    triangles: IntArray = field(default_factory=no_triangles)  # (t, 3) int32, none in a point cloud
+    normals: FloatArray | None = None  # (n, 3) unit vectors, outward
+    colors: FloatArray | None = None  # (n, 3) linear 0..1
+
+    @property
+    def is_cloud(self) -> bool:
+        """Whether it has points alone."""
+        return len(self.triangles) == 0
+
+
+def no_landmarks() -> FloatArray:
+    """(68, 3) NaN: no landmark is known."""
+    return np.full((LANDMARK_COUNT, 3), np.nan)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanLandmarks:
+    """Where the landmarks of a face lie on a scan, and markers that were painted on the actor."""
+
+    scheme: str = LANDMARK_SCHEME
+    points: FloatArray = field(default_factory=no_landmarks)  # (68, 3) float64, rows of NaN where unknown
+    markers: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (3,)
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """(68,) which landmarks have a place."""
+        return np.asarray(np.isfinite(self.points).all(axis=1))
