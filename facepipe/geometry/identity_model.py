@@ -1,0 +1,96 @@
+"""Principal components of neutral faces of one topology: what people's faces differ in, and how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+
+FloatArray = npt.NDArray[np.floating]
+
+_NOTHING = 1e-10  # of the largest deviation: rounding, no component
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentityModel:
+    """``points = mean + sum_k coefficient_k deviation_k component_k``, of `count` faces.
+
+    Coefficients are in standard deviations: those of the faces that it was made of have mean 0 and variance 1.
+    Turk and Pentland, "Eigenfaces for Recognition", Journal of Cognitive Neuroscience 1991.
+    """
+
+    mean: FloatArray  # (n, 3)
+    components: FloatArray  # (k, n, 3), orthonormal as rows, the largest deviation first
+    deviations: FloatArray  # (k,) standard deviations along them, in the points' unit, greater than 0
+    count: int  # of faces
+
+    @classmethod
+    def of(cls, faces: FloatArray) -> IdentityModel:
+        """All components of faces (m, n, 3): m - 1, or fewer where faces depend on each other.
+
+        :raises InputError: fewer than two faces, or two that are the same and nothing else
+        """
+        if len(faces) < 2:
+            raise InputError("identity model", f"{len(faces)} face, expected 2 or more")
+        rows = np.asarray(faces, dtype=np.float64).reshape(len(faces), -1)
+        mean = rows.mean(axis=0)
+        return _from_spread(mean, rows - mean, len(faces))
+
+    def with_faces(self, faces: FloatArray) -> IdentityModel:
+        """The model of its own faces and of more (m, n, 3): that of all of them together, where no component was cut.
+
+        What is known of its own faces is their mean and spread, which is all that components depend on (Chan, Golub
+        and LeVeque, "Updating Formulae and a Pairwise Algorithm for Computing Sample Variances", COMPSTAT 1982).
+
+        :raises InputError: faces of another number of points
+        """
+        if faces.shape[1:] != self.mean.shape:
+            raise InputError("identity model", f"{faces.shape[1:]} coordinates, expected {self.mean.shape}")
+        if not len(faces):
+            return self
+        rows = np.asarray(faces, dtype=np.float64).reshape(len(faces), -1)
+        count, own = self.count + len(rows), self.mean.ravel()
+        others = rows.mean(axis=0)
+        mean = (self.count * own + len(rows) * others) / count
+        known = np.sqrt(self.count - 1) * self.deviations[:, None] * self.components.reshape(len(self.deviations), -1)
+        apart = np.sqrt(self.count * len(rows) / count) * (others - own)
+        return _from_spread(mean, np.concatenate([known, rows - others, apart[None]]), count)
+
+    def cut(self, components: int) -> IdentityModel:
+        """The same with the first components only."""
+        return IdentityModel(
+            mean=self.mean,
+            components=self.components[:components],
+            deviations=self.deviations[:components],
+            count=self.count,
+        )
+
+    def points(self, coefficients: FloatArray) -> FloatArray:
+        """(..., n, 3) faces of coefficients (..., k)."""
+        scaled = np.asarray(coefficients) * self.deviations
+        return np.asarray(self.mean + np.tensordot(scaled, self.components, axes=1))
+
+    def coefficients(self, points: FloatArray) -> FloatArray:
+        """(..., k) of the nearest faces that the model can show to faces (..., n, 3)."""
+        off = np.asarray(points, dtype=np.float64) - self.mean
+        flat = off.reshape(*off.shape[:-2], -1)
+        return np.asarray(flat @ self.components.reshape(len(self.deviations), -1).T / self.deviations)
+
+
+def _from_spread(mean: FloatArray, spread: FloatArray, count: int) -> IdentityModel:
+    """Components of rows whose second moments are the faces'."""
+    _, lengths, directions = np.linalg.svd(spread, full_matrices=False)
+    if not lengths[0] > 0:
+        raise InputError("identity model", "all faces are the same, expected different ones")
+    kept = lengths > _NOTHING * lengths[0]
+    flat = directions[kept]
+    signs = np.sign(flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)])
+    return IdentityModel(
+        mean=mean.reshape(-1, 3),
+        components=(flat * signs[:, None]).reshape(len(flat), -1, 3),
+        deviations=lengths[kept] / np.sqrt(count - 1),
+        count=count,
+    )
