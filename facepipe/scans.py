@@ -32,6 +32,7 @@ class Scan:
     triangles: IntArray = field(default_factory=no_triangles)  # (t, 3) int32, none in a point cloud
     normals: FloatArray | None = None  # (n, 3) unit vectors, outward
     colors: FloatArray | None = None  # (n, 3) linear 0..1
+    warnings: tuple[str, ...] = ()  # what the reader has to say, one line each
 
     @property
     def is_cloud(self) -> bool:

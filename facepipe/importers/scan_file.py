@@ -1,0 +1,158 @@
+"""Scans from files: PLY, OBJ, glTF and USD, meshes or point clouds.
+
+Coordinates, and so the unit, are those of the file, in its world space. Points at one place are one point, so that
+seams of texture coordinates don't tear the surface. Skins, shapes and animations of a file are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.errors import FacepipeError, InputError
+from facepipe.geometry.colors import from_srgb
+from facepipe.geometry.merged_points import merge_points
+from facepipe.geometry.polygons import point_triangles
+from facepipe.importers.imported import Imported
+from facepipe.importers.materials_mtl import read_materials
+from facepipe.importers.mesh_pieces import material_faces
+from facepipe.importers.scan_ply import read_ply
+from facepipe.importers.scan_texture import point_colors
+from facepipe.importers.wavefront import Obj, read_obj
+from facepipe.parts import FloatArray, Material, Mesh, UvSet
+from facepipe.scans import Scan
+
+LARGEST = 1e15  # of a coordinate: its cube stays finite in float64, and so do volumes
+_PLAIN = 1e-3  # colours that differ less are a material, no picture of a face
+
+
+def read_scan(path: Path) -> Scan:
+    """The scan in `path`: ``.ply``, ``.obj``, ``.glb``, ``.gltf``, ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
+
+    Colours come from the points, or else from the texture or colour of the material at each point.
+
+    :raises InputError: another suffix, or a file that can't be used: no points, cut short, NaN or infinity, coordinates
+        over 1e15, or fewer than 3 places
+    """
+    path = Path(path)
+    if path.suffix.lower() not in READERS:
+        raise InputError(path, f"suffix '{path.suffix}', expected one of {', '.join(READERS)}")
+    try:
+        scan = _merged(READERS[path.suffix.lower()](path))
+    except FacepipeError as error:
+        raise error if str(path) in str(error) else error.under(path) from None
+    if not np.isfinite(scan.points).all() or np.abs(scan.points).max() > LARGEST:
+        raise InputError(path, f"coordinates over {LARGEST:g}, expected smaller ones")
+    if len(scan.points) < 3:
+        raise InputError(path, f"points at {len(scan.points)} different places, expected a surface")
+    return scan
+
+
+def _merged(scan: Scan) -> Scan:
+    """Points at one place as one point; the first one's normal and colour stay, and triangles are no longer any."""
+    first, of_point = merge_points(scan.points)
+    if len(first) == len(scan.points):
+        return scan
+    triangles = of_point[scan.triangles]
+    a, b, c = triangles.T
+    kept = triangles[(a != b) & (b != c) & (c != a)]
+    if len(triangles) and not len(kept):
+        raise InputError(scan.name, "triangles of no size alone, expected a surface")
+    return replace(
+        scan,
+        points=scan.points[first],
+        triangles=kept.astype(np.int32),
+        normals=None if scan.normals is None else scan.normals[first],
+        colors=None if scan.colors is None else scan.colors[first],
+    )
+
+
+def _read_obj(path: Path) -> Scan:
+    obj = read_obj(path)
+    colors = None if obj.colors is None else _obj_colors(obj.colors)
+    if not len(obj.face_vertex_counts):
+        return Scan(name=path.stem, points=obj.points, colors=colors)
+    library = read_materials(path.parent, obj.libraries)
+    materials = {name: one for name, one in library.materials.items() if name in obj.materials}
+    scan = _scan_of([_obj_mesh(obj, colors)], materials, path.stem)
+    return replace(scan, warnings=tuple(library.warnings))
+
+
+def _obj_mesh(obj: Obj, colors: FloatArray | None) -> Mesh:
+    uv_sets = () if obj.uv_indices is None else (UvSet(values=obj.uvs, indices=obj.uv_indices),)
+    return Mesh(
+        name="Scan",
+        points=obj.points,
+        face_vertex_counts=obj.face_vertex_counts,
+        face_vertex_indices=obj.face_vertex_indices,
+        uv_sets=uv_sets,
+        colors=colors,
+        material_faces=material_faces(obj.materials, obj.face_material),
+    )
+
+
+def _obj_colors(values: FloatArray) -> FloatArray:
+    """Linear colours: files hold sRGB, most in 0..1 and some in 0..255."""
+    top = 255.0 if values.max() > 1.0 else 1.0
+    return from_srgb(np.clip(values / top, 0.0, 1.0))
+
+
+def _read_gltf(path: Path) -> Scan:
+    from facepipe.importers import gltf
+
+    return _scan_of_imported(gltf.read(path, gltf.Options()), path.stem)
+
+
+def _read_usd(path: Path) -> Scan:
+    from facepipe.importers import usd
+
+    return _scan_of_imported(usd.read(path, usd.Options()), path.stem)
+
+
+def _scan_of_imported(imported: Imported, name: str) -> Scan:
+    materials = {one.name: one for one in imported.parts.materials}
+    return replace(_scan_of(list(imported.parts.meshes), materials, name), warnings=imported.warnings)
+
+
+def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> Scan:
+    """All meshes in world space as one scan; points that no face uses are left out."""
+    points, triangles, colors, start = [], [], [], 0
+    for mesh in meshes:
+        corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64)
+        used, corners = np.unique(corners, return_inverse=True)
+        local = np.asarray(mesh.points, dtype=np.float64)[used]
+        points.append(local @ mesh.transform[:3, :3].T + mesh.transform[:3, 3])
+        # a mirroring transform turns triangles round
+        order = (0, 1, 2) if np.linalg.det(mesh.transform[:3, :3]) >= 0 else (0, 2, 1)
+        triangles.append(corners.reshape(-1, 3)[:, order] + start)
+        own = point_colors(mesh, materials)
+        colors.append(None if own is None else own[used])
+        start += len(used)
+    return Scan(
+        name=name,
+        points=np.concatenate(points),
+        triangles=np.concatenate(triangles).astype(np.int32),
+        colors=_joined_colors(colors, [len(one) for one in points]),
+    )
+
+
+def _joined_colors(colors: list[FloatArray | None], counts: list[int]) -> FloatArray | None:
+    """Colours of all points, mid grey where only others have some; None where none has, or all have the same."""
+    grey = [np.full((count, 3), 0.18) for count in counts]
+    joined = np.concatenate([plain if one is None else one for one, plain in zip(colors, grey, strict=True)])
+    return None if np.ptp(joined, axis=0).max() < _PLAIN else joined
+
+
+READERS: dict[str, Callable[[Path], Scan]] = {
+    ".ply": read_ply,
+    ".obj": _read_obj,
+    ".glb": _read_gltf,
+    ".gltf": _read_gltf,
+    ".usda": _read_usd,
+    ".usdc": _read_usd,
+    ".usd": _read_usd,
+    ".usdz": _read_usd,
+}
