@@ -1,0 +1,91 @@
+"""Landmarks and painted markers of a scan, from and to JSON, in the scan's own coordinates.
+
+``{"scheme": "multipie68", "points": [[x, y, z] | null, ... 68 of them], "markers": {"name": [x, y, z], ...}}``;
+points, markers, or both.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.atomic import write_bytes
+from facepipe.errors import InputError
+from facepipe.finite import require_finite
+from facepipe.importers.scan_file import LARGEST
+from facepipe.reading import read_json_object
+from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME, FloatArray, ScanLandmarks, no_landmarks
+
+_MOST_BYTES = 1 << 24
+_KEYS = ("scheme", "points", "markers")
+
+
+def read_scan_landmarks(path: Path) -> ScanLandmarks:
+    """The landmarks and markers in `path`.
+
+    :raises InputError: no such JSON, an unknown key or scheme, another number of points than 68, something else than
+        three finite numbers or null, or neither a landmark nor a marker
+    """
+    content = read_json_object(Path(path), _MOST_BYTES)
+    unknown = [key for key in content if key not in _KEYS]
+    if unknown:
+        raise InputError(path, f"key {ascii(unknown[0])[:40]}, expected {', '.join(_KEYS)}")
+    scheme = content.get("scheme", LANDMARK_SCHEME)
+    if scheme != LANDMARK_SCHEME:
+        raise InputError(f"{path} -> scheme", f"{ascii(scheme)[:40]}, expected {LANDMARK_SCHEME}")
+    found = ScanLandmarks(points=_points(path, content.get("points")), markers=_markers(path, content.get("markers")))
+    if not found.known.any() and not found.markers:
+        raise InputError(path, "no landmark and no marker, expected at least one")
+    return found
+
+
+def write_scan_landmarks(landmarks: ScanLandmarks, path: Path) -> None:
+    """Write `landmarks` as `read_scan_landmarks` reads them: whole or not at all, the same bytes for the same ones.
+
+    :raises InputError: a marker with NaN or infinity, or a file that can't be written
+    """
+    require_finite(landmarks.markers, str(path), "markers")
+    known = landmarks.known
+    points = [row if there else None for row, there in zip(landmarks.points.tolist(), known.tolist(), strict=True)]
+    lines = ",\n".join(f"    {json.dumps(row)}" for row in points)
+    parts = [f'  "scheme": {json.dumps(landmarks.scheme)}', f'  "points": [\n{lines}\n  ]']
+    if landmarks.markers:
+        rows = (f"    {json.dumps(name)}: {json.dumps(place.tolist())}" for name, place in landmarks.markers.items())
+        parts.append('  "markers": {\n' + ",\n".join(rows) + "\n  }")
+    write_bytes(path, ("{\n" + ",\n".join(parts) + "\n}\n").encode("ascii"))
+
+
+def _points(path: Path, value: object) -> FloatArray:
+    if value is None:
+        return no_landmarks()
+    where = f"{path} -> points"
+    if not isinstance(value, list):
+        raise InputError(where, f"{ascii(value)[:40]}, expected a list of {LANDMARK_COUNT}")
+    if len(value) != LANDMARK_COUNT:
+        raise InputError(where, f"{len(value)} landmarks, expected {LANDMARK_COUNT} (null for those that are unknown)")
+    rows = [[math.nan] * 3 if row is None else _place(f"{where} -> {i}", row) for i, row in enumerate(value)]
+    return np.array(rows, dtype=np.float64)
+
+
+def _markers(path: Path, value: object) -> dict[str, FloatArray]:
+    if value is None:
+        return {}
+    where = f"{path} -> markers"
+    if not isinstance(value, Mapping):
+        raise InputError(where, f"{ascii(value)[:40]}, expected an object of name and place")
+    if "" in value:
+        raise InputError(where, "a marker without a name, expected a name for each")
+    return {name: np.array(_place(f"{where} -> {ascii(name)[:40]}", row)) for name, row in value.items()}
+
+
+def _place(where: str, value: object) -> list[float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(where, f"{ascii(value)[:40]}, expected three numbers")
+    for one in value:
+        if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= LARGEST:
+            raise InputError(where, f"{ascii(one)[:40]}, expected a finite number up to {LARGEST:g}")
+    return [float(one) for one in value]
