@@ -19,12 +19,11 @@ import numpy.typing as npt
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.grouping import group_sums
+from facepipe.geometry.triangle_frames import duals, frames, hat_gradients, pieces
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 BoolArray = npt.NDArray[np.bool_]
-
-_FLAT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
 
 
 class Transfer:
@@ -57,11 +56,8 @@ class Transfer:
         self._fixed = np.array(fixed, dtype=bool)
         if self._fixed.shape != (len(self._points),):
             raise TopologyError("fixed", f"shape {self._fixed.shape}, expected one flag for {len(self._points)} points")
-        duals, areas = _duals(_frames(self._points, self._triangles))
-        # gradients of the hat functions of the three corners
-        self._hats = np.stack([-duals[:, 0] - duals[:, 1], duals[:, 0], duals[:, 1]], axis=1)
-        self._areas = areas
-        self._pieces = _pieces(len(self._points), self._triangles[areas > 0])
+        self._hats, self._areas = hat_gradients(self._points, self._triangles)
+        self._pieces = pieces(len(self._points), self._triangles[self._areas > 0])
         anchored = np.bincount(self._pieces, self._fixed) > 0
         self._floating = ~anchored[self._pieces]
         first = np.unique(self._pieces, return_index=True)[1]  # holds a floating piece while it is solved for
@@ -119,10 +115,10 @@ class Transfer:
         summed = np.zeros((len(self._triangles), 3, 3))
         total = np.zeros(len(self._triangles))
         for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
-            frames = _frames(neutral, self._triangles)
-            duals, areas = _duals(frames)
-            change = _frames(shape, self._triangles) - frames  # exactly 0 where nothing moves
-            summed += share * (change.transpose(0, 2, 1) @ duals)
+            rest = frames(neutral, self._triangles)
+            rows, areas = duals(rest)
+            change = frames(shape, self._triangles) - rest  # exactly 0 where nothing moves
+            summed += share * (change.transpose(0, 2, 1) @ rows)
             total += share * (areas > 0)
         unknown = total <= 0
         summed[~unknown] /= total[~unknown, None, None]
@@ -139,35 +135,6 @@ class Transfer:
         counts = np.bincount(self._pieces)
         sums = group_sums(self._pieces, values, len(counts))
         return np.asarray((sums / counts[:, None])[self._pieces])
-
-
-def _frames(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(t, 3, 3) rows: two edges, and the normal as long as the square root of their cross product."""
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.stack([b - a, c - a, normal / np.sqrt(np.maximum(length, np.finfo(np.float64).tiny))], axis=1)
-
-
-def _duals(frames: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (t, 3, 3) with ``frame^T dual`` the identity, and areas (t,); both 0 for triangles without area."""
-    first, second, normal = frames.transpose(1, 0, 2)
-    doubled = (normal * normal).sum(axis=1)  # |n|^2 = |e1 x e2|
-    longest = np.maximum.reduce([(side * side).sum(axis=1) for side in (first, second, second - first)])
-    flat = doubled <= _FLAT * longest
-    doubled = np.where(flat, 1.0, doubled)[:, None]
-    upright = normal / np.sqrt(doubled)
-    rows = (np.cross(second, upright), np.cross(upright, first), normal)
-    duals = np.stack([row / doubled for row in rows], axis=1)
-    duals[flat] = 0.0
-    return duals, np.where(flat, 0.0, 0.5 * doubled[:, 0])
-
-
-def _pieces(count: int, triangles: IntArray) -> IntArray:
-    """(n,) number of the piece that each point belongs to, connected through triangles."""
-    from facepipe.geometry.polygons import components
-
-    return components(count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
 
 
 def _size(points: FloatArray) -> float:
