@@ -1,0 +1,122 @@
+"""A scan as registration wants it: mended, with outward normals, and with its border known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import FacepipeError
+from facepipe.geometry.cloud_normals import cloud_normals
+from facepipe.geometry.merged_points import merge_points
+from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.scan_surface import SurfaceReport, clean_surface
+from facepipe.options import check_ranges
+from facepipe.reports import Report
+from facepipe.scans import IntArray, Scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class CleanScanReport(Report):
+    """What was mended."""
+
+    points: int  # that stay
+    triangles: int
+    lone_points: int = 0  # of a cloud, far from all others, dropped
+    turned_normals: bool = False  # the file's normals pointed inward
+    surface: SurfaceReport = field(default_factory=SurfaceReport)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CleanedScan:
+    """A mended scan with normals."""
+
+    scan: Scan  # normals are there always
+    border: npt.NDArray[np.bool_]  # (n,) points beside a hole or the scan's end; all False in clouds
+    component: IntArray  # (n,) connected piece of each point, the largest 0; all 0 in clouds
+    report: CleanScanReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class CleanScan:
+    """Mends a scan.
+
+    Surfaces: see `clean_surface`; normals are made anew of the mended triangles. Clouds stay clouds: their normals are
+    the file's, or else those of the planes through neighbours.
+    """
+
+    smallest: float = field(
+        default=0.01, metadata={"help": "pieces with less of the largest one's area are dropped", "range": (0.0, 1.0)}
+    )
+    neighbours: int = field(
+        default=16, metadata={"help": "points that tell the tangent plane at a point of a cloud", "range": (3, 100)}
+    )
+
+    def __call__(self, scan: Scan) -> CleanedScan:
+        """Mend `scan`.
+
+        :raises InputError: options out of range, or no surface in it
+        """
+        check_ranges(self)
+        try:
+            return self._cloud(scan) if scan.is_cloud else self._surface(scan)
+        except FacepipeError as error:
+            raise error.under(scan.name) from None
+
+    def _surface(self, scan: Scan) -> CleanedScan:
+        found = clean_surface(scan.points, scan.triangles, smallest=self.smallest)
+        mended = replace(
+            scan,
+            points=found.points,
+            triangles=found.triangles,
+            normals=point_normals(found.points, found.triangles),
+            colors=None if scan.colors is None else scan.colors[found.source],
+        )
+        report = CleanScanReport(
+            points=len(found.points),
+            triangles=len(found.triangles),
+            surface=found.report,
+            warnings=_warnings(found.report),
+        )
+        return CleanedScan(scan=mended, border=found.border, component=found.component, report=report)
+
+    def _cloud(self, scan: Scan) -> CleanedScan:
+        first, _ = merge_points(scan.points)
+        points = scan.points[first]
+        found = cloud_normals(points, self.neighbours)
+        kept, normals, turned = ~found.lone, found.normals, False
+        if scan.normals is not None:
+            normals = scan.normals[first]
+            turned = bool(np.einsum("ni,ni->n", normals, found.normals).mean() < 0)
+            normals = -normals if turned else normals
+        mended = replace(
+            scan,
+            points=points[kept],
+            normals=normals[kept],
+            colors=None if scan.colors is None else scan.colors[first][kept],
+        )
+        count = int(kept.sum())
+        report = CleanScanReport(
+            points=count,
+            triangles=0,
+            lone_points=len(points) - count,
+            turned_normals=turned,
+            surface=SurfaceReport(merged_points=len(scan.points) - len(points)),
+        )
+        border, component = np.zeros(count, bool), np.zeros(count, np.int64)
+        return CleanedScan(scan=mended, border=border, component=component, report=report)
+
+
+def _warnings(report: SurfaceReport) -> tuple[str, ...]:
+    """What a user should know of the scan."""
+    lines = []
+    if report.small_components:
+        lines.append(f"{report.small_components} small pieces dropped ({report.small_triangles} triangles)")
+    if report.non_manifold_edges:
+        lines.append(f"{report.non_manifold_edges} edges of more than two triangles cut open")
+    if report.one_sided_edges:
+        lines.append(f"a one-sided surface cut open along {report.one_sided_edges} edges")
+    if report.turned_triangles:
+        lines.append(f"{report.turned_triangles} triangles turned to face outward")
+    return tuple(lines)
