@@ -1,0 +1,49 @@
+"""Whether landmarks lie on a mirrored face."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.similarity import fit_similarity
+
+FloatArray = npt.NDArray[np.floating]
+
+_FEWEST = 4  # fewer points lie in a plane, which has no mirror image of its own
+
+
+def mirrored(points: FloatArray, reference: FloatArray) -> bool:
+    """Whether `points` fit `reference` far better mirrored than as they are: see `mirror_ratio`.
+
+    A face is nearly its own mirror image, but landmarks have an order: those of a mirrored file have left and right
+    changed over. Two people (ICT identities, open jaws, 1.5 mm of jitter) have ratios below 0.4, and above 2.5 where
+    one is mirrored; 1.5 is the border. Few landmarks tell less: of ten, true ratios reach 1.1, and mirrored ones may
+    pass.
+
+    :param points: (l, 3) landmarks in any unit and place, rows of NaN where unknown
+    :param reference: (l, 3) the same landmarks of some face
+    :raises InputError: fewer than 4 known ones
+    """
+    return mirror_ratio(points, reference) > 1.5
+
+
+def mirror_ratio(points: FloatArray, reference: FloatArray) -> float:
+    """RMS distance after the best similarity, over that of the best one with a reflection (Umeyama 1991, eq. 43).
+
+    1 where all lie in a plane.
+
+    :raises InputError: as `mirrored`
+    """
+    known = np.isfinite(points).all(axis=1) & np.isfinite(reference).all(axis=1)
+    if known.sum() < _FEWEST:
+        raise InputError("landmarks", f"{int(known.sum())} known on both faces, expected at least {_FEWEST}")
+    plain = _distance(np.asarray(points)[known], np.asarray(reference)[known])
+    turned = _distance(np.asarray(points)[known] * [-1.0, 1.0, 1.0], np.asarray(reference)[known])
+    least = 1e-9 * float(np.ptp(np.asarray(reference)[known], axis=0).max())
+    return max(plain, least) / max(turned, least)
+
+
+def _distance(points: FloatArray, reference: FloatArray) -> float:
+    offsets = fit_similarity(points, reference).apply(points) - reference
+    return float(np.sqrt((offsets**2).sum(axis=1).mean()))
