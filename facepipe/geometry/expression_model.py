@@ -1,0 +1,154 @@
+"""The multilinear model of people's expressions: who it is and what the face does, taken apart.
+
+The tensor of people x (neutral and expressions) x coordinates is taken apart by Tucker's decomposition: a core tensor,
+an expression matrix with a row for the neutral, and a vector for each person (document face-model-from-scans, S14). Its
+coordinates are of two kinds: those of the neutral in the principal components of neutrals, and those of deltas from the
+neutral in a basis of their own. The mean over people is taken out first, so that a vector of zeros is the mean person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.geometry.spatial_basis import coefficients_in
+from facepipe.geometry.trust import Block, trust
+from facepipe.geometry.tucker import hosvd
+
+FloatArray = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpressionModel:
+    """``coordinates[e] = mean[e] + sum_rs vector_r matrix_es core_rs``; row 0 is the neutral, row 1 + i is `names[i]`.
+
+    Vectors of the people that it was made of have mean 0 and variance 1 in each number.
+    """
+
+    names: tuple[str, ...]  # of the e expressions
+    identity: IdentityModel  # its k components are what the neutral's coordinates are along, in the points' unit
+    basis: FloatArray  # (q, n, 3) orthonormal, what the deltas' coordinates are along
+    mean: FloatArray  # (e + 1, k + q)
+    core: FloatArray  # (r, s, k + q)
+    matrix: FloatArray  # (e + 1, s) expression matrix, orthonormal columns
+    vectors: FloatArray  # (m, r) of its people
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        identity: IdentityModel,
+        neutrals: FloatArray,
+        basis: FloatArray,
+        deltas: FloatArray,
+    ) -> ExpressionModel:
+        """The model of m people.
+
+        :param neutrals: (m, k) identity coefficients, in standard deviations
+        :param deltas: (m, e, q) in `basis` (q, n, 3)
+        """
+        people, size = len(neutrals), len(identity.deviations)
+        tensor = np.zeros((people, len(names) + 1, size + len(basis)))
+        tensor[:, 0, :size] = neutrals * identity.deviations
+        tensor[:, 1:, size:] = deltas
+        mean = tensor.mean(axis=0)
+        found = hosvd(tensor - mean)
+        spread = np.sqrt(max(people - 1, 1))
+        return cls(
+            names=tuple(names),
+            identity=identity,
+            basis=basis,
+            mean=mean,
+            core=found.core / spread,
+            matrix=found.second,
+            vectors=found.first * spread,
+        )
+
+    @property
+    def count(self) -> int:
+        """People that it was made of."""
+        return len(self.vectors)
+
+    @property
+    def deltas(self) -> FloatArray:
+        """(m, e, q) of its people in `basis`."""
+        size = len(self.identity.deviations)
+        return np.asarray(self.mean[1:, size:] + np.tensordot(self.vectors, self._maps[:, 1:, size:], axes=1))
+
+    def identity_from_neutral(self, neutral: FloatArray) -> FloatArray:
+        """(r,) vector of the person whose neutral is (n, 3): document S14, from the neutral row and the core."""
+        return self.identity_from({}, neutral)
+
+    def identity_from(self, shapes: Mapping[str, FloatArray], neutral: FloatArray) -> FloatArray:
+        """(r,) vector of the person who has `neutral` (n, 3) and whose expressions have the points `shapes` (n, 3).
+
+        The most likely one, where vectors are as spread as those of the people here, and points are off by Gaussian
+        noise. How much of it in the neutral and in the expressions is what best predicts the expressions of each
+        person here from the others: a neutral that tells little of how its owner smiles counts little.
+
+        :raises InputError: no expression of that name, or another number of points
+        """
+        rows = [0, *(1 + self._number(name) for name in shapes)]
+        for name, points in {"neutral": neutral, **shapes}.items():
+            expected = self.identity.mean.shape
+            if np.shape(points) != expected:
+                raise InputError(f"expression model -> {name}", f"points {np.shape(points)}, expected {expected}")
+        own = np.zeros((len(rows), self.mean.shape[1]))
+        size = len(self.identity.deviations)
+        own[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations
+        if shapes:
+            offsets = np.stack([np.asarray(points, np.float64) - neutral for points in shapes.values()])
+            own[1:, size:] = coefficients_in(self.basis, offsets)
+        return self._most_likely(rows, own - self.mean[rows])
+
+    def neutral(self, vector: FloatArray) -> FloatArray:
+        """(n, 3) neutral of a vector (r,)."""
+        size = len(self.identity.deviations)
+        lengths = self.mean[0, :size] + np.tensordot(vector, self._maps[:, 0, :size], axes=1)
+        return np.asarray(self.identity.mean + np.tensordot(lengths, self.identity.components, axes=1))
+
+    def shapes(self, vector: FloatArray) -> FloatArray:
+        """(e, n, 3) deltas of all expressions from the neutral, for a vector (r,), in the order of `names`."""
+        return np.stack([self.shape(vector, name) for name in self.names])
+
+    def shape(self, vector: FloatArray, name: str) -> FloatArray:
+        """(n, 3) delta of one expression from the neutral, for a vector (r,).
+
+        :raises InputError: no expression of that name
+        """
+        row, size = 1 + self._number(name), len(self.identity.deviations)
+        lengths = self.mean[row, size:] + np.tensordot(vector, self._maps[:, row, size:], axes=1)
+        return np.asarray(np.tensordot(lengths.astype(self.basis.dtype), self.basis, axes=1), dtype=np.float64)
+
+    @cached_property
+    def _maps(self) -> FloatArray:
+        """(r, e + 1, k + q) what each number of a vector adds to each row."""
+        return np.asarray(np.einsum("rsd,es->red", self.core, self.matrix, optimize=True))
+
+    def _number(self, name: str) -> int:
+        if name not in self.names:
+            raise InputError("expression model", f"no expression '{name}', expected one of {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def _most_likely(self, rows: Sequence[int], off: FloatArray) -> FloatArray:
+        """(r,) vector of coordinates `off` (rows, k + q) from the mean's."""
+        groups = [list(rows[:1]), *([list(rows[1:])] if len(rows) > 1 else [])]
+        wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
+        blocks = [self._of_people(group) for group in groups]
+        weights = trust([Block.of(block) for block in blocks], Block.of(self._of_people(wanted)))
+        normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
+        for group, weight in zip(groups, weights, strict=True):
+            maps = self._maps[:, group].reshape(self._maps.shape[0], -1)
+            normal += weight * maps @ maps.T
+            right += weight * maps @ off[[rows.index(row) for row in group]].ravel()
+        return np.asarray(np.linalg.solve(normal, right))
+
+    def _of_people(self, rows: Sequence[int]) -> FloatArray:
+        """(m, ...) coordinates of the people here from the mean's, of some rows."""
+        return (self.vectors @ self._maps[:, list(rows)].reshape(self._maps.shape[0], -1)).reshape(self.count, -1)

@@ -1,0 +1,30 @@
+"""Face databases: the identity model and the multilinear model of expressions, of faces of one topology."""
+
+from facepipe.processors.database.create import AddOptions, DatabaseOptions, Made, add_faces, create_database
+from facepipe.processors.database.database_file import check_suffix, load_database, save_database
+from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
+from facepipe.processors.database.quality import Quality, QualityLimits, misses, quality_from
+from facepipe.processors.database.whole_face import Topology, WholeFace, whole_face, whole_points
+
+__all__ = [
+    "AddOptions",
+    "DatabaseOptions",
+    "Entry",
+    "FaceDatabase",
+    "Made",
+    "Quality",
+    "QualityLimits",
+    "StoredError",
+    "Topology",
+    "Update",
+    "WholeFace",
+    "add_faces",
+    "check_suffix",
+    "create_database",
+    "load_database",
+    "misses",
+    "quality_from",
+    "save_database",
+    "whole_face",
+    "whole_points",
+]

@@ -1,0 +1,160 @@
+"""Named arrays and a JSON text in one file, in the layout of safetensors, with a digest of all of it.
+
+Eight bytes (little-endian) count those of a JSON header, then comes the header, then the arrays. The header says type,
+shape and place of each array, and under ``__metadata__`` holds texts: our ``format``, ``content`` (JSON), and the
+``sha256`` of the file, taken with zeros in its own place. Nothing in it is code; any reader of safetensors opens it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.atomic import replacing
+from facepipe.errors import InputError
+from facepipe.reading import read_bytes
+
+Array = npt.NDArray[Any]
+
+MAX_BYTES = 1 << 34  # of a file
+_MAX_HEADER = 1 << 26
+_SIZE = struct.Struct("<Q")
+_TYPES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
+_CODES = {np.dtype(code).str: name for name, code in _TYPES.items()}
+_NO_SUM = "0" * 64
+_LARGEST = 1e12  # of a number: squares of some stay finite in float32
+
+
+class Content(NamedTuple):
+    """What is in a file."""
+
+    arrays: Mapping[str, Array]
+    content: dict[str, Any]  # the JSON
+
+
+def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+    """Write a file atomically: the same arrays and content are the same bytes.
+
+    :param kind: the format, with its version
+    :raises InputError: NaN, infinity or a number too large, or a file that can't be written
+    """
+    stored = {name: _stored(f"{path} -> {name}", arrays[name]) for name in sorted(arrays)}
+    head = _header(kind, content, stored)
+    found = hashlib.sha256(head)
+    for array in stored.values():
+        found.update(array.reshape(-1).data)
+    head = head.replace(_NO_SUM.encode(), found.hexdigest().encode(), 1)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(head)
+        for array in stored.values():
+            file.write(array.reshape(-1).data)
+
+
+def _header(kind: str, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
+    places: dict[str, Any] = {"__metadata__": {"content": _json(content), "format": kind, "sha256": _NO_SUM}}
+    end = 0
+    for name, array in arrays.items():
+        places[name] = {"data_offsets": [end, end + array.nbytes], "dtype": _CODES[array.dtype.str]}
+        places[name]["shape"] = list(array.shape)
+        end += array.nbytes
+    text = _json({"__metadata__": places.pop("__metadata__"), **places}).encode()
+    text += b" " * (-len(text) % 8)
+    return _SIZE.pack(len(text)) + text
+
+
+def _json(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _stored(where: str, array: Array) -> Array:
+    kind = {"f": "<f8", "i": "<i4"}[array.dtype.kind] if array.dtype != np.float32 else "<f4"
+    found = np.ascontiguousarray(array, dtype=kind)
+    _check_numbers(where, found)
+    return found + found.dtype.type(0) if found.dtype.kind == "f" else found  # no -0: the same content, the same bytes
+
+
+def read_arrays(path: Path, kind: str) -> Content:
+    """What `write_arrays` wrote, arrays read-only and finite.
+
+    :raises InputError: no such file, another format, or a damaged one
+    """
+    data = read_bytes(path, MAX_BYTES)
+    head, start = _read_header(path, data)
+    metadata = head.pop("__metadata__", None)
+    if not isinstance(metadata, dict) or not isinstance(metadata.get("format"), str):
+        raise InputError(path, f"has no format, expected {kind}")
+    if metadata["format"] != kind:
+        raise InputError(path, f"is of format '{metadata['format'][:60]}', expected {kind}")
+    _check_sum(path, data, metadata.get("sha256"))
+    try:
+        content = json.loads(metadata["content"])
+        arrays = _arrays(path, memoryview(data)[start:], head)
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise InputError(path, f"is damaged: {type(error).__name__} in its header") from None
+    if not isinstance(content, dict):
+        raise InputError(path, "is damaged: its content is no object")
+    return Content(arrays, content)
+
+
+def _read_header(path: Path, data: bytes) -> tuple[dict[str, Any], int]:
+    size = _SIZE.unpack_from(data)[0] if len(data) >= _SIZE.size else 0
+    if not 2 <= size <= min(_MAX_HEADER, len(data) - _SIZE.size):
+        raise InputError(path, "is no face database, or cut short")
+    start = _SIZE.size + size
+    try:
+        head = json.loads(data[_SIZE.size : start].decode())
+    except (ValueError, RecursionError):
+        raise InputError(path, "is no face database, or damaged: its header is no JSON") from None
+    if not isinstance(head, dict):
+        raise InputError(path, "is no face database: its header is no object")
+    return head, start
+
+
+def _check_sum(path: Path, data: bytes, expected: object) -> None:
+    sum_ = expected.encode() if isinstance(expected, str) and len(expected) == len(_NO_SUM) else b""
+    place = data.find(sum_) if sum_ else -1
+    if place < 0:
+        raise InputError(path, "is damaged: no sum of its bytes")
+    found = hashlib.sha256(data[:place] + _NO_SUM.encode())
+    found.update(memoryview(data)[place + len(_NO_SUM) :])
+    if found.hexdigest().encode() != sum_:
+        raise InputError(path, "is damaged: its bytes don't have the sum that it states")
+
+
+def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str, Array]:
+    found: dict[str, Array] = {}
+    end = 0
+    for name in sorted(places):
+        place, where = places[name], f"{path} -> {name}"
+        shape = place["shape"]
+        first, last = place["data_offsets"]
+        if not all(type(size) is int and size >= 0 for size in shape):
+            raise ValueError
+        dtype = np.dtype(_TYPES[place["dtype"]])
+        if first != end or last - first != math.prod(shape) * dtype.itemsize:
+            raise InputError(where, "bytes that don't fit its shape, expected arrays one after another")
+        end = last
+        if end > len(data):
+            raise InputError(where, "ends after the file")
+        found[name] = np.frombuffer(data[first:last], dtype).reshape(shape)
+        _check_numbers(where, found[name])
+    if end != len(data):
+        raise InputError(path, f"{len(data)} bytes of arrays, expected {end}")
+    return found
+
+
+def _check_numbers(where: str, array: Array) -> None:
+    if array.dtype.kind != "f":
+        return
+    flat = array.reshape(-1)
+    for start in range(0, len(flat), 1 << 22):  # in pieces: no mask as large as the array
+        if not (np.abs(flat[start : start + (1 << 22)]) <= _LARGEST).all():
+            raise InputError(where, f"NaN, infinity or a number over {_LARGEST:g}")

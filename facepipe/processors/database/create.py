@@ -1,0 +1,231 @@
+"""Databases made of faces, and faces added to them: the same either way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe import __version__
+from facepipe.errors import InputError
+from facepipe.geometry.expression_model import ExpressionModel
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.geometry.spatial_basis import hold, no_basis
+from facepipe.options import check_ranges
+from facepipe.processors.database.face_checks import Facts, check_faces, facts_of, mesh_warnings
+from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
+from facepipe.processors.database.quality import Quality, QualityLimits, misses
+from facepipe.processors.database.shape_names import Shapes, shapes_in_common
+from facepipe.processors.database.whole_face import WholeFace
+
+FloatArray = npt.NDArray[np.floating]
+
+Source = Callable[[], WholeFace]  # reads a face: once to check it, once to add it
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatabaseOptions:
+    """How a database is made."""
+
+    tolerance_mm: float = field(
+        default=0.1,
+        metadata={
+            "help": "RMS error over all points to which each expression is held; less makes the file larger",
+            "unit": "mm",
+            "range": (1e-4, 10.0),
+        },
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddOptions(QualityLimits):
+    """What may be added to a database."""
+
+    ignore_quality: bool = field(
+        default=False, metadata={"help": "add faces that miss the limits too; the history says so"}
+    )
+    drop_shapes: bool = field(
+        default=False,
+        metadata={"help": "shapes of the database that a face lacks leave it; otherwise the face is refused"},
+    )
+
+
+class Made(NamedTuple):
+    """A database, and what is worth saying about the faces that came."""
+
+    database: FaceDatabase
+    warnings: tuple[str, ...]
+
+
+def create_database(
+    sources: Sequence[Source], options: DatabaseOptions | None = None, *, done: Callable[[], object] = lambda: None
+) -> Made:
+    """The database of two or more faces of one topology.
+
+    Expressions are the shapes that all faces have that have any; a face without shapes enters the identity model alone.
+
+    :param done: called twice for each source
+    :raises InputError: fewer than two faces, one twice, or faces that are all the same
+    :raises TopologyError: faces that differ in topology, with the first difference
+    """
+    options = options or DatabaseOptions()
+    check_ranges(options)
+    if len(sources) < 2:
+        raise InputError("sources", f"{len(sources)} face, expected 2 or more")
+    facts = _read(sources, None, done)
+    shapes = shapes_in_common(None, facts)
+    identity = IdentityModel.of(np.stack([one.points for one in facts]))
+    return _grown(None, sources, facts, identity, shapes, {}, (), options.tolerance_mm, done)
+
+
+def add_faces(
+    database: FaceDatabase,
+    sources: Sequence[Source],
+    options: AddOptions | None = None,
+    *,
+    qualities: Mapping[str, Quality] | None = None,
+    done: Callable[[], object] = lambda: None,
+) -> Made:
+    """`database` and more faces: what `create_database` makes of all of them, of nothing but what `database` holds.
+
+    :param qualities: measures by face name; a face without is not judged
+    :param done: called twice for each source
+    :raises InputError: no face, one that is there already, lacks a shape, or is refused by the quality gate
+    :raises TopologyError: a face of another topology, with the first difference
+    """
+    options, qualities = options or AddOptions(), qualities or {}
+    check_ranges(options)
+    if not sources:
+        raise InputError("sources", "no face, expected 1 or more")
+    facts = _read(sources, database, done)
+    ignored = _gate([one.name for one in facts], qualities, options)
+    shapes = shapes_in_common(database, facts)
+    if shapes.dropped and not options.drop_shapes:
+        name, lost = next((one.name, lost) for one in facts if (lost := _lost(one, database)))
+        raise InputError(name, f"lacks {', '.join(lost)}, expected the shapes of the database (or --drop-shapes)")
+    identity = database.identity.with_faces(np.stack([one.points for one in facts]))
+    return _grown(database, sources, facts, identity, shapes, qualities, ignored, database.tolerance_mm, done)
+
+
+def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callable[[], object]) -> list[Facts]:
+    found = []
+    for source in sources:
+        found.append(facts_of(source()))
+        done()
+    check_faces(database, found)
+    return found
+
+
+def _gate(names: Sequence[str], qualities: Mapping[str, Quality], options: AddOptions) -> tuple[str, ...]:
+    """What was missed and ignored.
+
+    :raises InputError: a face misses a limit, or measures of nobody
+    """
+    for name in qualities:
+        if name not in names:
+            raise InputError(f"quality -> {name}", f"no such face is added, expected one of {', '.join(names)}")
+    missed = {name: misses(quality, options) for name, quality in qualities.items()}
+    for name, lines in missed.items():
+        if lines and not options.ignore_quality:
+            raise InputError(name, f"refused: {'; '.join(lines)} (or --ignore-quality)")
+    return tuple(f"{name}: {line}" for name, lines in missed.items() for line in lines)
+
+
+def _lost(one: Facts, database: FaceDatabase) -> list[str]:
+    return [shape for shape in database.shapes if one.shapes and shape not in one.shapes]
+
+
+def _grown(
+    database: FaceDatabase | None,
+    sources: Sequence[Source],
+    facts: Sequence[Facts],
+    identity: IdentityModel,
+    shapes: Shapes,
+    qualities: Mapping[str, Quality],
+    ignored: tuple[str, ...],
+    tolerance: float,
+    done: Callable[[], object],
+) -> Made:
+    basis, deltas, errors = _held(database, sources, facts, shapes.names, tolerance, done)
+    version = database.version + 1 if database else 1
+    entries = database.entries if database else ()
+    entries += tuple(_entry(one, version, error, qualities) for one, error in zip(facts, errors, strict=True))
+    neutrals = np.concatenate([*([database.neutrals()] if database else []), [one.points for one in facts]])
+    coefficients = identity.coefficients(neutrals)
+    people = [number for number, entry in enumerate(entries) if entry.stored_error is not None]
+    update = Update(
+        version=version,
+        verb="add" if database else "create",
+        entries=tuple(one.name for one in facts),
+        dropped=shapes.dropped,
+        ignored=ignored,
+        facepipe=__version__,
+    )
+    model = ExpressionModel.of(shapes.names, identity, coefficients[people], basis, deltas) if shapes.names else None
+    made = FaceDatabase(
+        topology=facts[0].topology,
+        identity=identity,
+        coefficients=coefficients,
+        expressions=model,
+        shape_meshes=shapes.meshes,
+        left_out=shapes.left_out,
+        entries=entries,
+        history=(*(database.history if database else ()), update),
+        tolerance_mm=tolerance,
+    )
+    warnings = [line for one in facts for line in one.warnings]
+    return Made(made, (*warnings, *shapes.warnings, *mesh_warnings(facts, shapes.meshes), *ignored))
+
+
+def _held(
+    database: FaceDatabase | None,
+    sources: Sequence[Source],
+    facts: Sequence[Facts],
+    names: Sequence[str],
+    tolerance: float,
+    done: Callable[[], object],
+) -> tuple[FloatArray, FloatArray, list[StoredError | None]]:
+    """The basis of deltas, what it says of all people's (m, e, q), and how far that is off for those who came."""
+    model = database.expressions if database else None
+    basis = model.basis if model else no_basis(facts[0].topology.point_count)
+    rows = [] if model is None else list(model.deltas[:, [model.names.index(name) for name in names]])
+    errors: list[StoredError | None] = []
+    for source, one in zip(sources, facts, strict=True):
+        if one.shapes:
+            face = source()
+            held = hold(
+                basis, np.array([face.deltas[name] for name in names]).reshape(-1, *one.points.shape), tolerance
+            )
+            basis = held.basis
+            rows.append(held.coefficients)
+            errors.append(_error(held.distances))
+        else:
+            errors.append(None)
+        done()
+    padded = [np.pad(row, ((0, 0), (0, len(basis) - row.shape[1]))) for row in rows]
+    return basis, np.array(padded).reshape(len(rows), len(names), len(basis)), errors
+
+
+def _error(distances: FloatArray) -> StoredError:
+    if not distances.size:
+        return StoredError(rms_mm=0.0, p95_mm=0.0, max_mm=0.0)
+    return StoredError(
+        rms_mm=float(np.sqrt(np.square(distances).mean())),
+        p95_mm=float(np.percentile(distances, 95)),
+        max_mm=float(distances.max(initial=0.0)),
+    )
+
+
+def _entry(one: Facts, version: int, error: StoredError | None, qualities: Mapping[str, Quality]) -> Entry:
+    return Entry(
+        name=one.name,
+        source=one.source,
+        digest=one.digest,
+        content=one.content,
+        version=version,
+        stored_error=error,
+        quality=qualities.get(one.name),
+    )

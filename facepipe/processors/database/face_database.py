@@ -1,0 +1,87 @@
+"""A database of faces of one topology: who is in it, the identity model, the multilinear model of expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.expression_model import ExpressionModel
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.processors.database.quality import Quality
+from facepipe.processors.database.whole_face import Topology
+
+FloatArray = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredError:
+    """How far the points of a face's expressions are from what the database holds of them, in millimetres."""
+
+    rms_mm: float
+    p95_mm: float
+    max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A face in the database."""
+
+    name: str
+    source: str  # file name of the stage it came from
+    digest: str  # of that file and its layers
+    content: str  # digest of its points and shapes
+    version: int  # of the database, the first that has it
+    stored_error: StoredError | None  # None: it has no expressions, and is in the identity model alone
+    quality: Quality | None = None  # measures that it came with
+
+
+@dataclass(frozen=True, kw_only=True)
+class Update:
+    """One change of the database."""
+
+    version: int
+    verb: str  # "create", "add"
+    entries: tuple[str, ...]  # that came
+    dropped: tuple[str, ...] = ()  # shapes that went, as not all faces have them
+    ignored: tuple[str, ...] = ()  # why the quality gate would have refused
+    facepipe: str  # version
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceDatabase:
+    """Whole points are those of all meshes one after another, world space, millimetres, Y up."""
+
+    topology: Topology
+    identity: IdentityModel  # n whole points
+    coefficients: FloatArray  # (m, k) of the entries' neutrals, in standard deviations
+    expressions: ExpressionModel | None  # of the entries that have some, in order; None: no face has
+    shape_meshes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # expression -> meshes that it moves
+    left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # shape -> entries that lack it
+    entries: tuple[Entry, ...]
+    history: tuple[Update, ...]
+    tolerance_mm: float  # RMS to which the points of each shape are held
+
+    @property
+    def version(self) -> int:
+        """Grows by one with each update."""
+        return self.history[-1].version
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the expressions."""
+        return self.expressions.names if self.expressions else ()
+
+    def neutrals(self) -> FloatArray:
+        """(m, n, 3) of the entries."""
+        return self.identity.points(self.coefficients)
+
+    def deltas(self, name: str) -> Mapping[str, FloatArray]:
+        """Expression -> (n, 3) delta of an entry, as it is held; none for one without expressions."""
+        people = [entry.name for entry in self.entries if entry.stored_error is not None]
+        if self.expressions is None or name not in people:
+            return {}
+        found = self.expressions.shapes(self.expressions.vectors[people.index(name)])
+        return dict(zip(self.expressions.names, found, strict=True))

@@ -1,0 +1,85 @@
+"""The quality gate: how well a rebuilt face fits its scans, and whether that is enough to enter a database."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from facepipe.errors import InputError
+from facepipe.options import check_ranges, from_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """What was measured of a rebuilt face."""
+
+    surface_mean_mm: float  # mean distance from the face's points to the scan of its neutral
+    surface_p95_mm: float  # 95th percentile of these
+    coverage: float  # share 0..1 of the face area that the scan shows
+    flipped_triangles: int  # of the neutral and its shapes, against the template's
+
+    def __post_init__(self) -> None:
+        """:raises InputError: a number out of range"""
+        for name in ("surface_mean_mm", "surface_p95_mm", "coverage", "flipped_triangles"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0 or (name == "coverage" and value > 1):
+                expected = "a share from 0 to 1" if name == "coverage" else "a finite number of 0 or more"
+                raise InputError(f"quality -> {name}", f"{value}, expected {expected}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualityLimits:
+    """What a face must meet to be added."""
+
+    max_surface_mean_mm: float = field(
+        default=0.3,
+        metadata={"help": "largest mean distance from the scan of the neutral", "unit": "mm", "range": (0.0, 1e3)},
+    )
+    max_surface_p95_mm: float = field(
+        default=1.0,
+        metadata={"help": "largest 95th percentile of that distance", "unit": "mm", "range": (0.0, 1e3)},
+    )
+    min_coverage: float = field(
+        default=0.6, metadata={"help": "least share of the face area that the scan shows", "range": (0.0, 1.0)}
+    )
+    max_flipped_triangles: int = field(
+        default=20, metadata={"help": "most triangles turned over, in the neutral and its shapes", "range": (0, 10**9)}
+    )
+
+
+def quality_from(values: object, where: str) -> Quality:
+    """Measures of a JSON object ``{"surface_mean_mm": ..., "surface_p95_mm": ..., "coverage": ..., ...}``.
+
+    It may stand under "quality" in a report of more.
+
+    :raises InputError: a measure is missing, unknown or out of range
+    """
+    if isinstance(values, Mapping) and "quality" in values:
+        where, values = f"{where} -> quality", values["quality"]
+    if not isinstance(values, Mapping):
+        raise InputError(where, "no object of measures, expected one")
+    for name in Quality.__dataclass_fields__:
+        if name not in values:
+            raise InputError(where, f"no '{name}', expected {', '.join(Quality.__dataclass_fields__)}")
+    try:
+        return from_json(Quality, values, where)
+    except InputError as error:
+        raise error if error.where.startswith(where) else error.under(where) from None
+
+
+def misses(quality: Quality, limits: QualityLimits) -> tuple[str, ...]:
+    """A line for each limit that is missed.
+
+    :raises InputError: a limit out of range
+    """
+    check_ranges(limits)
+    above = (
+        ("mean surface distance", quality.surface_mean_mm, limits.max_surface_mean_mm, " mm"),
+        ("95th percentile of the surface distance", quality.surface_p95_mm, limits.max_surface_p95_mm, " mm"),
+        ("flipped triangles", quality.flipped_triangles, limits.max_flipped_triangles, ""),
+    )
+    found = [f"{what} {value:g}{unit}, expected at most {most:g}" for what, value, most, unit in above if value > most]
+    if quality.coverage < limits.min_coverage:
+        found.append(f"coverage {quality.coverage:g}, expected at least {limits.min_coverage:g}")
+    return tuple(found)
