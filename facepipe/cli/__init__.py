@@ -31,6 +31,7 @@ COMMANDS = {
     "landmarks": "author named landmarks",
     "regions": "list regions, or author them from a painted map",
     "blend": "mix faces of one topology by region, with shapes and rig",
+    "database": "collect faces: models of identity and expressions",
     "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
     "schema-path": "print the folder of the USD schemas",

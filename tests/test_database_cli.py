@@ -1,0 +1,141 @@
+"""`facepipe database`: exit codes, what it tells, and files that stay as they were."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from database_faces import person
+from test_cli import run
+
+from facepipe.parts import Recipe
+from facepipe.processors.database import load_database, quality_from
+from facepipe.stage import save_parts
+
+GOOD = {"surface_mean_mm": 0.1, "surface_p95_mm": 0.4, "coverage": 0.9, "flipped_triangles": 0}
+BAD = {**GOOD, "coverage": 0.3, "surface_mean_mm": 0.5}
+
+
+@pytest.fixture
+def faces(tmp_path: Path) -> list[Path]:
+    paths = [tmp_path / f"p{seed}.usda" for seed in range(5)]
+    for seed, path in enumerate(paths):
+        save_parts(person(seed), path)
+    return paths
+
+
+@pytest.fixture
+def database(faces: list[Path], capsys: pytest.CaptureFixture[str]) -> Path:
+    path = faces[0].with_name("faces.fpdb")
+    assert run(capsys, "database", "create", *faces[:3], "-o", path)[0] == 0
+    return path
+
+
+def rebuilt(path: Path, quality: dict[str, float] | None) -> Path:
+    options: dict[str, object] = {} if quality is None else {"quality": quality}
+    save_parts(replace(person(8), recipe=Recipe(verb="rebuild", options=options, version="0.1.0")), path)
+    return path
+
+
+def test_create_add_and_info_tell_the_same(
+    faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, "database", "add", database, *faces[3:], "--json")
+    assert (code, err) == (0, "")
+    added = json.loads(out)
+    code, out, _ = run(capsys, "database", "info", database, "--json")
+    assert code == 0
+    assert json.loads(out) == added
+    assert added["version"] == 2
+    assert [entry["name"] for entry in added["entries"]] == ["p0", "p1", "p2", "p3", "p4"]
+    assert added["expressions"]["shapes"] == ["jawOpen", "mouthSmileLeft", "browInnerUp"]
+    assert added["identity"]["variance_explained"][-1] == pytest.approx(1.0)
+    assert [update["entries"] for update in added["history"]] == [["p0", "p1", "p2"], ["p3", "p4"]]
+    code, text, _ = run(capsys, "database", "info", database)
+    assert code == 0
+    assert "version 2, 5 faces of 45 points in 2 meshes" in text
+    whole = tmp_path / "whole.fpdb"
+    assert run(capsys, "database", "create", *faces, "-o", whole)[0] == 0
+    spread = json.loads(run(capsys, "database", "info", whole, "--json")[1])["identity"]["deviations_mm"]
+    assert added["identity"]["deviations_mm"] == pytest.approx(spread, rel=1e-6)
+
+
+def test_add_writes_in_place_or_elsewhere(
+    faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, other = database.read_bytes(), tmp_path / "other.fpdb"
+    assert run(capsys, "database", "add", database, faces[3], "-o", other, "--names", "anna")[0] == 0
+    assert database.read_bytes() == before
+    assert load_database(other).entries[-1].name == "anna"
+    assert run(capsys, "database", "add", database, faces[4], "-o", other)[0] == 2
+    assert run(capsys, "database", "add", database, faces[3], "--names", "anna")[0] == 0
+    assert database.read_bytes() == other.read_bytes()
+
+
+def test_what_is_refused_leaves_the_file_as_it_was(
+    faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = database.read_bytes()
+    report = tmp_path / "bad.json"
+    report.write_text(json.dumps({"quality": BAD}), encoding="utf-8")
+    lines = [
+        (faces[3], faces[1]),
+        (faces[3], tmp_path / "none.usda"),
+        (faces[3], "--quality", report),
+        (faces[3], faces[4], "--quality", report),
+        (faces[3], "--quality", f"p9={report}"),
+        (faces[3], "--names", "a,b"),
+        (faces[3], "--min-coverage", "2"),
+        (rebuilt(tmp_path / "bad.usda", BAD),),
+        (rebuilt(tmp_path / "silent.usda", None),),
+    ]
+    for words in lines:
+        code, out, err = run(capsys, "database", "add", database, *words)
+        assert (code, out, err.count("\n")) == (2, "", 1), words
+        assert database.read_bytes() == before
+    _, _, err = run(capsys, "database", "add", database, faces[3], "--quality", report)
+    assert "p3: refused: mean surface distance 0.5 mm" in err
+    assert "coverage 0.3, expected at least 0.6" in err
+
+
+def test_the_gate_reads_recipes_and_reports(
+    faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(capsys, "database", "add", database, rebuilt(tmp_path / "good.usda", GOOD))[0] == 0
+    assert load_database(database).entries[-1].quality == quality_from(GOOD, "good")
+    report = tmp_path / "bad.json"
+    report.write_text(json.dumps(BAD), encoding="utf-8")
+    code, _, err = run(capsys, "database", "add", database, faces[3], "--quality", report, "--ignore-quality")
+    assert code == 0
+    assert "coverage 0.3" in err
+    assert any("coverage 0.3" in line for line in load_database(database).history[-1].ignored)
+    limits = ("--min-coverage", 0.2, "--max-surface-mean-mm", 0.6)
+    assert run(capsys, "database", "add", database, faces[4], "--quality", report, *limits)[0] == 0
+    assert load_database(database).history[-1].ignored == ()
+
+
+def test_bad_lines_are_told_in_one(faces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (
+        ("create", faces[0], "-o", tmp_path / "x.fpdb"),
+        ("create", faces[0], faces[0], "-o", tmp_path / "x.fpdb"),
+        ("create", faces[0], faces[1], "-o", tmp_path / "x.npz"),
+        ("create", faces[0], faces[1], "-o", faces[2], "--force"),
+        ("create", faces[0], faces[1], "-o", tmp_path / "x.fpdb", "--tolerance-mm", "0"),
+        ("info", faces[0]),
+        ("info", tmp_path / "none.fpdb"),
+        ("add", faces[0], faces[1]),
+        ("what",),
+        (),
+    ):
+        code, out, err = run(capsys, "database", *words)
+        assert (code, out, err.count("\n")) == (2, "", 1), words
+    assert not (tmp_path / "x.fpdb").exists()
+
+
+@pytest.mark.parametrize("action", ["create", "add", "info"])
+def test_each_action_has_help_with_an_example(capsys: pytest.CaptureFixture[str], action: str) -> None:
+    code, out, _ = run(capsys, "database", action, "--help")
+    assert code == 0
+    assert f"facepipe database {action}" in out.partition("example")[2]
