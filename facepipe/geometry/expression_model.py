@@ -144,11 +144,16 @@ class ExpressionModel:
         weights = trust([Block.of(block) for block in blocks], Block.of(self._of_people(wanted)))
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
         for group, weight in zip(groups, weights, strict=True):
-            maps = self._maps[:, group].reshape(self._maps.shape[0], -1)
+            maps = self._flat(group)
             normal += weight * maps @ maps.T
             right += weight * maps @ off[[rows.index(row) for row in group]].ravel()
         return np.asarray(np.linalg.solve(normal, right))
 
     def _of_people(self, rows: Sequence[int]) -> FloatArray:
-        """(m, ...) coordinates of the people here from the mean's, of some rows."""
-        return (self.vectors @ self._maps[:, list(rows)].reshape(self._maps.shape[0], -1)).reshape(self.count, -1)
+        """(m, rows (k + q)) coordinates of the people here from the mean's, of some rows."""
+        return np.asarray(self.vectors @ self._flat(rows))
+
+    def _flat(self, rows: Sequence[int]) -> FloatArray:
+        """(r, rows (k + q)) what each number of a vector adds to some rows."""
+        maps = self._maps[:, list(rows)]
+        return maps.reshape(len(maps), len(rows) * maps.shape[2])
