@@ -1,0 +1,146 @@
+"""Gains, turns and weights together: Gauss-Newton steps on what composites tell, by conjugate gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.example_rigging.field_system import FieldSystem, bent, bent_back
+from facepipe.geometry.example_rigging.options import SplitOptions
+from facepipe.geometry.example_rigging.preconditioner import Preconditioner
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+_SETTLED = 1e-4  # of the right-hand side that conjugate gradients leave
+_STEPS = 400
+
+
+@dataclass(frozen=True)
+class FieldSolution:
+    """What the composites tell of the person's fields and of the weights."""
+
+    z: FloatArray  # unknowns of `FieldSystem`
+    weights: FloatArray  # (c, e)
+    alternations: int
+    held: tuple[tuple[int, int], ...] = ()  # (composite, shape) of weights stopped at a bound
+    settled: bool = True  # conjugate gradients came to their end
+
+
+def solve_fields(system: FieldSystem, options: SplitOptions) -> FieldSolution:
+    """The most probable fields, and weights inside their bounds.
+
+    Each alternation solves for the fields with the last weights and, together with them, for the change of weights
+    that the templates show. (Li, Weise & Pauly, "Example-Based Facial Rigging", SIGGRAPH 2010, section 4, solve for
+    one and the other in turn; but where shapes follow the scans, nothing is left by which weights could move. With the
+    personal shapes in place of the templates weights would grow: that makes all of the fields smaller.) A weight that
+    goes beyond its bound is held there from then on. The last solve is for the fields alone.
+    """
+    given = system.examples.weights
+    low, high = np.minimum(given, 0.0), np.maximum(given, options.largest_weight)
+    weights, z, held = given.copy(), np.zeros(system.starts[-1]), given == 0
+    steps = options.alternations if options.weight_spread > 0 else 0
+    for _ in range(steps):
+        step = _Step(system, weights, z, np.where(held, 0.0, options.weight_spread)).solve()
+        ahead = weights + step.change
+        z, weights = step.z, np.clip(ahead, low, high)
+        held = held | (ahead != weights)
+    last = _Step(system, weights, z, np.zeros_like(weights)).solve()
+    stopped = tuple((int(composite), int(shape)) for composite, shape in np.argwhere(held & (given != 0)))
+    return FieldSolution(last.z, weights, steps, stopped, last.settled)
+
+
+class _Found(NamedTuple):
+    z: FloatArray
+    change: FloatArray  # (c, e) of the weights
+    settled: bool
+
+
+class _Step:
+    """One linear problem.
+
+    :param weights: (c, e) from where weights change
+    :param z: fields to start from
+    :param spreads: (c, e) of the weights; 0 keeps one
+    """
+
+    def __init__(self, system: FieldSystem, weights: FloatArray, z: FloatArray, spreads: FloatArray) -> None:
+        self._system, self._weights, self._z = system, weights, z
+        shapes = [row.shape for row in system.rows]
+        self._uses: list[IntArray] = [np.flatnonzero(system.examples.weights[:, shape]) for shape in shapes]
+        self._moving: list[IntArray] = [
+            composites[spreads[composites, shape] > 0] for composites, shape in self._pairs(self._uses)
+        ]
+        self._spread = spreads
+        self._changes = np.cumsum([system.starts[-1], *[len(one) for one in self._moving]])
+
+    def _pairs(self, uses: list[IntArray]) -> list[tuple[IntArray, int]]:
+        return [(composites, row.shape) for composites, row in zip(uses, self._system.rows, strict=True)]
+
+    def solve(self) -> _Found:
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        system, size = self._system, int(self._changes[-1])
+        given = system.examples.weights
+        offsets = system.examples.offsets[:, system.sample]
+        left = offsets - np.tensordot(self._weights, system.examples.templates[:, system.sample], axes=1)
+        right = self._pulled(system.trust[:, :, None] * left)
+        start = np.zeros(size)
+        start[: len(self._z)] = self._z
+        for number, (composites, shape) in enumerate(self._pairs(self._moving)):
+            spread = self._spread[composites, shape]
+            behind = (given[composites, shape] - self._weights[composites, shape]) / spread
+            right[self._changes[number] : self._changes[number + 1]] += behind
+        if not right.any():
+            return _Found(np.zeros(system.starts[-1]), np.zeros_like(given), True)
+        matrix = LinearOperator((size, size), matvec=self._applied, dtype=np.float64)
+        guess = Preconditioner(system, self._weights, self._weight_diagonal())
+        inverse = LinearOperator((size, size), matvec=guess.solve, dtype=np.float64)
+        found, steps = cg(matrix, right, x0=start, rtol=_SETTLED, maxiter=_STEPS, M=inverse)
+        change = np.zeros_like(given)
+        for number, (composites, shape) in enumerate(self._pairs(self._moving)):
+            scaled = found[self._changes[number] : self._changes[number + 1]]
+            change[composites, shape] = scaled * self._spread[composites, shape]
+        return _Found(found[: system.starts[-1]], change, steps == 0)
+
+    def _applied(self, x: FloatArray) -> FloatArray:
+        x = x.ravel()
+        return np.asarray(x + self._pulled(self._system.trust[:, :, None] * self._pushed(x)))
+
+    def _pushed(self, x: FloatArray) -> FloatArray:
+        """(c, s, 3) what the unknowns add to the composites."""
+        system = self._system
+        added = np.zeros((*system.trust.shape, 3))
+        for number, (row, field) in enumerate(zip(system.rows, system.shape_fields(x), strict=True)):
+            personal = bent(field, row.template)
+            for composite in self._uses[number]:
+                added[composite, row.points] += self._weights[composite, row.shape] * personal
+            for place, composite in enumerate(self._moving[number], self._changes[number]):
+                added[composite, row.points] += x[place] * self._spread[composite, row.shape] * row.template
+        return added
+
+    def _pulled(self, forces: FloatArray) -> FloatArray:
+        """The transpose of `_pushed`."""
+        system, result, fields = self._system, np.zeros(int(self._changes[-1])), []
+        for number, row in enumerate(system.rows):
+            weights = self._weights[self._uses[number], row.shape]
+            force = np.tensordot(weights, forces[self._uses[number]][:, row.points], axes=1)
+            fields.append(bent_back(force, row.template))
+            for place, composite in enumerate(self._moving[number], self._changes[number]):
+                along = (row.template * forces[composite, row.points]).sum()
+                result[place] = self._spread[composite, row.shape] * along
+        result[: system.starts[-1]] = system.pulled(fields)
+        return result
+
+    def _weight_diagonal(self) -> FloatArray:
+        """(w,) of the system's matrix at the changes of weights."""
+        diagonal = []
+        for number, (composites, shape) in enumerate(self._pairs(self._moving)):
+            squares = (self._system.rows[number].template ** 2).sum(axis=1)
+            told = self._system.trust[composites][:, self._system.rows[number].points] @ squares
+            diagonal.append(1.0 + self._spread[composites, shape] ** 2 * told)
+        return np.concatenate(diagonal) if diagonal else np.zeros(0)

@@ -1,0 +1,148 @@
+"""The linear system of a person's gains and turns, and of small changes of weights, over all shapes and composites.
+
+A personal shape is its template with a gain and a turn that vary smoothly over the face, in part alike for all shapes
+(a person with a strong, stiff or lopsided face) and in part of the shape's own (a strong or slanting muscle):
+``delta = template + gain template + turn x template``. Both parts are Gaussian processes; what composites tell of
+them is a linear least-squares problem with a diagonal prior, solved by conjugate gradients without its matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.example_rigging.examples import Examples
+from facepipe.geometry.example_rigging.options import SplitOptions
+from facepipe.geometry.example_rigging.smooth_basis import SmoothBasis, spread_points
+from facepipe.geometry.grouping import group_sums
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_SAMPLES = 4.0  # sampled points per length of fields
+_SPACING = 1.1  # lengths of fields between nodes
+_STILL = 0.02  # a point moves with a shape if by more than this share of the shape's largest motion
+
+
+@dataclass(frozen=True)
+class ShapeRows:
+    """One shape at the sampled points that it moves."""
+
+    shape: int
+    points: IntArray  # (p,) into the samples
+    basis: SmoothBasis
+    values: FloatArray  # (p, k) of the basis there
+    template: FloatArray  # (p, 3)
+
+
+class FieldSystem:
+    """Everything but the weights.
+
+    Unknowns, all of spread 1: per excited shape (4, k) of its own field, then (4, k) of the shared one: gain, turn x,
+    y and z; then one per weight that is not 0.
+    """
+
+    def __init__(self, examples: Examples, options: SplitOptions) -> None:
+        self.examples = examples
+        length = options.field_length
+        self.sample = spread_points(examples.neutral, length / _SAMPLES)
+        self.rows = _shape_rows(examples, self.sample, length)
+        points = examples.neutral[self.sample]
+        moved = np.unique(np.concatenate([row.points for row in self.rows])) if self.rows else self.sample
+        nodes = spread_points(points[moved], _SPACING * length)
+        self.shared = SmoothBasis(points[moved][nodes], length)
+        self.shared_values = self.shared(points)
+        self.own_spread = np.array([options.own_gain, *3 * [options.own_turn / np.sqrt(3.0)]])
+        self.shared_spread = np.array([options.shared_gain, *3 * [options.shared_turn / np.sqrt(3.0)]])
+        self.trust = _trust(examples, self.sample, options)
+        sizes = [4 * len(row.basis) for row in self.rows] + [4 * len(self.shared)]
+        self.starts = np.concatenate([[0], np.cumsum(sizes)])
+
+    def fields(self, z: FloatArray, part: int, values: FloatArray) -> FloatArray:
+        """(p, 4) gain and turn of one part (that of a shape; last: shared), by basis values (p, k)."""
+        own = z[self.starts[part] : self.starts[part + 1]].reshape(4, -1)
+        return np.asarray(values @ own.T * (self.shared_spread if part == len(self.rows) else self.own_spread))
+
+    def shape_fields(self, z: FloatArray) -> list[FloatArray]:
+        """Per excited shape (p, 4) its whole gain and turn at its sampled points."""
+        shared = self.fields(z, len(self.rows), self.shared_values)
+        return [self.fields(z, part, row.values) + shared[row.points] for part, row in enumerate(self.rows)]
+
+    def pulled(self, forces: list[FloatArray]) -> FloatArray:
+        """The transpose of `shape_fields`: (p, 4) per excited shape -> (z,)."""
+        found = np.empty(self.starts[-1])
+        shared = np.zeros((len(self.sample), 4))
+        for part, (row, force) in enumerate(zip(self.rows, forces, strict=True)):
+            shared[row.points] += force
+            found[self.starts[part] : self.starts[part + 1]] = ((force * self.own_spread).T @ row.values).ravel()
+        found[self.starts[-2] :] = ((shared * self.shared_spread).T @ self.shared_values).ravel()
+        return found
+
+    def deltas(self, z: FloatArray) -> FloatArray:
+        """(e, n, 3) the templates with the person's gains and turns; unexcited ones as they are."""
+        result = self.examples.templates.copy()
+        points = self.examples.neutral
+        shared = self.fields(z, len(self.rows), self.shared(points))
+        for part, row in enumerate(self.rows):
+            moving = np.flatnonzero(result[row.shape].any(axis=1))
+            field = _even(self.fields(z, part, row.basis(points[moving])) + shared[moving], self.examples.stiff[moving])
+            result[row.shape, moving] += bent(field, result[row.shape, moving])
+        return result
+
+
+def bent(field: FloatArray, template: FloatArray) -> FloatArray:
+    """(p, 3) what gains and turns (p, 4) add to deltas (p, 3)."""
+    return np.asarray(field[:, :1] * template + crossed(field[:, 1:], template))
+
+
+def bent_back(force: FloatArray, template: FloatArray) -> FloatArray:
+    """(p, 4) the transpose of `bent` for forces (p, 3)."""
+    gain = (force * template).sum(axis=1, keepdims=True)
+    return np.concatenate([gain, crossed(template, force)], axis=1)
+
+
+def _even(field: FloatArray, stiff: IntArray) -> FloatArray:
+    """(p, 4) fields, the same all over each stiff piece (p,): their mean there."""
+    inside = stiff >= 0
+    if not inside.any():
+        return field
+    labels, group = np.unique(stiff[inside], return_inverse=True)
+    means = group_sums(group, field[inside], len(labels)) / np.bincount(group)[:, None]
+    result = field.copy()
+    result[inside] = means[group]
+    return result
+
+
+def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(p, 3) cross products, axis by axis: much faster than np.cross."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+def _shape_rows(examples: Examples, sample: IntArray, length: float) -> list[ShapeRows]:
+    points, rows = examples.neutral[sample], []
+    for shape in examples.excited:
+        template = examples.templates[shape][sample]
+        motion = np.linalg.norm(template, axis=1)
+        moved = np.flatnonzero(motion > _STILL * motion.max(initial=0.0))
+        if len(moved):
+            nodes = spread_points(points[moved], _SPACING * length)
+            basis = SmoothBasis(points[moved][nodes], length)
+            rows.append(ShapeRows(int(shape), moved, basis, basis(points[moved]), template[moved]))
+    return rows
+
+
+def _trust(examples: Examples, sample: IntArray, options: SplitOptions) -> FloatArray:
+    """(c, s) inverse variance of what each sampled point tells: the area that it stands for, in areas of one error.
+
+    What fields can't hold of the templates' motion counts as error here.
+    """
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(examples.neutral[sample]).query(examples.neutral)[1]
+    told = [np.bincount(nearest, examples.areas * row, minlength=len(sample)) for row in examples.confidence]
+    squares = (examples.templates[:, sample] ** 2).sum(axis=2) / 3.0
+    unheld = options.detail**2 * (examples.weights**2 @ squares)
+    return np.asarray(np.array(told) / options.noise_length**2 / (options.noise**2 + unheld))

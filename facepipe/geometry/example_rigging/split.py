@@ -1,0 +1,169 @@
+"""A person's own shapes from scanned composites."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.example_rigging.detail import added_detail
+from facepipe.geometry.example_rigging.examples import Examples, checked
+from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_fields
+from facepipe.geometry.example_rigging.field_system import FieldSystem
+from facepipe.geometry.example_rigging.options import SplitOptions
+from facepipe.geometry.example_rigging.telling import RankReport, observed, rank_report
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_NAMED = 5  # pairs that a warning names
+_UNSEEN = 0.05  # excited shapes observed less than this are as good as not scanned
+
+
+@dataclass(frozen=True, kw_only=True)
+class Split:
+    """The shapes, and how far to believe them."""
+
+    deltas: FloatArray  # (e, n, 3) the person's own; the template's, to the bit, where no composite holds the shape
+    weights: FloatArray  # (c, e) as the composites show them
+    observed: FloatArray  # (e,) 0..1 how much the composites decided of each shape, the rest being the template's
+    gains: FloatArray  # (e,) motion along the template's, over the template's; 1 unexcited
+    changes: FloatArray  # (e,) mm, mean distance from the template over the area that the shape moves
+    residual_means: FloatArray  # (c,) mm, mean over the composite's points of confidence above 0
+    residual_p95: FloatArray  # (c,) mm
+    alternations: int
+    rank: RankReport
+    warnings: tuple[str, ...]
+
+
+def split_shapes(
+    neutral: FloatArray,
+    template_deltas: FloatArray,
+    composites: FloatArray,
+    weights: FloatArray,
+    triangles: IntArray,
+    options: SplitOptions | None = None,
+    *,
+    point_weights: FloatArray | None = None,
+    stiff: IntArray | None = None,
+    names: Sequence[str] | None = None,
+) -> Split:
+    """Split composites, each a weighted sum of shapes on the neutral, into the shapes.
+
+    First the part of the person that is smooth over the face: gains and turns of the templates, with the weights; then
+    what that leaves, dealt out per triangle and point and joined by a Poisson system with one factor for all shapes.
+
+    Source: the document on face models from scans, step S16, and Li, Weise & Pauly, "Example-Based Facial Rigging",
+    SIGGRAPH 2010, whose prior per triangle is kept and the smooth part put before it.
+
+    :param neutral: (n, 3) mm
+    :param template_deltas: (e, n, 3) mm: the shapes as a template makes them for this neutral
+    :param composites: (c, n, 3) mm: points of the registered scans, stabilised on the neutral
+    :param weights: (c, e) of the shapes that each composite was to show, none all 0
+    :param triangles: (t, 3)
+    :param point_weights: (c, n) 0..1: how far each point was scanned; 1 by default. Points scanned in none follow the
+        smooth part
+    :param stiff: (n,) numbers of pieces that bend no more than their templates do, such as teeth and eyeballs, -1 for
+        none (the default): one gain and turn for all of a piece
+    :param names: (e,) of the shapes, for the warnings
+    :raises InputError: NaN or infinity, a composite with weights of 0 alone, confidences beyond 0..1
+    :raises TopologyError: arrays that don't fit each other
+    """
+    options = options or SplitOptions()
+    examples = checked(neutral, template_deltas, composites, weights, triangles, point_weights, stiff)
+    labels = _labels(names, len(examples.templates))
+    system = FieldSystem(examples, options)
+    solution = solve_fields(system, options)
+    deltas = system.deltas(solution.z)
+    if options.detail > 0:
+        left = examples.residuals(deltas, solution.weights)
+        excited = examples.excited
+        deltas[excited] += added_detail(examples, solution.weights, left, deltas[excited], options)
+    return _report(examples, solution, deltas, options, rank_report(examples, system.sample), labels)
+
+
+def _report(
+    examples: Examples,
+    solution: FieldSolution,
+    deltas: FloatArray,
+    options: SplitOptions,
+    rank: RankReport,
+    names: Sequence[str],
+) -> Split:
+    seen = observed(examples, solution.weights, options)
+    means, p95 = _residuals(examples, examples.residuals(deltas, solution.weights))
+    return Split(
+        deltas=deltas,
+        weights=solution.weights,
+        observed=seen,
+        gains=_gains(examples, deltas),
+        changes=_changes(examples, deltas),
+        residual_means=means,
+        residual_p95=p95,
+        alternations=solution.alternations,
+        rank=rank,
+        warnings=_warnings(examples, solution, seen, rank, names),
+    )
+
+
+def _gains(examples: Examples, deltas: FloatArray) -> FloatArray:
+    found = np.ones(len(deltas))
+    for shape in examples.excited:
+        template = examples.templates[shape]
+        square = (examples.areas[:, None] * template**2).sum()
+        if square > 0:
+            found[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
+    return found
+
+
+def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
+    found = np.zeros(len(deltas))
+    for shape in examples.excited:
+        template = examples.templates[shape]
+        motion = np.linalg.norm(template, axis=1)
+        area = np.where(motion > 0.05 * motion.max(), examples.areas, 0.0)
+        if area.any():
+            found[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
+    return found
+
+
+def _residuals(examples: Examples, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+    means, p95 = np.zeros(len(left)), np.zeros(len(left))
+    for number, (vectors, confidence) in enumerate(zip(left, examples.confidence, strict=True)):
+        distances = np.linalg.norm(vectors[confidence > 0], axis=1)
+        if len(distances):
+            means[number], p95[number] = distances.mean(), np.percentile(distances, 95)
+    return means, p95
+
+
+def _labels(names: Sequence[str] | None, count: int) -> Sequence[str]:
+    if names is None:
+        return [f"shape {number}" for number in range(count)]
+    if len(names) != count:
+        raise InputError("names", f"{len(names)}, expected one for each of {count} shapes")
+    return names
+
+
+def _warnings(
+    examples: Examples, solution: FieldSolution, seen: FloatArray, rank: RankReport, names: Sequence[str]
+) -> tuple[str, ...]:
+    found = []
+    unexcited = np.flatnonzero(~examples.weights.any(axis=0)).tolist()
+    if unexcited:
+        found.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: the template's are kept")
+    hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _UNSEEN]
+    if hidden:
+        found.append(f"scans hardly show {', '.join(names[shape] for shape in hidden)}")
+    if rank.together:
+        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in rank.together[:_NAMED])
+        more = f" and {len(rank.together) - _NAMED} more pairs" if len(rank.together) > _NAMED else ""
+        found.append(f"the weights can't tell apart, where both move: {pairs}{more}")
+    if solution.held:
+        stopped = ", ".join(f"{names[shape]} in composite {composite}" for composite, shape in solution.held)
+        found.append(f"weights at their bounds: {stopped}")
+    if not solution.settled:
+        found.append("gains and turns were not settled after the last step")
+    return tuple(found)
