@@ -1,0 +1,103 @@
+"""A scan to fit to: the nearest places that can be what a point of the face shows, and why others can't."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.polygons import edges, point_normals
+from facepipe.geometry.similarity import Similarity
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+_SMOOTHINGS = 2  # noise of 0.1 mm turns the triangles of a scan by several degrees
+_ON_EDGE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Where points of the face are on the scan."""
+
+    places: FloatArray  # (m, 3)
+    normals: FloatArray  # (m, 3) of the scan there
+    distances: FloatArray  # (m,)
+    kept: BoolArray  # (m,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanTarget:
+    """A surface, or a cloud of points with normals."""
+
+    points: FloatArray  # (n, 3)
+    triangles: IntArray  # (t, 3); none in a cloud
+    normals: FloatArray  # (n, 3) unit
+    border: BoolArray  # (n,) points where the scan ends
+
+    @classmethod
+    def of_surface(cls, points: FloatArray, triangles: IntArray) -> ScanTarget:
+        """A triangulated scan, oriented outward; its normals are smoothed."""
+        points = np.asarray(points, np.float64)
+        pairs, uses = edges(np.full(len(triangles), 3), triangles.ravel())
+        border = np.zeros(len(points), bool)
+        border[pairs[uses == 1].ravel()] = True
+        normals = _smoothed(point_normals(points, triangles), pairs)
+        return cls(points=points, triangles=triangles, normals=normals, border=border)
+
+    @classmethod
+    def of_cloud(cls, points: FloatArray, normals: FloatArray) -> ScanTarget:
+        """A cloud with outward normals (n, 3); where it ends is not known."""
+        nothing = np.zeros((0, 3), np.int64)
+        return cls(
+            points=np.asarray(points, np.float64),
+            triangles=nothing,
+            normals=np.asarray(normals, np.float64),
+            border=np.zeros(len(points), bool),
+        )
+
+    def moved(self, by: Similarity) -> ScanTarget:
+        """The same scan elsewhere."""
+        return replace(self, points=by.apply(self.points), normals=self.normals @ by.rotation.T)
+
+    def matches(self, points: FloatArray, normals: FloatArray, reach: float, angle: float) -> Matches:
+        """The nearest places to points (m, 3) with unit normals (m, 3).
+
+        Kept are those up to `reach` away, whose normals differ by up to `angle` radians, and that are not on the
+        scan's border: there the face goes on and the scan does not.
+        """
+        places, own, distances, ended = self._nearest(points)
+        alike = np.einsum("mi,mi->m", own, normals) >= np.cos(angle)
+        return Matches(places=places, normals=own, distances=distances, kept=alike & ~ended & (distances <= reach))
+
+    def _nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        if not len(self.triangles):
+            from scipy.spatial import cKDTree
+
+            distances, number = cKDTree(self.points).query(points)
+            return self.points[number], self.normals[number], distances, self.border[number]
+        found = closest_places(points, self.points, self.triangles)
+        shares = place_shares(found, self.points, self.triangles)
+        corners = self.triangles[found.triangles]
+        normals = _unit(np.einsum("mc,mci->mi", shares, self.normals[corners]))
+        ended = np.asarray(((shares > _ON_EDGE) & self.border[corners]).any(axis=1))
+        return found.places, normals, found.distances, ended
+
+
+def _smoothed(normals: FloatArray, pairs: IntArray) -> FloatArray:
+    from scipy.sparse import csr_array
+
+    count = len(normals)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    neighbours = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+    for _ in range(_SMOOTHINGS):
+        normals = _unit(normals + neighbours @ normals)
+    return normals
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, np.finfo(np.float64).tiny))
