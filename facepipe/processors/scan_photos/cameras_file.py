@@ -1,0 +1,125 @@
+"""Cameras of photos as a JSON file: for rigs that are calibrated, and to use the cameras of one scan for the next.
+
+``{"unit": "mm", "cameras": {"front.jpg": {"width": 4000, "height": 6000, "focal": [8100, 8100],
+"center": [2000, 3000], "distortion": [k1, k2, p1, p2], "rotation": [[...], [...], [...]],
+"translation": [x, y, z]}, ...}}``: see `PhotoCamera`. `unit` (mm, cm, m) may be left out, as may `center` (the middle)
+and `distortion` (none); `focal` may be one number.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.atomic import write_bytes
+from facepipe.errors import InputError
+from facepipe.processors.scan_photos.camera import PhotoCamera
+from facepipe.reading import read_json_object
+
+FloatArray = npt.NDArray[np.floating]
+
+UNITS = ("mm", "cm", "m")
+_LARGEST_FILE = 16_000_000  # bytes
+_KEYS = ("width", "height", "focal", "center", "distortion", "rotation", "translation")
+_TURNED = 1e-3  # how far a rotation may be from one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cameras:
+    """Cameras by the names of their photos."""
+
+    cameras: Mapping[str, PhotoCamera] = field(default_factory=dict)
+    unit: str | None = None  # mm, cm or m; None: unknown
+
+
+def read_cameras(path: Path) -> Cameras:
+    """The cameras in a file.
+
+    :raises InputError: not readable, or values that are no camera
+    """
+    content = read_json_object(path, _LARGEST_FILE)
+    unit = content.get("unit")
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"{path} -> unit", f"{str(unit)[:40]!r}, expected one of {', '.join(UNITS)}")
+    listed = content.get("cameras")
+    if not isinstance(listed, dict) or not listed:
+        raise InputError(f"{path} -> cameras", "expected an object of cameras by the names of their photos")
+    return Cameras(cameras={name: _camera(one, f"{path} -> {name[:80]}") for name, one in listed.items()}, unit=unit)
+
+
+def write_cameras(path: Path, cameras: Cameras) -> None:
+    """Write what `read_cameras` reads.
+
+    :raises InputError: the folder does not exist or can't be written
+    """
+    listed = {name: _plain(camera) for name, camera in sorted(cameras.cameras.items())}
+    content = {"cameras": listed} | ({"unit": cameras.unit} if cameras.unit else {})
+    write_bytes(path, f"{json.dumps(content, indent=1, sort_keys=True)}\n".encode())
+
+
+def _plain(camera: PhotoCamera) -> dict[str, object]:
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "focal": list(camera.focal),
+        "center": list(camera.center),
+        "distortion": list(camera.distortion),
+        "rotation": camera.rotation.tolist(),
+        "translation": camera.translation.tolist(),
+    }
+
+
+def _camera(value: object, where: str) -> PhotoCamera:
+    if not isinstance(value, dict):
+        raise InputError(where, f"{str(value)[:40]}, expected an object")
+    unknown = sorted(set(value) - set(_KEYS))
+    if unknown:
+        raise InputError(where, f"'{unknown[0][:60]}' is unknown, expected some of {', '.join(_KEYS)}")
+    width, height = (_size(value.get(key), f"{where} -> {key}") for key in ("width", "height"))
+    focal = value.get("focal")
+    focals = _numbers([focal, focal] if isinstance(focal, int | float) else focal, (2,), f"{where} -> focal")
+    if not (focals > 0).all():
+        raise InputError(f"{where} -> focal", f"{focals.tolist()}, expected pixels above 0")
+    center = _numbers(value.get("center", [width / 2, height / 2]), (2,), f"{where} -> center")
+    bent = _numbers(value.get("distortion", [0, 0, 0, 0]), (4,), f"{where} -> distortion")
+    return PhotoCamera(
+        width=width,
+        height=height,
+        focal=(float(focals[0]), float(focals[1])),
+        center=(float(center[0]), float(center[1])),
+        distortion=(float(bent[0]), float(bent[1]), float(bent[2]), float(bent[3])),
+        rotation=_rotation(value.get("rotation"), f"{where} -> rotation"),
+        translation=_numbers(value.get("translation"), (3,), f"{where} -> translation"),
+    )
+
+
+def _size(value: object, where: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 100_000:
+        raise InputError(where, f"{str(value)[:40]}, expected pixels, a whole number from 1 to 100000")
+    return value
+
+
+def _numbers(value: object, shape: tuple[int, ...], where: str) -> FloatArray:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.zeros(0)
+    if array.shape != shape or not np.isfinite(array).all() or np.abs(array).max() > 1e12:
+        expected = " x ".join(map(str, shape))
+        raise InputError(where, f"{str(value)[:60]}, expected {expected} finite numbers")
+    return array
+
+
+def _rotation(value: object, where: str) -> FloatArray:
+    matrix = _numbers(value, (3, 3), where)
+    U, _, Vt = np.linalg.svd(matrix)
+    nearest = U @ Vt
+    if np.abs(matrix - nearest).max() > _TURNED or not math.isclose(np.linalg.det(nearest), 1.0, abs_tol=0.5):
+        raise InputError(where, "is no rotation, expected rows of unit length at right angles, not mirrored")
+    return np.asarray(nearest)

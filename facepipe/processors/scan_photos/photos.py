@@ -1,0 +1,138 @@
+"""The photos of a folder, upright, at the resolution that is used."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.processors.scan_photos.options import FEWEST_PHOTOS
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+_EXIF, _FOCAL_35 = 0x8769, 0xA405  # the IFD of the camera's settings; focal length as on 36 x 24 mm film
+_FILM = 36.0  # mm
+_FOCALS = (4.0, 2000.0)  # mm: what lenses have
+_SMALLEST = 64  # pixels a side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """One photo as it is used."""
+
+    name: str  # of its file
+    pixels: npt.NDArray[np.uint8]  # (h, w, 3) sRGB, upright
+    full_size: tuple[int, int]  # width and height of the file's picture, upright
+    focal: float | None = None  # pixels of `pixels`, from EXIF
+    mask: npt.NDArray[np.bool_] | None = None  # (h, w) what shows the person
+
+    @property
+    def width(self) -> int:
+        """Pixels across, as used."""
+        return int(self.pixels.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Pixels down, as used."""
+        return int(self.pixels.shape[0])
+
+
+def photo_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Files that are photos by their suffix, by name; and the names of other files, but for hidden ones.
+
+    :raises InputError: no folder, or fewer than 5 photos in it
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "is no folder, expected a folder of photos")
+    files = sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+    photos = [one for one in files if one.suffix.lower() in SUFFIXES]
+    if len(photos) < FEWEST_PHOTOS:
+        raise InputError(folder, f"{len(photos)} photos ({' '.join(SUFFIXES)}), expected {FEWEST_PHOTOS} or more")
+    return photos, [one.name for one in files if one not in photos]
+
+
+def read_photos(files: list[Path], most: int, masks: Path | None = None) -> list[Photo]:
+    """The photos, none of them with a side above `most` pixels.
+
+    :param masks: a folder with an image for each photo, white where the person is: ``NAME.png`` for ``NAME.jpg``
+    :raises InputError: a file that is no image or too small, a mask that is missing or of another size
+    """
+    if masks is not None and not masks.is_dir():
+        raise InputError(masks, "is no folder, expected a folder of masks")
+    return [_read(file, most, masks) for file in files]
+
+
+def _read(file: Path, most: int, masks: Path | None) -> Photo:
+    image, film = _image(file)
+    full = image.size
+    if min(full) < _SMALLEST:
+        raise InputError(file, f"{full[0]} x {full[1]} pixels, expected at least {_SMALLEST} a side")
+    size = _fitting(full, most)
+    small = image if size == full else image.resize(size, resample=5, reducing_gap=3.0)  # 5: area average
+    return Photo(
+        name=file.name,
+        pixels=np.array(small, dtype=np.uint8),
+        full_size=full,
+        focal=None if film is None else film / _FILM * max(size),
+        mask=None if masks is None else _mask(file, masks, full, size),
+    )
+
+
+def _fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
+    shrink = min(1.0, most / max(size))
+    return max(1, round(size[0] * shrink)), max(1, round(size[1] * shrink))
+
+
+def _image(file: Path) -> tuple[Image, float | None]:
+    """The picture, upright, and its focal length on 36 mm film where EXIF tells."""
+    from PIL import Image, ImageOps
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # photos have many pixels
+            with Image.open(file) as opened:
+                film = _film_focal(opened)
+                upright = ImageOps.exif_transpose(opened)
+                return _eight_bit(upright), film
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(file, f"can't be read as an image: {error}") from error
+
+
+def _eight_bit(image: Image) -> Image:
+    """RGB of 8 bits; grey ones of 16 bits are not cut off at 255."""
+    from PIL import Image
+
+    if image.mode.startswith("I"):
+        values = np.clip(np.asarray(image, dtype=np.float64) / 257.0 + 0.5, 0, 255)
+        return Image.fromarray(values.astype(np.uint8)).convert("RGB")
+    return image.convert("RGB")
+
+
+def _film_focal(image: Image) -> float | None:
+    try:
+        value = float(image.getexif().get_ifd(_EXIF).get(_FOCAL_35, 0))
+    except (TypeError, ValueError, ZeroDivisionError, OSError, SyntaxError):
+        return None  # settings that can't be read are no reason to refuse a picture
+    return value if math.isfinite(value) and _FOCALS[0] <= value <= _FOCALS[1] else None
+
+
+def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    names = (file.name, f"{file.stem}.png", f"{file.name}.png")
+    found = next((masks / name for name in names if (masks / name).is_file()), None)
+    if found is None:
+        raise InputError(masks / f"{file.stem}.png", f"is missing, expected a mask for {file.name}")
+    image, _ = _image(found)
+    if image.size != full:
+        raise InputError(found, f"{image.size[0]} x {image.size[1]} pixels, expected the photo's {full[0]} x {full[1]}")
+    mask = np.asarray(image.convert("L").resize(size, resample=0)) > 127
+    if not mask.any():
+        raise InputError(found, "is black all over, expected white where the person is")
+    return np.asarray(mask)

@@ -1,0 +1,184 @@
+"""Scan from photos: photos of one expression in, a coloured surface, its cameras and landmarks out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.processors.scan_photos.camera import PhotoCamera
+from facepipe.processors.scan_photos.cameras_file import Cameras
+from facepipe.processors.scan_photos.cloud import make_cloud
+from facepipe.processors.scan_photos.depth import depth_maps
+from facepipe.processors.scan_photos.landmarks import landmark_sightings, place_landmarks
+from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
+from facepipe.processors.scan_photos.photos import Photo, photo_files, read_photos
+from facepipe.processors.scan_photos.placement import scale_of_markers, upright
+from facepipe.processors.scan_photos.report import ScanPhotosReport
+from facepipe.processors.scan_photos.structure import Structure, find_structure
+from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_subject
+from facepipe.processors.scan_photos.surface import make_surface
+from facepipe.processors.scan_photos.triangulation import FloatArray, Sightings, triangulate_all
+from facepipe.scans import Scan, ScanLandmarks
+
+Step = Callable[[str, int], None]
+_MARKED = 0.006  # of a photo's longer side: how far a marker may be from where it was seen
+
+
+def no_step(name: str, total: int) -> None:
+    """Progress that nobody watches."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoScan:
+    """What photos gave."""
+
+    scan: Scan
+    cameras: Cameras  # of the photos that were used, full size
+    landmarks: ScanLandmarks
+    report: ScanPhotosReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPhotos:
+    """Makes a scan of a folder of photos, taken at one moment from around a face (document S11, S12).
+
+    :raises InputError: the distance between two markers is not above 0
+    """
+
+    options: ScanPhotosOptions = field(default_factory=ScanPhotosOptions)
+    cameras: Cameras | None = None  # known ones; None: found from the photos
+    markers: Sightings = field(default_factory=dict)
+    marker_distance: tuple[str, str, float] | None = None  # two markers and the millimetres between them
+    masks: Path | None = None  # folder of masks
+
+    def __post_init__(self) -> None:
+        if self.marker_distance is not None:
+            distance = self.marker_distance[2]
+            if not (math.isfinite(distance) and distance > 0):
+                raise InputError("marker distance", f"{distance} mm, expected a length above 0")
+            if self.cameras is not None:
+                raise InputError("marker distance", "given with cameras, which have a scale, expected one of them")
+
+    def __call__(self, folder: Path, step: Step = no_step) -> PhotoScan:
+        """The scan of the photos in `folder`.
+
+        :param step: called with the name of the work and its count of steps, before each one
+        :raises InputError: too few photos, one that can't be read, masks or cameras that don't fit, a library missing
+        :raises FitError: too few photos could be placed, or they don't agree on a surface
+        """
+        start = time.perf_counter()
+        files, others = photo_files(folder)
+        photos = read_photos(files, self.options.pixels, self.masks)
+        warnings = [f"{name} is no photo and was left out" for name in others if not name.endswith(".json")]
+        step("cameras", 1)
+        known = None if self.cameras is None else _known(self.cameras, photos, folder)
+        structure = find_structure(photos, self.options, known)
+        made = self._scan(folder.name, [one for one in photos if one.name in structure.cameras], structure, step)
+        unused = tuple(one.name for one in photos if one.name not in structure.cameras)
+        if unused:
+            reason = "have no known camera" if known is not None else "could not be placed"
+            warnings.append(f"{len(unused)} of {len(photos)} photos {reason}: {', '.join(unused[:8])}")
+        report = replace(
+            made.report,
+            photos_unused=unused,
+            warnings=(*warnings, *made.report.warnings),
+            seconds=time.perf_counter() - start,
+        )
+        return replace(made, report=report)
+
+    def _scan(self, name: str, photos: list[Photo], structure: Structure, step: Step) -> PhotoScan:
+        subject, structure = find_subject(structure)
+        markers, lost = self._markers(photos, structure)
+        if self.cameras is None:
+            structure, subject = self._placed(structure, subject, markers)
+            markers, lost = self._markers(photos, structure)
+        cameras = [structure.cameras[one.name] for one in photos]
+        pairs = choose_pairs(structure, subject, self.options.neighbours)
+        maps = depth_maps(
+            photos,
+            structure,
+            pairs,
+            self.options.agreement,
+            self.options.texture,
+            lambda: step("depth", len(pairs)),
+        )
+        cloud, apart = make_cloud(photos, cameras, maps, subject, self.options, lambda: step("points", len(photos)))
+        step("surface", 1)
+        scan = make_surface(cloud, name, gap=self.options.gap, smallest=self.options.smallest)
+        landmarks = ScanLandmarks(markers=markers)
+        if self.options.landmarks:
+            sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
+            landmarks = replace(landmarks, points=place_landmarks(sightings, structure.cameras, scan))
+        report = ScanPhotosReport(
+            photos_used=tuple(one.name for one in photos),
+            cameras="found" if self.cameras is None else "given",
+            unit=self._unit,
+            reprojection_px=structure.error,
+            matched_points=len(structure.points),
+            pairs=len(pairs),
+            spacing=cloud.spacing,
+            dense_points=len(cloud.points),
+            consistency=apart,
+            consistency_px=apart / cloud.spacing * self.options.spacing,
+            points=len(scan.points),
+            triangles=len(scan.triangles),
+            landmarks=int(landmarks.known.sum()),
+            markers=len(markers),
+            warnings=tuple(f"marker {one}: fewer than 2 photos show it at one place" for one in lost),
+        )
+        full = {one.name: structure.cameras[one.name].scaled(*one.full_size) for one in photos}
+        return PhotoScan(scan=scan, cameras=Cameras(cameras=full, unit=self._unit), landmarks=landmarks, report=report)
+
+    @property
+    def _unit(self) -> str | None:
+        if self.cameras is not None:
+            return self.cameras.unit
+        return "mm" if self.marker_distance is not None else None
+
+    def _placed(
+        self, structure: Structure, subject: Subject, markers: Mapping[str, FloatArray]
+    ) -> tuple[Structure, Subject]:
+        """Upright, and in millimetres where two markers tell."""
+        if self.marker_distance is None:
+            return upright(structure, subject, self.options.radius)
+        radius = subject.radius * scale_of_markers(markers, self.marker_distance)
+        return upright(structure, subject, radius)
+
+    def _markers(self, photos: list[Photo], structure: Structure) -> tuple[dict[str, FloatArray], list[str]]:
+        """Markers in space, and the names of those without a place."""
+        sizes = {one.name: np.array([one.width, one.height]) / one.full_size for one in photos}
+        seen = {
+            photo: {name: place * sizes[photo] for name, place in one.items()}
+            for photo, one in self.markers.items()
+            if photo in sizes
+        }
+        size = float(np.median([max(one.width, one.height) for one in photos]))
+        found = triangulate_all(seen, structure.cameras, _MARKED * size, 2)
+        return found, sorted({name for one in self.markers.values() for name in one} - set(found))
+
+
+def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, PhotoCamera]:
+    """The cameras of the photos as they are used.
+
+    :raises InputError: fewer than 5 photos have one, or one is of another size than its photo
+    """
+    found = {}
+    for photo in photos:
+        camera = cameras.cameras.get(photo.name)
+        if camera is None:
+            continue
+        if (camera.width, camera.height) != photo.full_size:
+            size = f"{photo.full_size[0]} x {photo.full_size[1]}"
+            raise InputError(
+                folder / photo.name, f"{size} pixels, expected {camera.width} x {camera.height} of its camera"
+            )
+        found[photo.name] = camera.scaled(photo.width, photo.height)
+    if len(found) < FEWEST_PHOTOS:
+        raise InputError(folder, f"{len(found)} photos have a known camera, expected {FEWEST_PHOTOS} or more")
+    return found

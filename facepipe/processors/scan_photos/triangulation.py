@@ -1,0 +1,110 @@
+"""Places in space from their pixels in several photos, some of them wrong: markers and landmarks.
+
+Document S11: painted markers follow the skin from expression to expression.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.processors.scan_photos.camera import PhotoCamera
+from facepipe.reading import read_json_object
+
+FloatArray = npt.NDArray[np.floating]
+Sightings = Mapping[str, Mapping[str, FloatArray]]  # photo -> what -> (2,) pixels of the upright photo, full size
+
+_LARGEST_FILE = 64_000_000  # bytes
+_WIDE = np.cos(np.radians(3.0))  # rays closer together than this say little about depth
+
+
+def read_markers(path: Path) -> dict[str, dict[str, FloatArray]]:
+    """``{"photos": {"front.jpg": {"chin": [x, y], ...}, ...}}``: pixels of the upright photo, from its top left corner.
+
+    :raises InputError: not readable, or another content
+    """
+    photos = read_json_object(path, _LARGEST_FILE).get("photos")
+    if not isinstance(photos, dict):
+        raise InputError(f"{path} -> photos", "expected an object of markers by the names of photos")
+    found: dict[str, dict[str, FloatArray]] = {}
+    for photo, markers in photos.items():
+        if not isinstance(markers, dict):
+            raise InputError(f"{path} -> {photo[:80]}", "expected an object of places by the names of markers")
+        found[photo] = {name: _pixel(one, f"{path} -> {photo[:80]} -> {name[:80]}") for name, one in markers.items()}
+    return found
+
+
+def _pixel(value: object, where: str) -> FloatArray:
+    numbers = isinstance(value, list) and len(value) == 2 and all(type(one) in (int, float) for one in value)
+    if not numbers or not np.isfinite(place := np.array(value, dtype=np.float64)).all():
+        raise InputError(where, f"{str(value)[:40]}, expected [x, y] in pixels")
+    return np.asarray(place)
+
+
+def triangulate_all(
+    sightings: Sightings, cameras: Mapping[str, PhotoCamera], tolerance: float, least: int
+) -> dict[str, FloatArray]:
+    """Name -> (3,) place of what `least` photos or more agree on, by name.
+
+    :param sightings: in pixels of the cameras' photos
+    :param tolerance: pixels
+    """
+    names = sorted({name for one in sightings.values() for name in one})
+    found = {}
+    for name in names:
+        photos = [one for one in sorted(cameras) if name in sightings.get(one, {})]
+        pixels = np.array([sightings[one][name] for one in photos])
+        place = triangulate([cameras[one] for one in photos], pixels, tolerance, least)
+        if place is not None:
+            found[name] = place
+    return found
+
+
+def triangulate(
+    cameras: Sequence[PhotoCamera], pixels: FloatArray, tolerance: float, least: int = 2
+) -> FloatArray | None:
+    """(3,) the place that shows within `tolerance` pixels of most `pixels` (k, 2); None: fewer than `least` agree.
+
+    Every two photos propose a place (all of them, so that nothing is left to chance); that of most agreement, and
+    then of the smallest error, wins and is fitted to the photos that agree.
+    """
+    if len(cameras) < max(least, 2):
+        return None
+    eyes = np.array([one.eye for one in cameras])
+    rays = np.concatenate([_ray(one, pixel) for one, pixel in zip(cameras, pixels, strict=True)])
+    best: tuple[int, float] = (0, 0.0)
+    chosen = None
+    for pair in itertools.combinations(range(len(cameras)), 2):
+        if rays[pair[0]] @ rays[pair[1]] > _WIDE:
+            continue
+        error = _errors(cameras, pixels, _nearest(eyes[list(pair)], rays[list(pair)]))
+        agree = error <= tolerance
+        rank = (int(agree.sum()), -float(error[agree].sum()))
+        if rank > best:
+            best, chosen = rank, agree
+    if chosen is None or best[0] < least:
+        return None
+    return _nearest(eyes[chosen], rays[chosen])
+
+
+def _ray(camera: PhotoCamera, pixel: FloatArray) -> FloatArray:
+    """(1, 3) unit vector in scan coordinates."""
+    ray = np.append(camera.rays(pixel[None])[0], 1.0) @ camera.rotation
+    return np.asarray(ray / np.linalg.norm(ray))[None]
+
+
+def _nearest(eyes: FloatArray, rays: FloatArray) -> FloatArray:
+    """(3,) the point nearest to lines from `eyes` (k, 3) along unit `rays` (k, 3)."""
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    return np.asarray(np.linalg.lstsq(across.sum(axis=0), np.einsum("kij,kj->i", across, eyes), rcond=None)[0])
+
+
+def _errors(cameras: Sequence[PhotoCamera], pixels: FloatArray, place: FloatArray) -> FloatArray:
+    """(k,) pixels between where a place shows and where it was seen; infinite behind a camera."""
+    shown = np.concatenate([one.project(place[None]) for one in cameras])
+    return np.asarray(np.nan_to_num(np.linalg.norm(shown - pixels, axis=1), nan=np.inf))
