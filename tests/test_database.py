@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +26,13 @@ from facepipe.processors.database import (
     DatabaseOptions,
     FaceDatabase,
     Quality,
+    Topology,
+    WholeFace,
     add_faces,
+    carried_mean,
     create_database,
     load_database,
+    predicted_shapes,
     quality_from,
     save_database,
     whole_face,
@@ -355,3 +361,84 @@ def test_a_refused_update_leaves_the_file_as_it_was(small: Path, tmp_path: Path)
         save_database(broken, path)
     assert path.read_bytes() == small.read_bytes()
     assert [one.name for one in tmp_path.iterdir()] == ["faces.fpdb"]
+
+
+SEEN = (
+    *("jawOpen", "mouthSmile_L", "mouthSmile_R", "browInnerUp_L", "browInnerUp_R", "browDown_L", "browDown_R"),
+    *("eyeBlink_L", "eyeBlink_R", "mouthPucker", "mouthFunnel", "cheekSquint_L", "cheekSquint_R", "noseSneer_L"),
+    *("noseSneer_R", "mouthFrown_L", "mouthFrown_R", "eyeSquint_L", "eyeSquint_R", "mouthLeft", "mouthRight"),
+)
+
+
+@pytest.mark.slow
+def test_seen_expressions_tell_how_an_actor_makes_others() -> None:
+    """Actors with their own ways: from 21 of 53 expressions the others come nearer than by neutral and mean."""
+    from scan_actors import Actor, ict
+
+    names, triangles = ict().names, ict().triangles
+    topology = Topology(
+        names=("Face",),
+        points=(len(ict().neutral),),
+        counts=(np.full(len(triangles), 3, np.int32),),
+        indices=(triangles.ravel().astype(np.int32),),
+    )
+
+    people = functools.cache(Actor)
+
+    @functools.cache
+    def actor(seed: int) -> WholeFace:
+        person = people(seed)
+        deltas = {name: person.shape(name).astype(np.float32) for name in names}
+        return WholeFace(name=f"a{seed}", topology=topology, points=person.neutral, deltas=deltas)
+
+    database = create_database([functools.partial(actor, seed) for seed in range(100, 124)]).database
+    actor.cache_clear()
+    people.cache_clear()
+    assert database.expressions is not None
+    hidden = [name for name in names if name not in SEEN]
+    rows = []
+    for seed in range(130, 136):
+        one, mean = actor(seed), database.expressions.shapes(np.zeros(23))
+        known = {name: one.points + one.deltas[name] for name in SEEN}
+        alone = database.expressions.shapes(database.expressions.identity_from_neutral(one.points))
+        plain = database.expressions.shapes(database.expressions.identity_from(known, one.points))
+        carried = dict(zip(names, carried_mean(database, one.points), strict=True))
+        generic = {name: people(seed).transferred(name) for name in hidden}
+        guesses = [dict(zip(names, found, strict=True)) for found in (mean, alone, plain)]
+        guesses += [carried, generic, predicted_shapes(database, one.points, known)]
+        rows.append([_missed(one, guess, hidden) for guess in guesses])
+    found = np.array(rows)
+    kinds = ("neutral + mean expression", "vector from the neutral", "vector from 21 expressions", "mean carried over")
+    for kind, (rms, face) in zip((*kinds, "generic transfer", "predicted"), found.mean(axis=0), strict=True):
+        print(f"{kind:28} {rms:.3f} of the RMS, {face:.3f} mm in the face")
+    mean, alone, plain, carried, generic, predicted = found.transpose(1, 0, 2)
+    assert (plain[:, 0] < mean[:, 0]).mean() > 0.8
+    assert plain[:, 0].mean() < 0.95 * mean[:, 0].mean()
+    assert (predicted < mean).all()
+    assert (predicted.mean(axis=0) < [0.9 * mean[:, 0].mean(), 0.85 * mean[:, 1].mean()]).all()
+    assert predicted[:, 0].mean() < 0.95 * carried[:, 0].mean()
+
+
+def _missed(face: WholeFace, guess: Mapping[str, np.ndarray], names: Sequence[str]) -> tuple[float, float]:
+    """RMS error over the RMS of the deltas, and mean distance in the face area, millimetres."""
+    own = np.stack([face.deltas[name] for name in names]).astype(np.float64)
+    off = np.stack([guess[name] for name in names]) - own
+    return float(np.sqrt(np.square(off).sum() / np.square(own).sum())), float(
+        np.linalg.norm(off, axis=2)[:, :9409].mean()
+    )
+
+
+def test_predicted_shapes_are_the_mean_s_on_the_mean_face() -> None:
+    database = create_database(sources(5), EXACT).database
+    assert database.expressions is not None
+    mean = database.expressions.shapes(np.zeros(4))
+    neutral = database.expressions.neutral(np.zeros(4))
+    carried = carried_mean(database, neutral)
+    np.testing.assert_allclose(carried, mean, atol=0.05)
+    known = {name: neutral + delta for name, delta in zip(SHAPES, carried, strict=True)}
+    for name, delta in predicted_shapes(database, neutral, known).items():
+        np.testing.assert_allclose(delta, carried[SHAPES.index(name)], atol=1e-6)
+    with pytest.raises(InputError, match="no expression 'wink'"):
+        predicted_shapes(database, neutral, {"wink": neutral})
+    with pytest.raises(InputError, match="has no expressions"):
+        predicted_shapes(create_database([source(0, shapes=()), source(1, shapes=())]).database, neutral)

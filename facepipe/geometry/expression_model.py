@@ -85,13 +85,16 @@ class ExpressionModel:
         """(r,) vector of the person whose neutral is (n, 3): document S14, from the neutral row and the core."""
         return self.identity_from({}, neutral)
 
-    def identity_from(self, shapes: Mapping[str, FloatArray], neutral: FloatArray) -> FloatArray:
+    def identity_from(
+        self, shapes: Mapping[str, FloatArray], neutral: FloatArray, start: FloatArray | None = None
+    ) -> FloatArray:
         """(r,) vector of the person who has `neutral` (n, 3) and whose expressions have the points `shapes` (n, 3).
 
         The most likely one, where vectors are as spread as those of the people here, and points are off by Gaussian
         noise. How much of it in the neutral and in the expressions is what best predicts the expressions of each
         person here from the others: a neutral that tells little of how its owner smiles counts little.
 
+        :param start: (e, n, 3) deltas in the place of the mean person's, as for `shapes`
         :raises InputError: no expression of that name, or another number of points
         """
         rows = [0, *(1 + self._number(name) for name in shapes)]
@@ -104,8 +107,13 @@ class ExpressionModel:
         own[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations
         if shapes:
             offsets = np.stack([np.asarray(points, np.float64) - neutral for points in shapes.values()])
+            if start is not None:
+                offsets -= start[[row - 1 for row in rows[1:]]]
             own[1:, size:] = coefficients_in(self.basis, offsets)
-        return self._most_likely(rows, own - self.mean[rows])
+        mean = self.mean[rows].copy()
+        if start is not None:
+            mean[1:] = 0.0
+        return self._most_likely(rows, own - mean)
 
     def neutral(self, vector: FloatArray) -> FloatArray:
         """(n, 3) neutral of a vector (r,)."""
@@ -113,9 +121,18 @@ class ExpressionModel:
         lengths = self.mean[0, :size] + np.tensordot(vector, self._maps[:, 0, :size], axes=1)
         return np.asarray(self.identity.mean + np.tensordot(lengths, self.identity.components, axes=1))
 
-    def shapes(self, vector: FloatArray) -> FloatArray:
-        """(e, n, 3) deltas of all expressions from the neutral, for a vector (r,), in the order of `names`."""
-        return np.stack([self.shape(vector, name) for name in self.names])
+    def shapes(self, vector: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """(e, n, 3) deltas of all expressions from the neutral, for a vector (r,), in the order of `names`.
+
+        :param start: (e, n, 3) deltas in the place of the mean person's: what a vector of zeros gives, like the mean
+            person's expressions fitted to the shape of another face
+        """
+        found = np.stack([self.shape(vector, name) for name in self.names])
+        if start is not None:
+            nobody = np.zeros(self.vectors.shape[1])
+            for number, name in enumerate(self.names):
+                found[number] += start[number] - self.shape(nobody, name)
+        return found
 
     def shape(self, vector: FloatArray, name: str) -> FloatArray:
         """(n, 3) delta of one expression from the neutral, for a vector (r,).
@@ -137,23 +154,26 @@ class ExpressionModel:
         return self.names.index(name)
 
     def _most_likely(self, rows: Sequence[int], off: FloatArray) -> FloatArray:
-        """(r,) vector of coordinates `off` (rows, k + q) from the mean's."""
-        groups = [list(rows[:1]), *([list(rows[1:])] if len(rows) > 1 else [])]
+        """(r,) vector of coordinates `off` (rows, k + q) from the mean's.
+
+        An expression that differs much between people is as much the less exact: noise is taken as a share of that.
+        """
+        spread = np.array([np.sqrt(np.square(self._flat([row])).sum()) for row in rows])
+        shares = np.divide(1.0, spread, out=np.zeros(len(rows)), where=spread > 0)
+        groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
+        maps = [self._flat(rows[group], shares[group]) for group in groups]
         wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        blocks = [self._of_people(group) for group in groups]
-        weights = trust([Block.of(block) for block in blocks], Block.of(self._of_people(wanted)))
+        blocks = [Block.of(self.vectors @ one) for one in maps]
+        weights = trust(blocks, Block.of(self.vectors @ self._flat(wanted)))
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
-        for group, weight in zip(groups, weights, strict=True):
-            maps = self._flat(group)
-            normal += weight * maps @ maps.T
-            right += weight * maps @ off[[rows.index(row) for row in group]].ravel()
+        for group, one, weight in zip(groups, maps, weights, strict=True):
+            normal += weight * one @ one.T
+            right += weight * one @ (shares[group, None] * off[group]).ravel()
         return np.asarray(np.linalg.solve(normal, right))
 
-    def _of_people(self, rows: Sequence[int]) -> FloatArray:
-        """(m, rows (k + q)) coordinates of the people here from the mean's, of some rows."""
-        return np.asarray(self.vectors @ self._flat(rows))
-
-    def _flat(self, rows: Sequence[int]) -> FloatArray:
-        """(r, rows (k + q)) what each number of a vector adds to some rows."""
+    def _flat(self, rows: Sequence[int], shares: FloatArray | None = None) -> FloatArray:
+        """(r, rows (k + q)) what each number of a vector adds to some rows, each times its share."""
         maps = self._maps[:, list(rows)]
+        if shares is not None:
+            maps = maps * shares[:, None]
         return maps.reshape(len(maps), len(rows) * maps.shape[2])

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
 
-_NOTHING = 1e-9  # of the largest singular value: rounding, no direction
+_NOTHING = 1e-7  # of the largest singular value: rounding to float32, no direction
 
 
 class Tucker(NamedTuple):

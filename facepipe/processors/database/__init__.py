@@ -3,6 +3,7 @@
 from facepipe.processors.database.create import AddOptions, DatabaseOptions, Made, add_faces, create_database
 from facepipe.processors.database.database_file import check_suffix, load_database, save_database
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
+from facepipe.processors.database.predict import carried_mean, predicted_shapes
 from facepipe.processors.database.quality import Quality, QualityLimits, misses, quality_from
 from facepipe.processors.database.whole_face import Topology, WholeFace, whole_face, whole_points
 
@@ -19,10 +20,12 @@ __all__ = [
     "Update",
     "WholeFace",
     "add_faces",
+    "carried_mean",
     "check_suffix",
     "create_database",
     "load_database",
     "misses",
+    "predicted_shapes",
     "quality_from",
     "save_database",
     "whole_face",

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import TopologyError
+from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
 from facepipe.rig import mesh_spaces
@@ -43,6 +44,13 @@ class Topology:
     def point_count(self) -> int:
         """Whole points."""
         return sum(self.points)
+
+    @property
+    def triangles(self) -> IntArray:
+        """(t, 3) whole points of the triangles of all meshes."""
+        starts = np.cumsum([0, *self.points])[:-1]
+        pairs = zip(starts, self.counts, self.indices, strict=True)
+        return np.concatenate([start + point_triangles(counts, indices) for start, counts, indices in pairs])
 
     @property
     def digest(self) -> str:
