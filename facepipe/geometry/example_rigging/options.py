@@ -50,7 +50,7 @@ class SplitOptions:
         },
     )
     detail: float = field(
-        default=0.1,
+        default=0.2,
         metadata={
             "help": "spread of what gains and turns don't hold, as a share of the template's motion; larger follows "
             "the scans more closely, and their errors too",
