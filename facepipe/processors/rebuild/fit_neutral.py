@@ -1,0 +1,199 @@
+"""The actor's neutral from its scan, an identity model and a smooth residual (document S13)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.flips import flipped_triangles
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.geometry.mirrored import mirrored
+from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
+from facepipe.geometry.robust_similarity import robust_similarity
+from facepipe.geometry.similarity import Similarity
+from facepipe.options import check_ranges
+from facepipe.processors.database import FaceDatabase, Quality
+from facepipe.processors.rebuild.scan_fit import UNITS, ScanFit, scan_fit, scan_target, unit_of
+from facepipe.processors.rebuild.template import Template
+from facepipe.reports import Report
+from facepipe.scans import Scan, ScanLandmarks
+
+FloatArray = npt.NDArray[np.floating]
+
+_FEWEST_LANDMARKS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitNeutralOptions:
+    """How a neutral is fitted.
+
+    :raises InputError: a number out of range
+    """
+
+    unit: Literal["auto", "mm", "cm", "m", "in"] = field(
+        default="auto",
+        metadata={
+            "help": "unit of the scan: auto fits the size with the rest, a unit holds it",
+            "choices": ("auto", *UNITS),
+        },
+    )
+    prior: float = field(
+        default=0.1,
+        metadata={
+            "help": "weight of the squared identity coefficients, in standard deviations, against the scan",
+            "range": (1e-6, 1e9),
+        },
+    )
+    membrane: float = field(
+        default=3.0,
+        metadata={"help": "stiffness of what the identity model can't show", "range": (1e-6, 1e9)},
+    )
+    landmark_sigma_mm: float = field(
+        default=0.16,
+        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
+    )
+    reach_mm: float = field(
+        default=4.0,
+        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def registration(self) -> RegistrationOptions:
+        """The same for the solver."""
+        return RegistrationOptions(
+            membrane=self.membrane,
+            anchor_sigma_mm=self.landmark_sigma_mm,
+            reach_mm=self.reach_mm,
+            scale=self.unit == "auto",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeutralReport(Report):
+    """How a neutral lies on its scan."""
+
+    fit: ScanFit
+    quality: Quality  # what a database asks for
+    coefficients: tuple[float, ...]  # of the identity model, in standard deviations
+    residual_mean_mm: float  # what the model could not show, over the face area
+    residual_max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeutralFit:
+    """An actor's neutral."""
+
+    points: FloatArray  # (n, 3) whole points, in the template's place
+    place: Similarity  # from the scan's coordinates to those
+    report: NeutralReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitNeutral:
+    """Identity coefficients, the scan's place and size, and a smooth residual, solved together on matches that are
+    renewed from step to step.
+
+    The document (S13) solves them one after another; what the model can't show then bends its coefficients, and leaves
+    0.1 mm more. Points that no scan shows (back of the mouth, eyeballs, teeth) follow the model and the skin around.
+    """
+
+    options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+
+    def __call__(
+        self,
+        template: Template,
+        scan: Scan,
+        landmarks: ScanLandmarks,
+        database: FaceDatabase,
+        progress: Callable[[int], None] = lambda step: None,
+    ) -> NeutralFit:
+        """Fit the neutral.
+
+        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, or a scan that can't be used
+        :raises TopologyError: a database of another topology
+        :raises FitError: a scan that does not show this face
+        """
+        if database.topology.digest != template.topology.digest:
+            raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
+        marks = template.rows[template.landmarks]
+        start, warnings = self._start(scan, landmarks, database.identity.mean[marks])
+        target, mended = scan_target(scan)
+        surface = _surface(template, database.identity, self.options)
+        names = tuple(f"landmark {number}" for number in range(1, 69))
+        anchors = Anchors.at_points(template.landmarks, landmarks.points, names)
+        found = register(surface, target, anchors, start, self.options.registration, progress)
+        model = database.identity.points(found.coefficients)
+        points = template.whole(model, found.points)
+        fit = scan_fit(scan.name, found, template.face, anchors.names)
+        off = np.linalg.norm(found.residual[template.face], axis=1)
+        report = NeutralReport(
+            fit=fit,
+            quality=_quality(fit, template, points),
+            coefficients=tuple(float(one) for one in found.coefficients),
+            residual_mean_mm=float(off.mean()) if len(off) else 0.0,
+            residual_max_mm=float(off.max(initial=0.0)),
+            warnings=(*scan.warnings, *mended, *warnings, *_said(scan.name, fit)),
+        )
+        return NeutralFit(points=points, place=found.place, report=report)
+
+    def _start(self, scan: Scan, landmarks: ScanLandmarks, reference: FloatArray) -> tuple[Similarity, tuple[str, ...]]:
+        """About where the scan lies, by its landmarks."""
+        known = landmarks.known
+        where = f"{scan.name} -> landmarks"
+        if known.sum() < _FEWEST_LANDMARKS:
+            raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
+        if mirrored(landmarks.points[known], reference[known]):
+            raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
+        free = robust_similarity(landmarks.points[known], reference[known])
+        if self.options.unit == "auto":
+            return free, ()
+        size = UNITS[self.options.unit]
+        if abs(free.scale / size - 1.0) > 0.3:
+            told = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
+            raise InputError(scan.name, f"is said to be in {self.options.unit}, but has the size of a face in {told}")
+        held = robust_similarity(landmarks.points[known] * size, reference[known], scale=False)
+        return replace(held, scale=size), ()
+
+
+def _surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
+    modes = identity.components[:, template.rows] * identity.deviations[:, None, None]
+    return DeformableSurface(
+        base=identity.mean[template.rows],
+        modes=modes,
+        expected=np.zeros(len(modes)),
+        precision=np.full(len(modes), options.prior),
+        triangles=template.triangles,
+        seen=template.seen,
+        held=np.zeros(len(template.rows)),
+        labels=template.labels,
+    )
+
+
+def _quality(fit: ScanFit, template: Template, points: FloatArray) -> Quality:
+    flipped = flipped_triangles(template.points, points, template.topology.triangles)
+    return Quality(
+        surface_mean_mm=fit.surface_mean_mm,
+        surface_p95_mm=fit.surface_p95_mm,
+        coverage=fit.coverage,
+        flipped_triangles=int(flipped.sum()),
+    )
+
+
+def _said(name: str, fit: ScanFit) -> tuple[str, ...]:
+    """What a user should know of the fit."""
+    lines = []
+    if fit.unit != "mm":
+        size = f"1 unit is {fit.mm_per_unit:.4g} mm"
+        lines.append(f"{name}: {size}, taken as {fit.unit}" if fit.unit else f"{name}: {size}, like no usual unit")
+    if fit.outliers:
+        some = ", ".join(fit.outliers[:6]) + (" ..." if len(fit.outliers) > 6 else "")
+        lines.append(f"{name}: {len(fit.outliers)} landmarks lie off and don't count: {some}")
+    return tuple(lines)

@@ -1,0 +1,131 @@
+"""The template of a rebuild: a face stage's surface, and what of it a scan can show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.grouping import group_sums
+from facepipe.geometry.polygons import components
+from facepipe.geometry.similarity import fit_similarities
+from facepipe.geometry.visibility import seen_from_outside
+from facepipe.parts import FaceParts
+from facepipe.processors.database.whole_face import Topology, whole_points
+from facepipe.processors.skin.slits import slits_of
+from facepipe.processors.skin.surface import Surface, surface_of
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+_LIP = 0.35  # of a slit's width: so far from its rims, points are told as of the upper or lower lip or lid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Template:
+    """n whole points of a face, and m rows of its skin: the part that the landmarks lie on, cuts sewn."""
+
+    where: str
+    parts: FaceParts
+    topology: Topology
+    points: FloatArray  # (n, 3) whole points, millimetres
+    rows: IntArray  # (m,) a whole point of each row
+    row_of: IntArray  # (n,) row of each whole point, -1 on loose parts
+    triangles: IntArray  # (t, 3) of rows
+    landmarks: IntArray  # (68,) rows
+    labels: IntArray  # (m,) +a and -a are the upper and lower side of a slit, 0 neither
+
+    @classmethod
+    def of(cls, parts: FaceParts, where: str) -> Template:
+        """A face stage as a template.
+
+        :raises InputError: no ``multipie68`` landmarks, or no surface at them
+        """
+        surface = surface_of(parts, where)
+        if surface.landmarks is None:
+            raise InputError(where, "has no multipie68 landmarks, expected 68 (facepipe landmarks)")
+        row_of_sewn = np.full(len(surface.points), -1)
+        row_of_sewn[surface.inside] = np.arange(len(surface.inside))
+        first = np.unique(surface.group, return_index=True)[1]
+        return cls(
+            where=where,
+            parts=parts,
+            topology=Topology.of(parts),
+            points=whole_points(parts),
+            rows=first[surface.inside],
+            row_of=row_of_sewn[surface.group],
+            triangles=surface.part_triangles(surface.inside),
+            landmarks=row_of_sewn[surface.landmarks],
+            labels=_labels(surface)[surface.inside],
+        )
+
+    @cached_property
+    def seen(self) -> IntArray:
+        """Rows that a scan from outside can show, ascending."""
+        return np.flatnonzero(seen_from_outside(self.points, self.topology.triangles)[self.rows])
+
+    @cached_property
+    def face(self) -> BoolArray:
+        """(m,) rows of the face area: seen ones in front, from below the chin to above the brows, as landmarks say."""
+        marks = self.points[self.rows[self.landmarks]]
+        places = self.points[self.rows]
+        width = float(np.ptp(marks[:17, 0]))
+        height = float(marks[17:27, 1].max() - marks[:17, 1].min())
+        middle = marks.mean(axis=0)
+        within = np.abs(places[:, 0] - middle[0]) <= 0.55 * width
+        within &= (places[:, 1] <= marks[17:27, 1].max() + 0.3 * height) & (places[:, 1] >= marks[:17, 1].min())
+        within &= places[:, 2] >= marks[[0, 16], 2].mean()
+        found = np.zeros(len(self.rows), bool)
+        found[self.seen] = within[self.seen]
+        return found
+
+    @cached_property
+    def loose(self) -> IntArray:
+        """Whole points of loose parts: eyeballs, teeth, lashes."""
+        return np.flatnonzero(self.row_of < 0)
+
+    def whole(self, base: FloatArray, points: FloatArray) -> FloatArray:
+        """(n, 3) whole points where the skin has moved to `points` (m, 3) from what it is on `base` (n, 3).
+
+        Loose parts keep their shape: each goes with the skin nearest to it, by the similarity that fits best.
+        """
+        moved = points - base[self.rows]
+        result = np.array(base, np.float64)
+        skin = self.row_of >= 0
+        result[skin] = points[self.row_of[skin]]
+        if len(self.loose):
+            from scipy.spatial import cKDTree
+
+            _, near = cKDTree(base[self.rows]).query(base[self.loose])
+            result[self.loose] = self._carried(base[self.loose], moved[near])
+        return result
+
+    def _carried(self, points: FloatArray, moves: FloatArray) -> FloatArray:
+        """(l, 3) loose points, each part moved and turned as a whole."""
+        counts = np.bincount(self._pieces)
+        mean = group_sums(self._pieces, moves, len(counts)) / counts[:, None]
+        if len(points) < 3:
+            return np.asarray(points + moves)
+        fitted = fit_similarities(points, points + moves, self._pieces, scale=False).apply(points, self._pieces)
+        return np.asarray(np.where((counts > 2)[self._pieces, None], fitted, points + mean[self._pieces]))
+
+    @cached_property
+    def _pieces(self) -> IntArray:
+        """(l,) number of the connected part that each loose point belongs to."""
+        triangles = self.topology.triangles
+        pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+        part = components(len(self.points), pairs)[self.loose]
+        return np.unique(part, return_inverse=True)[1].ravel()
+
+
+def _labels(surface: Surface) -> IntArray:
+    """(m,) of the sewn points."""
+    labels = np.zeros(len(surface.points), np.int64)
+    for number, slit in enumerate(slits_of(surface), start=1):
+        near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
+        labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
+    return labels
