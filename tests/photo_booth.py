@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from PIL import Image
 from scan_actors import ict
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_normals
@@ -154,3 +156,24 @@ def take_photos(folder: Path, points: FloatArray, cameras: dict[str, PhotoCamera
     folder.mkdir(parents=True, exist_ok=True)
     for number, (name, camera) in enumerate(cameras.items()):
         Image.fromarray(photograph(points, camera, seed=number)).save(folder / name)
+
+
+def noise_photos(folder: Path, count: int, size: tuple[int, int] = (96, 64), **settings: Any) -> list[Path]:
+    """Photos that have nothing to do with each other."""
+    folder.mkdir(exist_ok=True)
+    files = []
+    for number in range(count):
+        pixels = np.random.default_rng(number).integers(0, 255, (size[1], size[0], 3), np.uint8)
+        files.append(folder / f"{number}.png")
+        Image.fromarray(pixels).save(files[-1], **settings)
+    return files
+
+
+def camera_at(eye: FloatArray, roll: float = 0.0, **changes: Any) -> PhotoCamera:
+    """A camera at `eye` (3,) that looks at the origin."""
+    ahead = -eye / np.linalg.norm(eye)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    rotation = Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ np.stack([right, np.cross(ahead, right), ahead])
+    known = {"width": 640, "height": 800, "focal": (1500.0, 1510.0), "center": (322.0, 396.0)}
+    return PhotoCamera(**(known | changes), rotation=rotation, translation=-rotation @ eye)

@@ -49,20 +49,22 @@ def depth_maps(
     """
     cameras = list(structure.cameras.values())
     found: list[list[FloatArray]] = [[] for _ in cameras]
-    rays = [pixel_rays(camera) for camera in cameras]
-    for a, b in pairs:
+    maps = [np.full((camera.height, camera.width), np.nan, np.float32) for camera in cameras]
+    last = {camera: number for number, pair in enumerate(pairs) for camera in pair}
+    for number, (a, b) in enumerate(pairs):
         step()
         pair, swapped = rectify(cameras[a], cameras[b], structure.points)
         left, right = (b, a) if swapped else (a, b)
         both = disparities(pair, photos[left].pixels, photos[right].pixels)
         for camera, view, disparity in zip((left, right), (pair.left, pair.right), both, strict=True):
-            found[camera].append(depth_map(pair, view, disparity, rays[camera]).astype(np.float32))
-    merged = [_merged(one, agreement / camera.focal[0]) for one, camera in zip(found, cameras, strict=True)]
-    shapes = [(camera.height, camera.width) for camera in cameras]
-    return [
-        np.where(_usable(photo, texture), one.reshape(shape), np.float32(np.nan))
-        for one, shape, photo in zip(merged, shapes, photos, strict=True)
-    ]
+            depth = depth_map(pair, view, disparity, pixel_rays(cameras[camera]))
+            found[camera].append(depth.astype(np.float32))
+            if last[camera] == number:  # merged as soon as all are there: together they are large
+                merged = _merged(found[camera], agreement / cameras[camera].focal[0])
+                known = merged.reshape(maps[camera].shape)
+                maps[camera] = np.where(_usable(photos[camera], texture), known, np.float32(np.nan))
+                found[camera] = []
+    return maps
 
 
 def pixel_rays(camera: PhotoCamera) -> FloatArray:
@@ -91,8 +93,6 @@ def _merged(found: Sequence[FloatArray], share: float) -> FloatArray:
 
     A single depth stands where no other is known.
     """
-    if not found:
-        return np.zeros(0, np.float32)
     stack = np.stack(found)
     best, votes = np.full(stack.shape[1], np.nan, np.float32), np.zeros(stack.shape[1], np.int64)
     known = np.isfinite(stack).sum(axis=0)

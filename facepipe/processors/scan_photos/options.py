@@ -76,7 +76,7 @@ class ScanPhotosOptions:
         },
     )
     radius: float = field(
-        default=150.0,
+        default=250.0,
         metadata={
             "help": "of the ball that the cameras look at, where nothing tells the scale: about millimetres of a head",
             "range": (1e-6, 1e6),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from facepipe.processors.scan_photos.triangulation import FloatArray, Sightings,
 from facepipe.scans import Scan, ScanLandmarks
 
 Step = Callable[[str, int], None]
+_DOUBTFUL = 1.5  # pixels: mean distance of matched points from where photos show them
 _MARKED = 0.006  # of a photo's longer side: how far a marker may be from where it was seen
 
 
@@ -93,28 +94,19 @@ class ScanPhotos:
         return replace(made, report=report)
 
     def _scan(self, name: str, photos: list[Photo], structure: Structure, step: Step) -> PhotoScan:
+        """The scan of photos that have a camera, without what there is to say of the others."""
+        options = self.options
         subject, structure = find_subject(structure)
-        markers, lost = self._markers(photos, structure)
         if self.cameras is None:
-            structure, subject = self._placed(structure, subject, markers)
-            markers, lost = self._markers(photos, structure)
+            structure, subject = self._placed(photos, structure, subject)
         cameras = [structure.cameras[one.name] for one in photos]
-        pairs = choose_pairs(structure, subject, self.options.neighbours)
-        maps = depth_maps(
-            photos,
-            structure,
-            pairs,
-            self.options.agreement,
-            self.options.texture,
-            lambda: step("depth", len(pairs)),
-        )
-        cloud, apart = make_cloud(photos, cameras, maps, subject, self.options, lambda: step("points", len(photos)))
+        pairs = choose_pairs(structure, subject, options.neighbours)
+        each_pair, each_photo = (lambda: step("depth", len(pairs))), (lambda: step("points", len(photos)))
+        maps = depth_maps(photos, structure, pairs, options.agreement, options.texture, each_pair)
+        cloud, apart = make_cloud(photos, cameras, maps, subject, options, each_photo)
         step("surface", 1)
-        scan = make_surface(cloud, name, gap=self.options.gap, smallest=self.options.smallest)
-        landmarks = ScanLandmarks(markers=markers)
-        if self.options.landmarks:
-            sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
-            landmarks = replace(landmarks, points=place_landmarks(sightings, structure.cameras, scan))
+        scan = make_surface(cloud, name, gap=options.gap, smallest=options.smallest)
+        landmarks, lost = self._landmarks(photos, structure, scan, step)
         report = ScanPhotosReport(
             photos_used=tuple(one.name for one in photos),
             cameras="found" if self.cameras is None else "given",
@@ -125,15 +117,28 @@ class ScanPhotos:
             spacing=cloud.spacing,
             dense_points=len(cloud.points),
             consistency=apart,
-            consistency_px=apart / cloud.spacing * self.options.spacing,
+            consistency_px=apart / cloud.spacing * options.spacing,
             points=len(scan.points),
             triangles=len(scan.triangles),
             landmarks=int(landmarks.known.sum()),
-            markers=len(markers),
-            warnings=tuple(f"marker {one}: fewer than 2 photos show it at one place" for one in lost),
+            markers=len(landmarks.markers),
+            warnings=(*_doubts(structure), *lost),
         )
         full = {one.name: structure.cameras[one.name].scaled(*one.full_size) for one in photos}
         return PhotoScan(scan=scan, cameras=Cameras(cameras=full, unit=self._unit), landmarks=landmarks, report=report)
+
+    def _landmarks(
+        self, photos: list[Photo], structure: Structure, scan: Scan, step: Step
+    ) -> tuple[ScanLandmarks, list[str]]:
+        """Landmarks and markers on the scan, and a warning for each marker that has no place."""
+        markers = self._markers(photos, structure)
+        names = {name for one in self.markers.values() for name in one}
+        lost = [f"marker {one}: no 2 photos show it at one place" for one in sorted(names - set(markers))]
+        if not self.options.landmarks:
+            return ScanLandmarks(markers=markers), lost
+        sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
+        points = place_landmarks(sightings, structure.cameras, scan)
+        return ScanLandmarks(points=points, markers=markers), lost
 
     @property
     def _unit(self) -> str | None:
@@ -141,17 +146,15 @@ class ScanPhotos:
             return self.cameras.unit
         return "mm" if self.marker_distance is not None else None
 
-    def _placed(
-        self, structure: Structure, subject: Subject, markers: Mapping[str, FloatArray]
-    ) -> tuple[Structure, Subject]:
+    def _placed(self, photos: list[Photo], structure: Structure, subject: Subject) -> tuple[Structure, Subject]:
         """Upright, and in millimetres where two markers tell."""
         if self.marker_distance is None:
             return upright(structure, subject, self.options.radius)
-        radius = subject.radius * scale_of_markers(markers, self.marker_distance)
-        return upright(structure, subject, radius)
+        factor = scale_of_markers(self._markers(photos, structure), self.marker_distance)
+        return upright(structure, subject, subject.radius * factor)
 
-    def _markers(self, photos: list[Photo], structure: Structure) -> tuple[dict[str, FloatArray], list[str]]:
-        """Markers in space, and the names of those without a place."""
+    def _markers(self, photos: list[Photo], structure: Structure) -> dict[str, FloatArray]:
+        """Markers in space, by name."""
         sizes = {one.name: np.array([one.width, one.height]) / one.full_size for one in photos}
         seen = {
             photo: {name: place * sizes[photo] for name, place in one.items()}
@@ -159,8 +162,13 @@ class ScanPhotos:
             if photo in sizes
         }
         size = float(np.median([max(one.width, one.height) for one in photos]))
-        found = triangulate_all(seen, structure.cameras, _MARKED * size, 2)
-        return found, sorted({name for one in self.markers.values() for name in one} - set(found))
+        return triangulate_all(seen, structure.cameras, _MARKED * size, 2)
+
+
+def _doubts(structure: Structure) -> tuple[str, ...]:
+    if structure.error <= _DOUBTFUL:
+        return ()
+    return (f"matched points are {structure.error:.1f} pixels off: cameras that don't fit, or a face that moved",)
 
 
 def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, PhotoCamera]:
