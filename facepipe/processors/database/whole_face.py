@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,9 +94,19 @@ class WholeFace:
 
 def whole_points(parts: FaceParts) -> FloatArray:
     """(n, 3) points of all meshes in the stage's order, in world space at bind time, millimetres, Y up."""
-    placed = zip(parts.meshes, _to_millimetres(parts), strict=True)
+    placed = zip(parts.meshes, to_millimetres(parts), strict=True)
     pieces = [np.asarray(mesh.points, np.float64) @ to[:3, :3].T + to[:3, 3] for mesh, to in placed]
     return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+
+
+def whole_parts(parts: FaceParts, points: FloatArray) -> FaceParts:
+    """The face with whole points (n, 3) in place of its own, in their space and without rig, ready to be drawn."""
+    pieces = np.split(np.asarray(points), np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1])
+    meshes = tuple(
+        replace(mesh, points=own, transform=np.eye(4), normals=None, skin=None, blendshapes=())
+        for mesh, own in zip(parts.meshes, pieces, strict=True)
+    )
+    return FaceParts(name=parts.name, meters_per_unit=0.001, up_axis="Y", meshes=meshes, materials=parts.materials)
 
 
 def whole_face(
@@ -135,7 +145,7 @@ def whole_face(
 def _delta(parts: FaceParts, shape: str) -> FloatArray:
     ends = np.cumsum([len(mesh.points) for mesh in parts.meshes])
     delta = np.zeros((int(ends[-1]), 3))
-    for mesh, end, to in zip(parts.meshes, ends, _to_millimetres(parts), strict=True):
+    for mesh, end, to in zip(parts.meshes, ends, to_millimetres(parts), strict=True):
         for one in mesh.blendshapes:
             if one.name == shape:
                 start = int(end) - len(mesh.points)
@@ -147,7 +157,7 @@ def _having(parts: FaceParts, shape: str) -> tuple[str, ...]:
     return tuple(mesh.name for mesh in parts.meshes if any(one.name == shape for one in mesh.blendshapes))
 
 
-def _to_millimetres(parts: FaceParts) -> list[FloatArray]:
+def to_millimetres(parts: FaceParts) -> list[FloatArray]:
     """(4, 4) from the space of each mesh."""
     world = world_to_world(parts.meters_per_unit, parts.up_axis, _MILLIMETRES) @ parts.skeleton.transform
     return [np.asarray(world @ space) for space in mesh_spaces(parts)]
