@@ -14,7 +14,7 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas, point_normals
 from facepipe.geometry.registration.anchors import Anchors
-from facepipe.geometry.registration.step import Pull, solve_step
+from facepipe.geometry.registration.step import Pull, solve_model_step, solve_step
 from facepipe.geometry.registration.surface import DeformableSurface
 from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
@@ -24,6 +24,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 _STAGES = ((5.0, 4.0, 6, 0.3), (2.0, 2.0, 4, 0.1), (1.0, 1.0, 8, 0.02))
 """Factors of reach and Huber's distance, steps at most, and the RMS movement (mm) that ends a stage."""
+_ENOUGH_MODES = 10  # a model that can come near by itself: the first stage is left to it, on some of the points
+_SOME_POINTS = 3000
 _FEWEST = 50  # matches
 _ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is told
 
@@ -77,10 +79,11 @@ def register(
     options = options or RegistrationOptions()
     state = _State(surface, scan.moved(start), _moved(anchors, start), start, options)
     steps = 0
-    for widening, softening, most, still in _STAGES:
+    for stage, (widening, softening, most, still) in enumerate(_STAGES):
+        by_model = stage == 0 and len(surface.expected) >= _ENOUGH_MODES
         for _ in range(most):
             steps += 1
-            change = state.advance(options.reach_mm * widening, options.huber_mm * softening)
+            change = state.advance(options.reach_mm * widening, options.huber_mm * softening, by_model=by_model)
             progress(steps)
             if change < still:
                 break
@@ -99,6 +102,7 @@ class _State:
         options: RegistrationOptions,
     ) -> None:
         self._surface, self._scan, self._anchors, self._place, self._options = surface, scan, anchors, place, options
+        self._some = _thinned(surface)
         self._areas = point_areas(surface.base, surface.triangles)
         self._stiffness = _stiffness(surface, self._areas, options.membrane)
         self._coefficients = surface.expected.copy()
@@ -108,14 +112,22 @@ class _State:
     def points(self) -> FloatArray:
         return self._surface.points(self._coefficients, self._residual)
 
-    def advance(self, reach: float, huber: float) -> float:
-        """One step; the RMS movement of seen points against the scan, in millimetres."""
+    def advance(self, reach: float, huber: float, *, by_model: bool = False) -> float:
+        """One step; the RMS movement of seen points against the scan, in millimetres.
+
+        :param by_model: coefficients and place alone, by some of the points
+        """
         before = self.points
-        matches = self._matches(before, reach)
-        if np.count_nonzero(matches.kept) < min(_FEWEST, len(self._surface.seen)):
+        surface = self._some if by_model else self._surface
+        matches = self._matches(surface, before, reach)
+        if np.count_nonzero(matches.kept) < min(_FEWEST, len(surface.seen)):
             what = f"{np.count_nonzero(matches.kept)} points of the face find a place on it"
             raise FitError("scan", f"{what}, expected {_FEWEST} or more: does it show this face?")
-        step = solve_step(self._surface, self._stiffness, self._pull(before, matches, huber), scale=self._options.scale)
+        pull = self._pull(surface, before, matches, huber)
+        if by_model:
+            step = solve_model_step(surface, pull, scale=self._options.scale)
+        else:
+            step = solve_step(surface, self._stiffness, pull, scale=self._options.scale)
         self._coefficients, self._residual = step.coefficients, step.residual
         self._scan, self._anchors = self._scan.moved(step.move), _moved(self._anchors, step.move)
         self._place = _after(self._place, step.move)
@@ -125,7 +137,7 @@ class _State:
 
     def result(self, steps: int) -> Registered:
         points = self.points
-        matches = self._matches(points, self._options.reach_mm)
+        matches = self._matches(self._surface, points, self._options.reach_mm)
         count, seen = len(points), self._surface.seen
         matched, distances = np.zeros(count, bool), np.full(count, np.nan)
         matched[seen] = matches.kept
@@ -144,16 +156,17 @@ class _State:
             steps=steps,
         )
 
-    def _matches(self, points: FloatArray, reach: float) -> Matches:
-        seen = self._surface.seen
-        normals = point_normals(points, self._surface.triangles)[seen]
+    def _matches(self, surface: DeformableSurface, points: FloatArray, reach: float) -> Matches:
+        seen = surface.seen
+        normals = point_normals(points, surface.triangles)[seen]
         matches = self._scan.matches(points[seen], normals, reach, self._options.angle)
-        return replace(matches, kept=matches.kept & ~_across(self._surface, points, matches))
+        return replace(matches, kept=matches.kept & ~_across(surface, points, matches))
 
-    def _pull(self, points: FloatArray, matches: Matches, huber: float) -> Pull:
-        options = self._options
-        apart = np.abs(np.einsum("mi,mi->m", points[self._surface.seen] - matches.places, matches.normals))
-        weights = matches.kept * self._areas[self._surface.seen] / options.surface_sigma_mm**2 * _robust(apart, huber)
+    def _pull(self, surface: DeformableSurface, points: FloatArray, matches: Matches, huber: float) -> Pull:
+        options, seen = self._options, surface.seen
+        apart = np.abs(np.einsum("mi,mi->m", points[seen] - matches.places, matches.normals))
+        areas = self._areas[seen] * (len(self._surface.seen) / max(len(seen), 1))  # each stands for its neighbours too
+        weights = matches.kept * areas / options.surface_sigma_mm**2 * _robust(apart, huber)
         off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
         trusted = _robust(off, 3.0 * huber) if huber > options.huber_mm else _trusted(off)
         return Pull(
@@ -162,6 +175,11 @@ class _State:
             anchors=self._anchors,
             anchor_weights=trusted / options.anchor_sigma_mm**2,
         )
+
+
+def _thinned(surface: DeformableSurface) -> DeformableSurface:
+    """The same with some of its seen points, evenly taken."""
+    return replace(surface, seen=surface.seen[:: max(1, len(surface.seen) // _SOME_POINTS)])
 
 
 def _across(surface: DeformableSurface, points: FloatArray, matches: Matches) -> BoolArray:

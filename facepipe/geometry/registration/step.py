@@ -76,6 +76,27 @@ def solve_step(surface: DeformableSurface, stiffness: Any, pull: Pull, *, scale:
     return Step(coefficients=unknown[:modes], residual=residual, move=_similarity(unknown[modes:], centre))
 
 
+def solve_model_step(surface: DeformableSurface, pull: Pull, *, scale: bool) -> Step:
+    """The least-squares step of coefficients and place without a residual.
+
+    :param scale: whether the scan may grow
+    """
+    matches = pull.matches
+    centre = matches.places.mean(axis=0)
+    planes = np.einsum("mi,mi->m", matches.places - surface.base[surface.seen], matches.normals)
+    planes = np.column_stack([planes, _plane_columns(surface, matches, centre, scale)])
+    fixed = _anchor_columns(surface, pull.anchors, centre, scale)
+    normal = planes.T @ (pull.weights[:, None] * planes)
+    normal += np.einsum("lip,l,liq->pq", fixed, pull.anchor_weights, fixed)
+    unknown = _reduced(surface, normal)
+    modes = len(surface.expected)
+    return Step(
+        coefficients=unknown[:modes],
+        residual=np.zeros_like(surface.base),
+        move=_similarity(unknown[modes:], centre),
+    )
+
+
 def _reduced(surface: DeformableSurface, normal: FloatArray) -> FloatArray:
     """Coefficients and the scan's place, from what is left when the residual is eliminated."""
     matrix, right = normal[1:, 1:].copy(), normal[1:, 0].copy()
