@@ -15,9 +15,9 @@ IntArray = npt.NDArray[np.integer]
 # Where on its triangle a nearest place lies: at a corner, on the edge from corner 0 to 1, 1 to 2 or 2 to 0, or inside.
 CORNER, EDGE, INSIDE = 0, 3, 6
 
-_FIRST_NEIGHBOURS = 8  # triangles tried for every point at first
+_FIRST_NEIGHBOURS = 4  # triangles tried for every point at first
 _PAIRS = 1 << 18  # point-triangle pairs at a time: a bound on memory
-_SIZE_STEP = 4.0  # triangles of one search tree differ in size by less than this factor
+_SIZE_STEP = 2.0  # triangles of one search tree differ in size by less than this factor
 
 
 @dataclass(frozen=True)

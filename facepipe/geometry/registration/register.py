@@ -22,7 +22,7 @@ from facepipe.geometry.similarity import Similarity
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 
-_STAGES = ((5.0, 4.0, 6, 0.3), (2.0, 2.0, 4, 0.1), (1.0, 1.0, 8, 0.02))
+_STAGES = ((5.0, 4.0, 6, 0.3), (2.0, 2.0, 4, 0.5), (1.0, 1.0, 8, 0.05))
 """Factors of reach and Huber's distance, steps at most, and the RMS movement (mm) that ends a stage."""
 _ENOUGH_MODES = 10  # a model that can come near by itself: the first stage is left to it, on some of the points
 _SOME_POINTS = 3000
