@@ -74,7 +74,7 @@ class AuthorNeutral:
         spaces = zip(parts.meshes, to_millimetres(parts), mesh_spaces(parts), strict=True)
         for number, (mesh, to, space) in enumerate(spaces):
             back = np.linalg.inv(to)
-            local = own[number] @ back[:3, :3].T + back[:3, 3]
+            local = _unless_same(own[number] @ back[:3, :3].T + back[:3, 3], mesh.points)
             new = {name: (one[number], mesh.name in still.get(name, ())) for name, one in deltas.items()}
             shapes = mesh_shapes(mesh, local, new, back[:3, :3])
             meshes.append(replace(mesh, points=local, normals=_normals(mesh, local), blendshapes=shapes))
@@ -104,10 +104,15 @@ class AuthorNeutral:
             yield f"inbetweens are left out, of {', '.join(lost)}"
 
 
+def _unless_same(points: FloatArray, before: FloatArray) -> FloatArray:
+    """`before` itself where points (n, 3) are the same as files hold them: what hangs on them stays too."""
+    return before if np.array_equal(points.astype(np.float32), np.asarray(before, np.float32)) else points
+
+
 def _normals(mesh: Mesh, points: FloatArray) -> FloatArray | None:
     """Normals of the new points, per point or corner as the mesh has them; what was put in by hand stays."""
-    if mesh.normals is None:
-        return None
+    if mesh.normals is None or points is mesh.points:
+        return mesh.normals
     triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
     rows = np.arange(len(points)) if len(mesh.normals) == len(points) else mesh.face_vertex_indices
     before, after = (point_normals(one, triangles)[rows] for one in (mesh.points, points))

@@ -13,6 +13,7 @@ from facepipe.rig import build
 
 FloatArray = npt.NDArray[np.floating]
 
+_STILL = 1e-9  # of the face's size: rounding
 _FAR = 3.0  # spreads of its points that a joint may be away from them and still turn about them
 
 
@@ -45,4 +46,6 @@ def carried_skeleton(parts: FaceParts, moved: FloatArray) -> Skeleton:
         near = np.linalg.norm(away, axis=1, keepdims=True) <= _FAR * spread
         along = then + whole.scale * away @ whole.rotation.T
         positions[joints] = np.where(near, fitted.apply(places[joints], np.arange(len(joints))), along)
+    if np.abs(positions - places).max() <= _STILL * np.ptp(rig.points, axis=0).max(initial=0.0):
+        return skeleton
     return blend_skeletons([skeleton], binds[None], positions, np.ones((count, 1)))

@@ -22,7 +22,7 @@ def mesh_shapes(
     mesh: Mesh, points: FloatArray, deltas: Mapping[str, tuple[FloatArray, bool]], back: FloatArray
 ) -> tuple[Blendshape, ...]:
     """The shapes of a mesh with new points (n, 3): its own in their order, those in `deltas` anew, then what else is
-    in there. Normal offsets are made again where a shape had some.
+    in there. Normal offsets are made again where a shape had some, unless `points` are the mesh's own.
 
     :param deltas: shape -> (n, 3) in millimetres of the world, and whether the mesh must hold it though nothing moves
     :param back: (3, 3) from those to mesh space
@@ -33,7 +33,7 @@ def mesh_shapes(
     for name in dict.fromkeys([*own, *deltas]):
         old = own.get(name)
         if name not in deltas and old is not None:
-            found.append(_kept(old, points, triangles))
+            found.append(old if points is mesh.points else _kept(old, points, triangles))
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
