@@ -24,9 +24,9 @@ IntArray = npt.NDArray[np.integer]
 DATABASE_MODES = 60
 _CM = 10.0  # millimetres
 _WARP, _WARP_LENGTH = 1.0, 110.0  # mm: RMS of the warp over the face, and its wavelength
-_FIELD_LENGTH = 70.0  # mm: wavelength of gains and turns
-_SHARED_GAIN, _OWN_GAIN = 0.20, 0.15  # RMS
-_SHARED_TURN, _OWN_TURN = 0.15, 0.10  # radians, RMS
+_FIELD_LENGTH = 140.0  # mm: wavelength of gains and turns
+_SHARED_GAIN, _OWN_GAIN = 0.15, 0.10  # RMS
+_SHARED_TURN, _OWN_TURN = 0.10, 0.07  # radians, RMS
 
 
 @dataclass(frozen=True, kw_only=True)
