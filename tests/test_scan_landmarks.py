@@ -1,0 +1,241 @@
+"""Landmarks found on scans: true within bounds where truth is known, the same in every pose and unit, none of no face."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from import_data import shared
+from scan_actors import Actor, ict
+from scan_simulator import ScanOptions, simulate
+from solids import ball
+
+from facepipe.cli import main
+from facepipe.errors import FitError
+from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, surface_look
+from facepipe.geometry.pinhole import Pinhole, meeting_points
+from facepipe.geometry.small_holes import small_holes
+from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.processors.scan_landmarks.frame import face_frame
+from facepipe.processors.scan_landmarks.look_again import MIRRORED
+from facepipe.render.surface_view import draw_surface
+from facepipe.scans import Scan
+
+RNG = np.random.default_rng
+
+
+def turn(seed: int) -> np.ndarray:
+    q, _ = np.linalg.qr(RNG(seed).standard_normal((3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def view(seed: int, size: int = 120) -> Pinhole:
+    return Pinhole.around(RNG(seed).normal(size=3), turn(seed), 1.5, size)
+
+
+# ---- views and rays
+
+
+def test_rays_lead_back_to_what_was_seen() -> None:
+    one, points = view(1), RNG(2).normal(size=(50, 3))
+    pixels, depth = one.project(points)
+    assert np.abs(one.eye + depth[:, None] * one.directions(pixels) - points).max() < 1e-9
+
+
+def test_rays_meet_where_they_should_though_some_are_wrong() -> None:
+    points = RNG(3).normal(size=(30, 3)) * 0.5
+    views = [view(seed) for seed in range(9)]
+    pixels = np.stack([one.project(points)[0] for one in views])
+    pixels[:2] += 25.0  # pixels: two of nine views see something else
+    directions = np.stack([one.directions(seen) for one, seen in zip(views, pixels, strict=True)])
+    found, distances = meeting_points(np.stack([one.eye for one in views]), directions, np.ones((9, 30)), 0.01)
+    assert np.abs(found - points).max() < 0.01
+    assert (distances[:2] > 10 * distances[2:].max(axis=0)).all()
+
+
+def test_one_ray_alone_gives_a_point_on_it() -> None:
+    found, distances = meeting_points(np.zeros((1, 3)), np.array([[[0.0, 0, 1]]]), np.ones((1, 1)), 1.0)
+    assert np.isfinite(found).all()
+    assert distances.max() < 1e-6
+
+
+# ---- surfaces to look at
+
+
+def test_pictures_tell_the_depth_of_a_ball() -> None:
+    points, triangles = ball(40)
+    one = replace(view(4), eye=5.0 * view(4).axes[2])
+    picture, depth = draw_surface(surface_look(points, triangles, None), one)
+    rows, columns = np.nonzero(np.isfinite(depth))
+    places = one.eye + depth[rows, columns, None] * one.directions(np.c_[columns + 0.5, rows + 0.5])
+    radii = np.linalg.norm(places, axis=1)
+    assert np.median(np.abs(radii - 1)) < 0.01
+    seen = np.hypot(columns + 0.5 - 60, rows + 0.5 - 60).max() / one.focal
+    assert seen == pytest.approx(1 / np.sqrt(24), rel=0.03)  # of the cone that touches it
+    assert ((picture >= 0) & (picture <= 1)).all()
+
+
+def test_the_hollow_side_of_a_face_shows_no_features() -> None:
+    points, triangles = ball(40)
+    points = points * (1 + 0.05 * np.sin(9 * points[:, :1]))
+    bowl = triangles[points[triangles][:, :, 2].max(axis=1) < 0]
+    one = Pinhole.around(np.zeros(3), np.eye(3), 1.2, 100)
+    hollow, face = (draw_surface(surface_look(points, one_side, None), one)[0] for one_side in (bowl, bowl[:, ::-1]))
+    middle = slice(30, 70), slice(30, 70), 0
+    assert np.ptp(hollow[middle]) < 0.01
+    assert np.ptp(face[middle]) > 0.1
+
+
+def test_coarse_surfaces_lie_within_a_cell_of_the_fine_one() -> None:
+    points, triangles = ball(60)
+    coarse = coarse_look(surface_look(points, triangles, np.abs(points)), 0.1)
+    assert len(coarse.points) < len(points) / 4
+    assert np.abs(np.linalg.norm(coarse.points, axis=1) - 1).max() < 0.1
+    assert coarse.colors is not None
+    assert np.abs(coarse.colors - np.abs(coarse.points)).max() < 0.1
+    assert np.einsum("ni,ni->n", coarse.normals, coarse.points).min() > 0.9
+    edges = np.sort(coarse.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] >= 2).all()  # no gaps
+
+
+def test_discs_lie_across_the_normals() -> None:
+    points, _ = ball(8)
+    look = disc_look(points, points, np.full(len(points), 0.2), np.abs(points))
+    corners = look.points.reshape(len(points), -1, 3)
+    assert np.abs(np.linalg.norm(corners - points[:, None], axis=2) - 0.2).max() < 1e-12
+    assert np.abs(np.einsum("nki,ni->nk", corners - points[:, None], points)).max() < 1e-12
+    a, b, c = look.points[look.triangles].transpose(1, 0, 2)
+    assert (np.einsum("ti,ti->t", np.cross(b - a, c - a), a) > 0).all()
+
+
+def holed(size: float) -> Look:
+    """A ball without what is within `size` of its top, and without its lower half."""
+    points, triangles = ball(40)
+    top = np.linalg.norm(points - [0, 0, 1], axis=1) < size
+    return surface_look(
+        points, triangles[~top[triangles].any(axis=1) & (points[triangles][:, :, 2] > 0).all(axis=1)], None
+    )
+
+
+def test_small_holes_close_and_large_ones_stay() -> None:
+    look = holed(0.3)
+    assert len(small_holes(look.points, look.triangles, 0.2)) == 0
+    closed = filled_look(look, 1.0)
+    assert len(small_holes(closed.points, closed.triangles, 10.0)) == 1  # the lower border
+    added = closed.triangles[len(look.triangles) :]
+    a, b, c = closed.points[added].transpose(1, 0, 2)
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()  # outward, as the rest
+    assert len(closed.points) == len(look.points) + 1
+
+
+# ---- faces
+
+
+def test_the_frame_of_a_face_turns_with_it() -> None:
+    points = ict().neutral[ict().landmarks]
+    upright = face_frame(points)
+    assert upright is not None
+    assert np.degrees(np.arccos((np.trace(upright.axes) - 1) / 2)) < 3.0
+    moved = face_frame(0.01 * points @ turn(5).T + 7.0)
+    assert moved is not None
+    assert np.abs(moved.axes - upright.axes @ turn(5).T).max() < 1e-9
+    assert moved.side == pytest.approx(0.01 * upright.side)
+    assert face_frame(np.full((68, 3), np.nan)) is None
+    assert face_frame(points * [1, 0, 0]) is None
+
+
+def test_the_other_sides_landmarks_are_those_of_a_symmetric_face() -> None:
+    points = ict().neutral[ict().landmarks]
+    assert np.abs(points[MIRRORED] * [-1, 1, 1] - points).max() < 0.5  # mm
+    assert (MIRRORED[MIRRORED] == np.arange(68)).all()
+
+
+def finder():  # type: ignore[no-untyped-def]
+    pytest.importorskip("torch")
+    from facepipe.processors.scan_landmarks import FindScanLandmarks
+
+    return FindScanLandmarks(draw=draw_surface)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
+    """No colour, holes, any pose and unit: errors are those of brows that nobody sees, too."""
+    truth = Actor(seed).neutral
+    scan = simulate(truth, seed)
+    found = finder()(Scan(name="actor", points=scan.points, triangles=scan.triangles))
+    errors = np.linalg.norm(scan.pose.undo(found.landmarks.points) - truth[ict().landmarks], axis=1)
+    assert found.report.found >= 60
+    assert np.nanmean(errors[17:]) < 3.5  # mm
+    assert np.nanmean(errors[:17]) < 7.5
+    assert np.nanmax(errors) < 15.0
+
+
+@pytest.mark.slow
+def test_a_mask_has_no_jaw_where_it_ends() -> None:
+    """The outline of a piece of a face is not its jaw: what is kept is as true as on the whole head."""
+    truth = Actor(2).neutral
+    landmarks = truth[ict().landmarks]
+    scan = simulate(truth, 2, ScanOptions(moved=False))
+    kept = np.linalg.norm(scan.points - landmarks[30], axis=1) < 80.0
+    triangles = scan.triangles[kept[scan.triangles].all(axis=1)]
+    found = finder()(Scan(name="mask", points=scan.points, triangles=triangles))
+    errors = np.linalg.norm(found.landmarks.points - landmarks, axis=1)
+    assert np.isnan(errors[:17]).sum() > 6
+    assert np.nanmean(errors[17:]) < 4.0
+    assert np.nanmax(errors) < 15.0
+    assert any("ends" in line for line in found.report.warnings)
+
+
+@pytest.mark.slow
+def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
+    scan = read_scan(shared("scans/LeePerrySmith.glb"))
+    found = finder()(scan)
+    points = found.landmarks.points
+    eyes = np.linalg.norm(points[36] - points[45])
+    assert found.report.presence > 0.99
+    left, right, mouth = points[42:48].mean(axis=0), points[36:42].mean(axis=0), points[48:].mean(axis=0)
+    assert left[0] > 0.1 * eyes > -0.1 * eyes > right[0]  # +X is the subject's left, +Y up
+    assert (left + right)[1] / 2 > mouth[1] + 0.5 * eyes
+    assert points[30, 2] > points[[27, 36, 45], 2].max()  # the tip of the nose is in front
+    moved = replace(scan, points=40.0 * scan.points @ turn(6).T + [3.0, -900.0, 20.0])
+    again = (finder()(moved).landmarks.points - [3.0, -900.0, 20.0]) / 40.0 @ turn(6)
+    assert np.nanmean(np.linalg.norm(again - points, axis=1)) < 0.015 * eyes
+
+
+@pytest.mark.slow
+def test_what_shows_no_face_is_told() -> None:
+    scan = read_scan(shared("scans/LeePerrySmith.glb"))
+    back = scan.triangles[(scan.points[scan.triangles][:, :, 2] < 0).all(axis=1)]
+    with pytest.raises(FitError, match="back: no face found"):
+        finder()(replace(scan, name="back", triangles=back))
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    from PIL import Image
+
+    out, picture = tmp_path / "scan.landmarks.json", tmp_path / "scan.png"
+    words = ["scan-landmarks", str(shared("scans/LeePerrySmith.glb")), "-o", str(out), "--picture", str(picture)]
+    assert main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["found"] == read_scan_landmarks(out).known.sum() == 68
+    pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    assert ((pixels[..., 0] > 200) & (pixels[..., 1] < 80)).sum() > 68 * 20  # its red dots
+    assert main(words) == 2  # it exists now
+
+
+def test_bad_lines_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scan.ply").write_bytes(b"ply\nnothing")
+    for words in (["absent.ply", "-o", "x.json"], ["scan.ply", "-o", "x.json"], ["scan.ply", "-o", "scan.ply"]):
+        places = [str(tmp_path / word) if "." in word else word for word in words]
+        assert main(["scan-landmarks", *places]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert str(tmp_path) in error
+    assert [one.name for one in tmp_path.iterdir()] == ["scan.ply"]
