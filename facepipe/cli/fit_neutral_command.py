@@ -1,0 +1,179 @@
+"""Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
+
+SCAN is a mesh or a cloud of points (.ply .obj .glb .gltf .usd), of any pose and unit, whole or in part. Eyes, teeth
+and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the scan's own
+coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan, which needs
+`pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
+
+OUT is an override layer over the template, whose blendshapes, rig, regions, materials and sliders it keeps; joints
+move with the skin. --flatten writes a standalone file. --picture shows scan, face and their distance. Exit code 1:
+done, but a limit of the quality gate of `facepipe database add` is missed.
+
+examples:
+  facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
+  facepipe fit-neutral anna.glb --template head.usda --database faces.fpdb --landmarks marks.json --unit cm -o a.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from facepipe.atomic import replacing
+from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
+from facepipe.cli.show import emit, progress, table, warn
+from facepipe.errors import FacepipeError
+
+if TYPE_CHECKING:
+    from facepipe.processors.rebuild import NeutralFit, Template
+    from facepipe.processors.rebuild.fit_neutral import NeutralReport
+    from facepipe.scans import Scan, ScanLandmarks
+    from facepipe.stage import Face
+
+_STEPS = 18  # of a fit, at most
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.processors.rebuild import FitNeutralOptions
+
+    add = parser.add_argument
+    add("scan", type=Path, metavar="SCAN", help="scan of the neutral: .ply .obj .glb .gltf .usda .usdc .usd .usdz")
+    add("--template", type=Path, required=True, metavar="FACE", help="face stage with multipie68 landmarks")
+    add("--database", type=Path, required=True, metavar="FPDB", help="faces of the template's topology: .fpdb")
+    add("--landmarks", type=Path, metavar="JSON", help="landmarks of the scan (default SCAN's .landmarks.json)")
+    add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
+    add("--flatten", action="store_true", help="write a standalone file")
+    add("--picture", type=Path, metavar="PNG", help="draw scan, face and their distance")
+    add("--json", action="store_true", help="print the report as JSON")
+    add_options(parser, FitNeutralOptions, "how to fit")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, fit, author, report."""
+    from facepipe.importers.scan_file import read_scan
+    from facepipe.processors.database import QualityLimits, load_database, misses
+    from facepipe.processors.rebuild import FitNeutral, FitNeutralOptions, Template
+    from facepipe.stage import open_face
+
+    file = _landmark_file(arguments)
+    inputs = [arguments.scan, arguments.template, arguments.database, *([file] if file else [])]
+    out = output_of(arguments, inputs)
+    picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
+    fit_neutral = FitNeutral(options=options_from(arguments, FitNeutralOptions))
+    face = open_face(arguments.template)
+    template = Template.of(face.parts(), str(arguments.template))
+    database, scan = load_database(arguments.database), read_scan(arguments.scan)
+    landmarks, found = _landmarks(file, scan)
+    with _named(arguments.scan), progress("fit", _STEPS) as bar:
+        fit = fit_neutral(template, scan, landmarks, database, lambda step: bar.update())
+    authored = _author(_Request(arguments, file, out, picture), face, template, scan, fit)
+    report = fit.report
+    missed = misses(report.quality, QualityLimits())
+    warnings = [*found, *report.warnings, *authored, *missed]
+    warn(warnings)
+    result = {"path": str(out), **json.loads(report.to_json()), "warnings": warnings, "missed": list(missed)}
+    lines = [_text(out, report)]
+    if picture is not None:
+        result["picture"] = str(picture)
+        lines.append(str(picture))
+    emit(result, "\n".join(lines), as_json=arguments.json)
+    return 1 if missed else 0
+
+
+class _Request(NamedTuple):
+    """What was asked for, checked."""
+
+    arguments: argparse.Namespace
+    landmarks: Path | None
+    out: Path
+    picture: Path | None
+
+
+def _landmark_file(arguments: argparse.Namespace) -> Path | None:
+    """The landmarks given, or those that lie beside the scan."""
+    if arguments.landmarks is not None:
+        return Path(arguments.landmarks)
+    beside: Path = arguments.scan.with_name(f"{arguments.scan.stem}.landmarks.json")
+    return beside if beside.exists() else None
+
+
+def _landmarks(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[str, ...]]:
+    """Landmarks from a file, or found on the scan, and what there is to say of that."""
+    from facepipe.importers.scan_landmarks import read_scan_landmarks
+
+    if file is not None:
+        return read_scan_landmarks(file), ()
+    from facepipe.processors.scan_landmarks import FindScanLandmarks
+    from facepipe.render.surface_view import draw_surface
+
+    found = FindScanLandmarks(draw=draw_surface)(scan)
+    return found.landmarks, found.report.warnings
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors with the file that they are about."""
+    try:
+        yield
+    except FacepipeError as error:
+        raise error if str(path) in error.where else error.under(path) from None
+
+
+def _author(request: _Request, face: Face, template: Template, scan: Scan, fit: NeutralFit) -> tuple[str, ...]:
+    """Write the stage and the picture, or neither; what there is to say of it."""
+    from facepipe.processors.rebuild import FitNeutralOptions
+    from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+    from facepipe.processors.rebuild.neutral_recipe import neutral_recipe
+
+    given = request.arguments
+    options = options_from(given, FitNeutralOptions)
+    recipe = neutral_recipe(
+        given.template, given.scan, given.database, request.out, options, fit.report.quality, request.landmarks
+    )
+    with ExitStack() as files:
+        picture = None if request.picture is None else files.enter_context(replacing(request.picture))
+        derived = files.enter_context(face.deriving(request.out, flatten=given.flatten))
+        with _named(given.template):
+            report = AuthorNeutral()(derived, fit.points, recipe=recipe)
+        if picture is not None:
+            _draw(picture, template, scan, fit)
+    return report.warnings
+
+
+def _draw(path: Path, template: Template, scan: Scan, fit: NeutralFit) -> None:
+    from facepipe.processors.database.whole_face import whole_parts
+    from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
+    from facepipe.render import save_png
+    from facepipe.render.fit_sheet import FitPicture, fit_sheet
+
+    shown = FitPicture(
+        parts=whole_parts(template.parts, fit.points),
+        landmarks=fit.points[template.rows[template.landmarks]],
+        scan=in_place(scan, fit.place),
+        distances=scan_distances(template, fit.points, scan, fit.place),
+    )
+    save_png(fit_sheet(shown), path)
+
+
+def _text(out: Path, report: NeutralReport) -> str:
+    fit, quality = report.fit, report.quality
+    unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
+    off = f", {len(fit.outliers)} of them lie off" if fit.outliers else ""
+    rows = [
+        (
+            "distance from the scan",
+            f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm",
+        ),
+        ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
+        ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+        ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
+        ("flipped triangles", f"{quality.flipped_triangles}"),
+        ("a unit of the scan", unit),
+        ("steps", f"{fit.steps}"),
+    ]
+    return "\n".join([str(out), table(rows)])

@@ -1,0 +1,299 @@
+"""`facepipe fit-neutral`: a person found on a scan, authored over the template; bad input is told in one line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scan_domes
+from database_faces import person, source
+from import_data import shared
+from PIL import Image
+from test_cli import run
+
+import facepipe
+from facepipe.geometry.similarity import fit_similarity
+from facepipe.importers.scan_landmarks import write_scan_landmarks
+from facepipe.importers.scan_ply import write_ply
+from facepipe.options import to_json
+from facepipe.processors.database import (
+    Topology,
+    WholeFace,
+    create_database,
+    quality_from,
+    save_database,
+    whole_points,
+)
+from facepipe.processors.rebuild import FitNeutralOptions
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import save_parts
+from facepipe.stage.recipes import source_digest
+from facepipe.validate import validate
+
+PERSON = 9  # none of the database's
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a fit takes."""
+
+    folder: Path
+
+    def __getitem__(self, name: str) -> Path:
+        return self.folder / name
+
+    def words(self, *more: object, scan: str = "scan.ply") -> tuple[object, ...]:
+        """A command line."""
+        files = ("--template", self["head.usda"], "--database", self["faces.fpdb"], "-o", self["out.usda"])
+        return ("fit-neutral", self[scan], *files, *more)
+
+    def put(self, scan: Scan, landmarks: ScanLandmarks, name: str = "scan.ply") -> None:
+        """A scan with its landmarks beside it."""
+        write_ply(scan, self[name])
+        write_scan_landmarks(landmarks, self[name].with_suffix(".landmarks.json"))
+
+
+@pytest.fixture(scope="session")
+def database_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("domes") / "faces.fpdb"
+    save_database(scan_domes.database(), path)
+    return path
+
+
+@pytest.fixture
+def files(tmp_path: Path, database_file: Path) -> Files:
+    save_parts(scan_domes.face(), tmp_path / "head.usda")
+    (tmp_path / "faces.fpdb").write_bytes(database_file.read_bytes())
+    made = Files(tmp_path)
+    made.put(*scan_domes.scan(PERSON))
+    return made
+
+
+def truth() -> np.ndarray:
+    return whole_points(scan_domes.face(PERSON))
+
+
+def fitted(files: Files) -> np.ndarray:
+    return whole_points(facepipe.open(files["out.usda"]).parts())
+
+
+def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, *files.words("--unit", "cm", "--json"))
+    assert code == 0, err
+    assert np.abs(fitted(files) - truth()).max() < 0.05
+    told = json.loads(out)
+    assert told["path"] == str(files["out.usda"])
+    assert told["fit"]["unit"] == "cm"
+    assert told["missed"] == []
+    assert validate(files["out.usda"]) == ()
+    face, template = facepipe.open(files["out.usda"]), facepipe.open(files["head.usda"])
+    assert face.shapes == template.shapes
+    assert face.skeleton.joints == template.skeleton.joints
+
+
+def test_the_size_is_found_with_the_rest(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    """Identity and size look alike on a dome: what is left of the person is right but for a similarity."""
+    code, out, _ = run(capsys, *files.words())
+    assert code == 0
+    assert "10.03 mm (cm)" in out
+    found = fitted(files)
+    assert np.abs(fit_similarity(found, truth()).apply(found) - truth()).max() < 0.15
+
+
+def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    (files.folder / "fits").mkdir()
+    out = files.folder / "fits" / "out.usda"
+    words = files.words("--prior", 0.2, "--unit", "cm", "--json")
+    code, text, _ = run(capsys, *words[: words.index("-o")], "-o", out, *words[words.index("-o") + 2 :])
+    assert code == 0
+    recipe = facepipe.open(out).parts().recipe
+    assert recipe is not None
+    assert recipe.verb == "fit-neutral"
+    assert recipe.sources == ("../head.usda", "../scan.ply", "../faces.fpdb", "../scan.landmarks.json")
+    assert recipe.digests == tuple(source_digest(out.parent / one) for one in recipe.sources)
+    assert recipe.options["options"] == {**to_json(FitNeutralOptions(unit="cm")), "prior": 0.2}
+    assert quality_from(recipe.options["quality"], "recipe") == quality_from(json.loads(text)["quality"], "report")
+
+
+def test_the_same_scan_gives_the_same_bytes(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    made = []
+    for _ in range(2):
+        assert run(capsys, *files.words("--force"))[0] == 0
+        made.append(files["out.usda"].read_bytes())
+    assert made[0] == made[1]
+
+
+def test_a_picture_is_drawn_beside_it(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two rows of scan, face and distance; the last has colours of the heat map, the others have not."""
+    code, out, _ = run(capsys, *files.words("--picture", files["out.png"]))
+    assert code == 0
+    assert str(files["out.png"]) in out
+    pixels = np.asarray(Image.open(files["out.png"]).convert("RGB")).astype(int)
+    colored = (pixels[..., 2] - pixels[..., 1] > 25).mean(axis=0)  # violet: the low end of the heat map
+    third = len(colored) // 3
+    assert colored[2 * third :].mean() > 0.05
+    assert colored[: 2 * third].mean() < 0.01
+
+
+def test_flattened_it_stands_alone(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, *files.words("--unit", "cm", "--flatten"))[0] == 0
+    files["head.usda"].unlink()
+    assert np.abs(fitted(files) - truth()).max() < 0.05
+
+
+def test_a_cloud_does_nearly_as_well(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    scan, landmarks = scan_domes.scan(PERSON, side=121)
+    files.put(Scan(name="cloud", points=scan.points), landmarks, "cloud.ply")
+    code, _, err = run(capsys, *files.words("--unit", "cm", scan="cloud.ply"))
+    assert code == 0, err
+    assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.2
+
+
+def test_a_scan_of_half_the_face_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file is written, and the exit code says that a limit was missed."""
+    scan, landmarks = scan_domes.scan(PERSON)
+    at_home = scan_domes.POSE.undo(scan.points)
+    half = scan.triangles[(at_home[scan.triangles][:, :, 0] < 0.0).all(axis=1)]
+    files.put(replace(scan, triangles=half), landmarks)
+    code, out, err = run(capsys, *files.words("--unit", "cm", "--json"))
+    assert code == 1
+    assert "coverage 0." in err
+    told = json.loads(out)
+    assert 0.3 < told["quality"]["coverage"] < 0.6
+    assert len(told["missed"]) == 1
+    assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.5  # the model knows the other half
+
+
+def test_a_landmark_on_the_wrong_place_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    scan, landmarks = scan_domes.scan(PERSON)
+    points = landmarks.points.copy()
+    points[33] += 2.5
+    files.put(scan, ScanLandmarks(points=points))
+    _, _, err = run(capsys, *files.words("--unit", "cm"))
+    assert "1 landmarks lie off and don't count: landmark 34" in err
+    assert np.abs(fitted(files) - truth()).max() < 0.3
+
+
+def _no_landmarks(files: Files) -> None:
+    parts = scan_domes.face()
+    save_parts(replace(parts, meshes=tuple(replace(mesh, landmarks={}) for mesh in parts.meshes)), files["head.usda"])
+
+
+def _other_topology(files: Files) -> None:
+    save_database(create_database([source(seed) for seed in range(3)]).database, files["faces.fpdb"])
+
+
+def _other_template(files: Files) -> None:
+    save_parts(person(1), files["head.usda"])
+
+
+def _mirrored(files: Files) -> None:
+    scan, landmarks = scan_domes.scan(PERSON)
+    flip = np.array([-1.0, 1.0, 1.0])
+    turned = replace(scan, points=scan.points * flip, triangles=scan.triangles[:, ::-1])
+    files.put(turned, ScanLandmarks(points=landmarks.points * flip))
+
+
+def _few_landmarks(files: Files) -> None:
+    scan, landmarks = scan_domes.scan(PERSON)
+    points = landmarks.points.copy()
+    points[5:] = np.nan
+    files.put(scan, ScanLandmarks(points=points))
+
+
+def _no_number(files: Files) -> None:
+    lines = ["ply", "format ascii 1.0", "element vertex 4", *(f"property float {axis}" for axis in "xyz"), "end_header"]
+    files["scan.ply"].write_text("\n".join([*lines, "0 0 0", "1 0 0", "0 nan 0", "0 0 1", ""]), encoding="ascii")
+
+
+def _damaged_landmarks(files: Files) -> None:
+    files["scan.landmarks.json"].write_text('{"points": [[0, 0, NaN]]}', encoding="utf-8")
+
+
+def _apart(files: Files) -> None:
+    scan, landmarks = scan_domes.scan(PERSON)
+    files.put(replace(scan, points=scan.points + 500.0), landmarks)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "more", "text"),
+    [
+        (_no_landmarks, (), "has no multipie68 landmarks"),
+        (_other_topology, (), "other meshes or faces than the database has"),
+        (_other_template, (), "head.usda"),
+        (_mirrored, (), "fit a mirrored face"),
+        (_few_landmarks, (), "5 of 68 are known, expected 6 or more"),
+        (_no_number, (), "scan.ply"),
+        (_damaged_landmarks, (), "scan.landmarks.json"),
+        (_apart, (), "points of the face find a place on it"),
+        (lambda files: files["scan.ply"].unlink(), (), "scan.ply"),
+        (lambda files: files["faces.fpdb"].unlink(), (), "faces.fpdb"),
+        (lambda files: files["head.usda"].unlink(), (), "head.usda"),
+        (lambda files: None, ("--unit", "mm"), "is said to be in mm, but has the size of a face in cm"),
+        (lambda files: None, ("--landmarks", "none.json"), "none.json"),
+        (lambda files: None, ("--prior", "0"), "option prior"),
+        (lambda files: None, ("--picture", "sheet.jpg"), "expected .png"),
+    ],
+)
+def test_bad_input_is_told_in_one_line_and_nothing_written(
+    spoil: Callable[[Files], None],
+    more: tuple[str, ...],
+    text: str,
+    files: Files,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(files.folder)
+    spoil(files)
+    before = sorted(files.folder.iterdir())
+    code, out, err = run(capsys, *files.words(*more))
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert text in err
+    assert sorted(files.folder.iterdir()) == before
+
+
+def test_inputs_are_not_overwritten(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    content = files["head.usda"].read_bytes()
+    words = files.words("--force")
+    for name in ("head.usda", "scan.ply", "faces.fpdb"):
+        changed = tuple(files[name] if word == files["out.usda"] else word for word in words)
+        assert run(capsys, *changed)[0] == 2
+    files["out.usda"].write_text("mine", encoding="utf-8")
+    assert run(capsys, *files.words())[0] == 2
+    assert files["out.usda"].read_text(encoding="utf-8") == "mine"
+    assert files["head.usda"].read_bytes() == content
+
+
+def test_a_real_template_takes_the_shape_of_a_person(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """ICT-FaceKit, a person of the models that the database knows some of; truth up to the size, which is not known."""
+    from scan_actors import Actor, database_faces
+    from scan_simulator import simulate
+
+    npz = shared("ict_facekit/ict_facekit.npz")
+    files = Files(tmp_path)
+    assert run(capsys, "import", "ict", npz, files["head.usdc"])[0] == 0
+    topology = Topology.of(facepipe.open(files["head.usdc"]).parts())
+    people = [
+        WholeFace(name=f"p{number}", topology=topology, points=points, digest=f"sha256:{number}")
+        for number, points in enumerate(database_faces(24))
+    ]
+    save_database(create_database([partial(replace, one) for one in people]).database, files["faces.fpdb"])
+    actor = Actor(101, warp=0.5)
+    seen = simulate(actor.neutral, 101)
+    files.put(
+        Scan(name="scan", points=seen.points, triangles=seen.triangles.astype(np.int32)),
+        ScanLandmarks(points=seen.landmarks),
+    )
+    words = ["--template", files["head.usdc"], "--database", files["faces.fpdb"], "-o", files["out.usda"]]
+    code, _, err = run(capsys, "fit-neutral", files["scan.ply"], *words)
+    assert code in (0, 1), err
+    assert validate(files["out.usda"]) == ()
+    found, face = fitted(files), slice(0, 9409)
+    off = np.linalg.norm(fit_similarity(found[face], actor.neutral[face]).apply(found) - actor.neutral, axis=1)
+    assert off[face].mean() < 0.9
+    assert off.max() < 8.0
