@@ -98,7 +98,7 @@ def refuses(work: Callable[[], object], words: str, path: Path) -> None:
 def test_photos_are_upright_small_and_know_their_lens(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6  # turned by a quarter
-    exif.get_ifd(0x8769)[0xA405] = 85
+    exif[0x8769] = {0xA405: 85}
     files = noise_photos(tmp_path / "photos", 1, (300, 200), exif=exif)
     photo = read_photos(files, 150)[0]
     assert photo.full_size == (200, 300)
