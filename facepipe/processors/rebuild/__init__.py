@@ -1,7 +1,39 @@
 """Rebuild: an actor's scans to the actor's own neutral and blendshapes."""
 
-from facepipe.processors.rebuild.fit_neutral import FitNeutral, FitNeutralOptions, NeutralFit
-from facepipe.processors.rebuild.scan_fit import ScanFit, scan_target
+from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
+from facepipe.processors.rebuild.fit_neutral import FitNeutral, FitNeutralOptions, NeutralFit, NeutralReport
+from facepipe.processors.rebuild.personal_template import PersonalTemplate, PersonalTemplateOptions
+from facepipe.processors.rebuild.register_scans import (
+    Composite,
+    CompositeReport,
+    ExpressionScan,
+    NeutralScan,
+    RegisterScans,
+    RegisterScansOptions,
+)
+from facepipe.processors.rebuild.scan_fit import ScanFit
+from facepipe.processors.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
 from facepipe.processors.rebuild.template import Template
 
-__all__ = ["FitNeutral", "FitNeutralOptions", "NeutralFit", "ScanFit", "Template", "scan_target"]
+__all__ = [
+    "DEFAULT_COMPOSITES",
+    "Composite",
+    "CompositeReport",
+    "ExpressionScan",
+    "FitNeutral",
+    "FitNeutralOptions",
+    "NeutralFit",
+    "NeutralReport",
+    "NeutralScan",
+    "PersonalTemplate",
+    "PersonalTemplateOptions",
+    "RegisterScans",
+    "RegisterScansOptions",
+    "ScanFit",
+    "ShapeReport",
+    "SplitExpressions",
+    "SplitFit",
+    "SplitReport",
+    "Template",
+    "resolved",
+]

@@ -88,6 +88,13 @@ class Template:
         """Whole points of loose parts: eyeballs, teeth, lashes."""
         return np.flatnonzero(self.row_of < 0)
 
+    @property
+    def stiff(self) -> IntArray:
+        """(n,) number of the loose part that each whole point belongs to, -1 on the skin."""
+        found = np.full(len(self.points), -1)
+        found[self.loose] = self._pieces
+        return found
+
     def whole(self, base: FloatArray, points: FloatArray) -> FloatArray:
         """(n, 3) whole points where the skin has moved to `points` (m, 3) from what it is on `base` (n, 3).
 

@@ -1,0 +1,80 @@
+"""The actor's starting shapes (document S14): what other people do, carried to the actor's neutral."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.options import check_ranges
+from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
+from facepipe.processors.rebuild.template import Template
+
+FloatArray = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonalTemplateOptions:
+    """Where starting shapes come from.
+
+    :raises InputError: none of the choices
+    """
+
+    shapes_from: Literal["auto", "database", "template"] = field(
+        default="auto",
+        metadata={
+            "help": "database: its mean person's and what its people have in common, auto where it has shapes; "
+            "template: the template's own, carried over by deformation transfer",
+            "choices": ("auto", "database", "template"),
+        },
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonalTemplate:
+    """An actor's starting shapes from the neutral: by the multilinear model, or by deformation transfer."""
+
+    options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
+
+    def __call__(
+        self,
+        template: Template,
+        neutral: FloatArray,
+        database: FaceDatabase | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> dict[str, FloatArray]:
+        """Shape -> (n, 3) whole delta from `neutral` (n, 3), millimetres, in the order of the source.
+
+        :param done: called once for each shape
+        :raises InputError: neither has shapes
+        :raises TopologyError: a database of another topology
+        """
+        source = self.options.shapes_from
+        known = database is not None and database.expressions is not None
+        if source == "database" or (source == "auto" and known):
+            if database is None or not known:
+                raise InputError("database", "has no expressions, expected some (or shapes from the template)")
+            if database.topology.digest != template.topology.digest:
+                raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
+            return predicted_shapes(database, neutral, done=done)
+        return _transferred(template, neutral, done)
+
+
+def _transferred(template: Template, neutral: FloatArray, done: Callable[[], object]) -> dict[str, FloatArray]:
+    deltas = whole_face(template.parts, template.where).deltas
+    if not deltas:
+        raise InputError(template.where, "has no blendshapes, expected some to start from")
+    transfer = Transfer(neutral, template.topology.triangles, np.zeros(len(neutral), bool))
+    found: dict[str, FloatArray] = {}
+    for name, delta in deltas.items():
+        found[name] = transfer.solve(template.points[None], (template.points + delta)[None]) - neutral
+        done()
+    return found

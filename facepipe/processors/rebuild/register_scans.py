@@ -1,0 +1,223 @@
+"""The actor's other expressions on the topology, from their scans (document S15)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
+from facepipe.geometry.robust_similarity import robust_similarity
+from facepipe.geometry.similarity import Similarity
+from facepipe.options import check_ranges
+from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
+from facepipe.processors.rebuild.template import Template
+from facepipe.reports import Report
+from facepipe.scans import Scan, ScanLandmarks
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+
+_FEWEST = 4  # landmarks and markers
+_SAME_SIZE = 0.02  # scans nearer in scale than this are of one scale
+_REACH_OF_VARIATION = 0.01  # how much the residual's own variance counts per mm^2: about one number each 10 x 10 mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterScansOptions:
+    """How expressions are registered.
+
+    :raises InputError: a number out of range
+    """
+
+    weight_sigma: float = field(
+        default=0.2,
+        metadata={"help": "how far a shape's weight may be from the given one", "range": (1e-3, 10.0)},
+    )
+    variation: float = field(
+        default=0.25,
+        metadata={
+            "help": "how far people's own motion is from the template's, as a share of it",
+            "range": (1e-3, 10.0),
+        },
+    )
+    still_mm: float = field(
+        default=0.1,
+        metadata={"help": "motion of what the expression does not move", "unit": "mm", "range": (1e-3, 10.0)},
+    )
+    membrane: float = field(
+        default=3.0, metadata={"help": "stiffness of what the shapes can't show", "range": (1e-6, 1e9)}
+    )
+    landmark_sigma_mm: float = field(
+        default=0.3,
+        metadata={"help": "smaller ones hold landmarks and markers harder", "unit": "mm", "range": (1e-3, 1e3)},
+    )
+    reach_mm: float = field(
+        default=4.0,
+        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpressionScan:
+    """A scanned expression, and what it shows."""
+
+    scan: Scan
+    landmarks: ScanLandmarks
+    weights: Mapping[str, float]  # of shapes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Composite:
+    """A registered expression."""
+
+    points: FloatArray  # (n, 3) whole points, the head where the neutral's is
+    weights: Mapping[str, float]  # of shapes, as they were found
+    matched: BoolArray  # (n,) points that the scan shows
+    place: Similarity  # from the scan's coordinates
+    report: CompositeReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompositeReport(Report):
+    """How an expression lies on its scan."""
+
+    fit: ScanFit
+    weights: Mapping[str, float]
+    beyond_template_mean_mm: float  # from the composite of template shapes, over the face area
+    beyond_template_max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeutralScan:
+    """The neutral that expressions are registered from."""
+
+    points: FloatArray  # (n, 3) whole points
+    place: Similarity  # from its scan's coordinates
+    landmarks: ScanLandmarks  # markers on it are followed
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterScans:
+    """Weights of the composite's shapes, the scan's place, and a smooth residual, solved together.
+
+    It starts from the rebuilt neutral, so that errors of correspondence cancel in deltas. The residual has a Gaussian
+    prior: where the expression moves much, people differ much; what it does not move keeps the head in its place (the
+    document's calibration points at ears and back of the head). Each scan has its own matches, and so its own factor.
+    """
+
+    options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
+
+    def __call__(
+        self,
+        template: Template,
+        neutral: NeutralScan,
+        shapes: Mapping[str, FloatArray],
+        expression: ExpressionScan,
+        progress: Callable[[int], None] = lambda step: None,
+    ) -> Composite:
+        """Register one expression.
+
+        :param shapes: name -> (n, 3) whole deltas of the personal template
+        :raises InputError: a shape that is not there, too few landmarks and markers, or a scan that can't be used
+        :raises FitError: a scan that does not show this face
+        """
+        name = expression.scan.name
+        missing = [shape for shape in expression.weights if shape not in shapes]
+        if missing:
+            raise InputError(f"{name} -> {missing[0]}", "no such shape in the personal template")
+        surface = self._surface(template, neutral, shapes, expression.weights)
+        anchors = _anchors(template, neutral, expression)
+        if len(anchors) < _FEWEST:
+            raise InputError(f"{name} -> landmarks", f"{len(anchors)} and markers, expected {_FEWEST} or more")
+        start, hold = _start(surface, anchors, neutral)
+        target, mended = scan_target(expression.scan)
+        options = RegistrationOptions(
+            membrane=self.options.membrane,
+            anchor_sigma_mm=self.options.landmark_sigma_mm,
+            reach_mm=self.options.reach_mm,
+            scale=not hold,
+        )
+        found = register(surface, target, anchors, start, options, progress)
+        weights = dict(zip(expression.weights, map(float, found.coefficients), strict=True))
+        deltas = np.tensordot(found.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
+        points = template.whole(neutral.points + deltas, found.points)
+        given = surface.points(surface.expected)
+        off = np.linalg.norm(found.points - given, axis=1)[template.face]
+        report = CompositeReport(
+            fit=scan_fit(name, found, template.face, anchors.names),
+            weights=weights,
+            beyond_template_mean_mm=float(off.mean()) if len(off) else 0.0,
+            beyond_template_max_mm=float(off.max(initial=0.0)),
+            warnings=(*expression.scan.warnings, *mended, *_resized(name, start.scale, neutral, hold)),
+        )
+        matched = np.zeros(len(points), bool)
+        skin = template.row_of >= 0
+        matched[skin] = found.matched[template.row_of[skin]]
+        return Composite(points=points, weights=weights, matched=matched, place=found.place, report=report)
+
+    def _surface(
+        self,
+        template: Template,
+        neutral: NeutralScan,
+        shapes: Mapping[str, FloatArray],
+        weights: Mapping[str, float],
+    ) -> DeformableSurface:
+        modes = np.stack([shapes[shape][template.rows] for shape in weights])
+        expected = np.array([float(weight) for weight in weights.values()])
+        motion = np.tensordot(expected, np.linalg.norm(modes, axis=2), axes=1)
+        spread = self.options.still_mm + self.options.variation * motion
+        return DeformableSurface(
+            base=neutral.points[template.rows],
+            modes=modes,
+            expected=expected,
+            precision=np.full(len(expected), 1.0 / self.options.weight_sigma**2),
+            triangles=template.triangles,
+            seen=template.seen,
+            held=_REACH_OF_VARIATION / spread**2,
+            labels=template.labels,
+        )
+
+
+def _anchors(template: Template, neutral: NeutralScan, expression: ExpressionScan) -> Anchors:
+    """Landmarks, and the painted markers that the neutral's scan has too."""
+    names = tuple(f"landmark {number}" for number in range(1, 69))
+    anchors = Anchors.at_points(template.landmarks, expression.landmarks.points, names)
+    own = expression.landmarks.markers
+    common = [marker for marker in own if marker in neutral.landmarks.markers]
+    if not common:
+        return anchors
+    places = neutral.place.apply(np.array([neutral.landmarks.markers[marker] for marker in common]))
+    skin = neutral.points[template.rows]
+    found = closest_places(places, skin, template.triangles)
+    markers = Anchors(
+        corners=template.triangles[found.triangles],
+        shares=place_shares(found, skin, template.triangles),
+        targets=np.array([own[marker] for marker in common], np.float64),
+        names=tuple(f"marker {marker}" for marker in common),
+    )
+    return anchors.with_more(markers)
+
+
+def _start(surface: DeformableSurface, anchors: Anchors, neutral: NeutralScan) -> tuple[Similarity, bool]:
+    """About where the scan lies, and whether it has the scale of the neutral's scan."""
+    places = anchors.places(surface.points(surface.expected))
+    free = robust_similarity(anchors.targets, places)
+    size = neutral.place.scale
+    if abs(free.scale / size - 1.0) > _SAME_SIZE:
+        return free, False
+    held = robust_similarity(anchors.targets * size, places, scale=False)
+    return Similarity(rotation=held.rotation, translation=held.translation, scale=size), True
+
+
+def _resized(name: str, scale: float, neutral: NeutralScan, hold: bool) -> tuple[str, ...]:
+    if hold:
+        return ()
+    return (f"{name}: 1 unit is {scale / neutral.place.scale:.4g} times that of the neutral's scan, fitted freely",)

@@ -1,0 +1,125 @@
+"""The actor's own shapes from registered expressions (document S16)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
+from facepipe.processors.rebuild.register_scans import Composite
+from facepipe.processors.rebuild.template import Template
+from facepipe.reports import Report
+
+FloatArray = npt.NDArray[np.floating]
+
+_OBSERVED = 0.05  # shapes told less than this stay as the template has them
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeReport:
+    """How much the scans told of one shape."""
+
+    observed: float  # 0..1, the rest being the template's
+    gain: float  # motion along the template's, over the template's
+    change_mm: float  # mean distance from the template's, over what the shape moves
+    scans: tuple[str, ...]  # that show it
+    alike: tuple[str, ...]  # shapes that the scans can't tell it from
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitReport(Report):
+    """How expressions were split."""
+
+    shapes: Mapping[str, ShapeReport]
+    weights: Mapping[str, Mapping[str, float]]  # scan -> shape -> weight, as it was found
+    residual_mean_mm: Mapping[str, float]  # scan -> what the shapes leave of it
+    residual_p95_mm: Mapping[str, float]
+    rank: int  # of the weights: shapes that scans could tell apart
+    unseen: tuple[str, ...]  # shapes that no scan told: the template's
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitFit:
+    """An actor's shapes."""
+
+    shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta from the neutral, millimetres
+    report: SplitReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitExpressions:
+    """Registered expressions split into the shapes that they are sums of, near the personal template's."""
+
+    options: SplitOptions = field(default_factory=lambda: SplitOptions(noise=0.2))
+
+    def __call__(
+        self,
+        template: Template,
+        neutral: FloatArray,
+        shapes: Mapping[str, FloatArray],
+        composites: Mapping[str, Composite],
+    ) -> SplitFit:
+        """Split.
+
+        :param neutral: (n, 3) whole points
+        :param shapes: name -> (n, 3) whole deltas of the personal template
+        :param composites: by the names of their scans
+        :raises InputError: no composite, or one of shapes that are not there
+        """
+        if not composites:
+            raise InputError(template.where, "no scanned expression, expected one or more beside the neutral")
+        names = tuple(shapes)
+        weights = np.zeros((len(composites), len(names)))
+        for row, (scan, composite) in enumerate(composites.items()):
+            for shape, weight in composite.weights.items():
+                if shape not in shapes:
+                    raise InputError(f"{scan} -> {shape}", "no such shape in the personal template")
+                weights[row, names.index(shape)] = max(weight, 0.0)
+            if not weights[row].any():
+                raise InputError(scan, "shows none of its shapes, expected a weight above 0")
+        found = split_shapes(
+            neutral,
+            np.stack(list(shapes.values())),
+            np.stack([composite.points for composite in composites.values()]),
+            weights,
+            template.topology.triangles,
+            self.options,
+            point_weights=np.stack([composite.matched for composite in composites.values()]).astype(np.float64),
+            stiff=template.stiff,
+            names=names,
+        )
+        report = _report(found, names, tuple(composites))
+        return SplitFit(shapes=dict(zip(names, found.deltas, strict=True)), report=report)
+
+
+def _report(found: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
+    alike: dict[int, list[str]] = {}
+    for one, other in found.rank.together:
+        alike.setdefault(one, []).append(names[other])
+        alike.setdefault(other, []).append(names[one])
+    shapes = {
+        name: ShapeReport(
+            observed=float(found.observed[number]),
+            gain=float(found.gains[number]),
+            change_mm=float(found.changes[number]),
+            scans=tuple(scan for scan, row in zip(scans, found.weights, strict=True) if row[number] > 0),
+            alike=tuple(alike.get(number, ())),
+        )
+        for number, name in enumerate(names)
+    }
+    return SplitReport(
+        shapes=shapes,
+        weights={
+            scan: {name: float(weight) for name, weight in zip(names, row, strict=True) if weight > 0}
+            for scan, row in zip(scans, found.weights, strict=True)
+        },
+        residual_mean_mm=dict(zip(scans, map(float, found.residual_means), strict=True)),
+        residual_p95_mm=dict(zip(scans, map(float, found.residual_p95), strict=True)),
+        rank=found.rank.rank,
+        unseen=tuple(name for name, one in shapes.items() if one.observed < _OBSERVED),
+        warnings=found.warnings,
+    )

@@ -1,0 +1,107 @@
+"""The stages of a rebuild against the truth: simulated scans of actors that the database can't show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from import_data import shared
+from scan_actors import COMPOSITES, Actor, database_faces, ict
+from scan_simulator import SimulatedScan, simulate
+
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.importers import ict as ict_importer
+from facepipe.importers import load
+from facepipe.processors.database import FaceDatabase
+from facepipe.processors.rebuild import (
+    ExpressionScan,
+    FitNeutral,
+    NeutralFit,
+    NeutralScan,
+    PersonalTemplate,
+    RegisterScans,
+    Template,
+)
+from facepipe.scans import Scan, ScanLandmarks
+
+
+def _template() -> Template:
+    parts = load("ict", Path(shared("ict_facekit/ict_facekit.npz")), ict_importer.Options()).parts
+    return Template.of(parts, "ict.usda")
+
+
+def _database(template: Template) -> FaceDatabase:
+    faces = database_faces()
+    identity = IdentityModel.of(faces)
+    return FaceDatabase(
+        topology=template.topology,
+        identity=identity,
+        coefficients=identity.coefficients(faces),
+        expressions=None,
+        entries=(),
+        history=(),
+        tolerance_mm=0.1,
+    )
+
+
+def _read(name: str, scan: SimulatedScan) -> tuple[Scan, ScanLandmarks]:
+    return Scan(name=name, points=scan.points, triangles=scan.triangles), ScanLandmarks(points=scan.landmarks)
+
+
+@dataclass
+class Errors:
+    """Of one expression, in millimetres, over the face area."""
+
+    points: float
+    delta: float
+    delta_p95: float
+    template_delta: float
+    template_p95: float
+
+
+def _errors(
+    actor: Actor, neutral: NeutralFit, found: np.ndarray, start: np.ndarray, truth: np.ndarray, scan: SimulatedScan
+) -> Errors:
+    def home(points: np.ndarray) -> np.ndarray:
+        return scan.pose.undo(neutral.place.undo(points))[: ict().full_face]
+
+    own, true = home(neutral.points), actor.neutral[: ict().full_face]
+    motion = truth[: ict().full_face] - true
+    delta = np.linalg.norm(home(found) - own - motion, axis=1)
+    before = np.linalg.norm(home(start) - own - motion, axis=1)
+    off = np.linalg.norm(home(found) - truth[: ict().full_face], axis=1)
+    return Errors(off.mean(), delta.mean(), np.percentile(delta, 95), before.mean(), np.percentile(before, 95))
+
+
+@pytest.mark.slow
+def test_expressions_registered_from_a_rebuilt_neutral() -> None:
+    template, names = _template(), ("jaw_open", "smile", "laugh", "closed_eyes", "pucker")
+    database, rows = _database(template), []
+    for seed in (101, 104):
+        actor = Actor(seed)
+        scanned = simulate(actor.neutral, seed)
+        scan, landmarks = _read("neutral", scanned)
+        neutral = FitNeutral()(template, scan, landmarks, database)
+        shapes = PersonalTemplate()(template, neutral.points)
+        base = NeutralScan(points=neutral.points, place=neutral.place, landmarks=landmarks)
+        for number, name in enumerate(names):
+            truth, weights = actor.composite(COMPOSITES[name]), _ours(COMPOSITES[name])
+            scan, landmarks = _read(name, simulate(truth, 100 * seed + number))
+            found = RegisterScans()(
+                template, base, shapes, ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
+            )
+            start = neutral.points + np.sum([weight * shapes[shape] for shape, weight in weights.items()], axis=0)
+            rows.append(_errors(actor, neutral, found.points, start, truth, scanned))
+            print(seed, name, rows[-1])
+    mean = {field: np.mean([getattr(row, field) for row in rows]) for field in Errors.__dataclass_fields__}
+    print({field: round(float(value), 3) for field, value in mean.items()})
+    assert mean["points"] <= 0.65
+    assert mean["delta"] <= 0.3
+    assert mean["delta_p95"] < mean["template_p95"]
+
+
+def _ours(weights: dict[str, float]) -> dict[str, float]:
+    """Weights by the names that the importer gives the shapes."""
+    return {name.replace("_L", "Left").replace("_R", "Right"): weight for name, weight in weights.items()}
