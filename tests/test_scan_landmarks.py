@@ -1,4 +1,4 @@
-"""Landmarks found on scans: true within bounds where truth is known, the same in every pose and unit, none of no face."""
+"""Landmarks found on scans: true within bounds where truth is known, alike in every pose and unit, none of no face."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.geometry.small_holes import small_holes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.processors.scan_landmarks import FindScanLandmarks
 from facepipe.processors.scan_landmarks.frame import face_frame
 from facepipe.processors.scan_landmarks.look_again import MIRRORED
 from facepipe.render.surface_view import draw_surface
@@ -154,10 +155,8 @@ def test_the_other_sides_landmarks_are_those_of_a_symmetric_face() -> None:
     assert (MIRRORED[MIRRORED] == np.arange(68)).all()
 
 
-def finder():  # type: ignore[no-untyped-def]
+def finder() -> FindScanLandmarks:
     pytest.importorskip("torch")
-    from facepipe.processors.scan_landmarks import FindScanLandmarks
-
     return FindScanLandmarks(draw=draw_surface)
 
 

@@ -42,7 +42,7 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     pairs, crowded = _pairs(triangles)
     component = _linked(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
-    whole = _Pairs(*(one[~broken] for one in pairs))
+    whole = _Pairs(pairs.triangles[~broken], pairs.sides[~broken], pairs.alike[~broken])
     moved, source = _points(triangles, whole)
     return Sheets(
         triangles=moved,

@@ -41,7 +41,7 @@ def point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | Non
     if missing.all():
         return None
     colors[missing] = 0.18
-    return np.clip(colors, 0.0, 1.0)
+    return np.asarray(np.clip(colors, 0.0, 1.0))
 
 
 def _corners(mesh: Mesh) -> IntArray:
