@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,29 +42,60 @@ def surface_distances(points: FloatArray, surface_points: FloatArray, triangles:
 def closest_places(points: FloatArray, surface_points: FloatArray, triangles: IntArray) -> ClosestPlaces:
     """The nearest place of the surface `surface_points` (n, 3), `triangles` (t, 3), to each of `points` (m, 3).
 
+    :raises InputError: no triangle, or one at a point that is not there
+    """
+    return SurfaceSearch(surface_points, triangles).closest(points)
+
+
+class SurfaceSearch:
+    """A surface to find nearest places of, again and again.
+
     Exact: a triangle is left out only where its bounding sphere lies further away than a place already found.
     Triangles without area count as the segments or points that they are.
 
+    :param surface_points: (n, 3)
+    :param triangles: (t, 3)
     :raises InputError: no triangle, or one at a point that is not there
     """
-    points, surface_points = np.asarray(points, np.float64), np.asarray(surface_points, np.float64)
-    triangles = np.asarray(triangles)
-    if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(surface_points):
-        what = f"{len(triangles)} triangles, expected at least one, all at points 0 to {len(surface_points) - 1}"
-        raise InputError("surface", what)
-    corners = surface_points[triangles]
-    found = ClosestPlaces(
-        np.full(len(points), np.inf),
-        np.zeros(len(points), np.int64),
-        np.zeros((len(points), 3)),
-        np.zeros(len(points), np.int64),
-    )
-    if len(points):
-        centres = corners.mean(axis=1)
-        sizes = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
-        for members in _by_size(sizes):
-            _search(found, points, corners, centres[members], sizes[members], members)
-    return found
+
+    def __init__(self, surface_points: FloatArray, triangles: IntArray) -> None:
+        surface_points, triangles = np.asarray(surface_points, np.float64), np.asarray(triangles)
+        if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(surface_points):
+            what = f"{len(triangles)} triangles, expected at least one, all at points 0 to {len(surface_points) - 1}"
+            raise InputError("surface", what)
+        self._corners = surface_points[triangles]
+        centres = self._corners.mean(axis=1)
+        sizes = np.sqrt(((self._corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
+        self._groups = [_Group.of(centres, sizes, members) for members in _by_size(sizes)]
+
+    def closest(self, points: FloatArray) -> ClosestPlaces:
+        """The nearest place to each of `points` (m, 3)."""
+        points = np.asarray(points, np.float64)
+        found = ClosestPlaces(
+            np.full(len(points), np.inf),
+            np.zeros(len(points), np.int64),
+            np.zeros((len(points), 3)),
+            np.zeros(len(points), np.int64),
+        )
+        if len(points):
+            for group in self._groups:
+                _search(found, points, self._corners, group)
+        return found
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Triangles of like size."""
+
+    members: IntArray  # (g,)
+    sizes: FloatArray  # (g,) radii of their bounding spheres
+    tree: Any  # of the spheres' centres
+
+    @classmethod
+    def of(cls, centres: FloatArray, sizes: FloatArray, members: IntArray) -> _Group:
+        from scipy.spatial import cKDTree
+
+        return cls(members, sizes[members], cKDTree(centres[members]))
 
 
 def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -93,22 +125,9 @@ def _by_size(sizes: FloatArray) -> list[IntArray]:
     return [np.flatnonzero(steps == value) for value in values[np.argsort(-counts, kind="stable")]]
 
 
-def _search(
-    found: ClosestPlaces,
-    points: FloatArray,
-    corners: FloatArray,
-    centres: FloatArray,
-    sizes: FloatArray,
-    members: IntArray,
-) -> None:
-    """Try the triangles `members`, more and more of them for the points where a nearer one may still come.
-
-    :param centres: of the members' bounding spheres
-    :param sizes: their radii
-    """
-    from scipy.spatial import cKDTree
-
-    tree, largest = cKDTree(centres), float(sizes.max())
+def _search(found: ClosestPlaces, points: FloatArray, corners: FloatArray, group: _Group) -> None:
+    """Try the triangles of a group, more and more of them for the points where a nearer one may still come."""
+    members, sizes, tree, largest = group.members, group.sizes, group.tree, float(group.sizes.max())
     open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
     while len(open_points):
         reached = np.empty(len(open_points))

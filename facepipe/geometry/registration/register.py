@@ -77,7 +77,7 @@ def register(
     :raises FitError: hardly a point of the face finds a place on the scan
     """
     options = options or RegistrationOptions()
-    state = _State(surface, scan.moved(start), _moved(anchors, start), start, options)
+    state = _State(surface, scan, _moved(anchors, start), start, options)
     steps = 0
     for stage, (widening, softening, most, still) in enumerate(_STAGES):
         by_model = stage == 0 and len(surface.expected) >= _ENOUGH_MODES
@@ -129,7 +129,7 @@ class _State:
         else:
             step = solve_step(surface, self._stiffness, pull, scale=self._options.scale)
         self._coefficients, self._residual = step.coefficients, step.residual
-        self._scan, self._anchors = self._scan.moved(step.move), _moved(self._anchors, step.move)
+        self._anchors = _moved(self._anchors, step.move)
         self._place = _after(self._place, step.move)
         seen = self._surface.seen
         moved = self.points[seen] - step.move.apply(before[seen])
@@ -159,7 +159,7 @@ class _State:
     def _matches(self, surface: DeformableSurface, points: FloatArray, reach: float) -> Matches:
         seen = surface.seen
         normals = point_normals(points, surface.triangles)[seen]
-        matches = self._scan.matches(points[seen], normals, reach, self._options.angle)
+        matches = self._scan.matches(points[seen], normals, reach, self._options.angle, self._place)
         return replace(matches, kept=matches.kept & ~_across(surface, points, matches))
 
     def _pull(self, surface: DeformableSurface, points: FloatArray, matches: Matches, huber: float) -> Pull:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.polygons import edges, point_normals
 from facepipe.geometry.similarity import Similarity
 
@@ -17,6 +19,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 _SMOOTHINGS = 2  # noise of 0.1 mm turns the triangles of a scan by several degrees
 _ON_EDGE = 1e-9
+_AS_IT_LIES = Similarity(rotation=np.eye(3), translation=np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,28 +66,42 @@ class ScanTarget:
         """The same scan elsewhere."""
         return replace(self, points=by.apply(self.points), normals=self.normals @ by.rotation.T)
 
-    def matches(self, points: FloatArray, normals: FloatArray, reach: float, angle: float) -> Matches:
+    def matches(
+        self, points: FloatArray, normals: FloatArray, reach: float, angle: float, place: Similarity = _AS_IT_LIES
+    ) -> Matches:
         """The nearest places to points (m, 3) with unit normals (m, 3).
 
         Kept are those up to `reach` away, whose normals differ by up to `angle` radians, and that are not on the
         scan's border: there the face goes on and the scan does not.
+
+        :param place: from the scan to where the points are; what is found is there too. The scan itself stays, so that
+            it is sorted once for all searches
         """
-        places, own, distances, ended = self._nearest(points)
+        found, own, distances, ended = self._nearest(place.undo(points))
+        places, own, distances = place.apply(found), own @ place.rotation.T, place.scale * distances
         alike = np.einsum("mi,mi->m", own, normals) >= np.cos(angle)
         return Matches(places=places, normals=own, distances=distances, kept=alike & ~ended & (distances <= reach))
 
     def _nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         if not len(self.triangles):
-            from scipy.spatial import cKDTree
-
-            distances, number = cKDTree(self.points).query(points)
+            distances, number = self._tree.query(points)
             return self.points[number], self.normals[number], distances, self.border[number]
-        found = closest_places(points, self.points, self.triangles)
+        found = self._search.closest(points)
         shares = place_shares(found, self.points, self.triangles)
         corners = self.triangles[found.triangles]
         normals = _unit(np.einsum("mc,mci->mi", shares, self.normals[corners]))
         ended = np.asarray(((shares > _ON_EDGE) & self.border[corners]).any(axis=1))
         return found.places, normals, found.distances, ended
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+    @cached_property
+    def _search(self) -> SurfaceSearch:
+        return SurfaceSearch(self.points, self.triangles)
 
 
 def _smoothed(normals: FloatArray, pairs: IntArray) -> FloatArray:
