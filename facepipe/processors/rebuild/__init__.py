@@ -3,11 +3,14 @@
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.fit_neutral import FitNeutral, FitNeutralOptions, NeutralFit, NeutralReport
 from facepipe.processors.rebuild.personal_template import PersonalTemplate, PersonalTemplateOptions
+from facepipe.processors.rebuild.project import Project, ProjectScan, read_project
+from facepipe.processors.rebuild.rebuild import Readers, Rebuild, Rebuilt
 from facepipe.processors.rebuild.register_scans import (
     Composite,
     CompositeReport,
     ExpressionScan,
     NeutralScan,
+    RegisteredComposite,
     RegisterScans,
     RegisterScansOptions,
 )
@@ -27,13 +30,20 @@ __all__ = [
     "NeutralScan",
     "PersonalTemplate",
     "PersonalTemplateOptions",
+    "Project",
+    "ProjectScan",
+    "Readers",
+    "Rebuild",
+    "Rebuilt",
     "RegisterScans",
     "RegisterScansOptions",
+    "RegisteredComposite",
     "ScanFit",
     "ShapeReport",
     "SplitExpressions",
     "SplitFit",
     "SplitReport",
     "Template",
+    "read_project",
     "resolved",
 ]

@@ -76,11 +76,17 @@ class ExpressionScan:
 
 @dataclass(frozen=True, kw_only=True)
 class Composite:
-    """A registered expression."""
+    """An expression on the topology."""
 
     points: FloatArray  # (n, 3) whole points, the head where the neutral's is
     weights: Mapping[str, float]  # of shapes, as they were found
     matched: BoolArray  # (n,) points that the scan shows
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisteredComposite(Composite):
+    """An expression, and how it lies on its scan."""
+
     place: Similarity  # from the scan's coordinates
     report: CompositeReport
 
@@ -122,7 +128,7 @@ class RegisterScans:
         shapes: Mapping[str, FloatArray],
         expression: ExpressionScan,
         progress: Callable[[int], None] = lambda step: None,
-    ) -> Composite:
+    ) -> RegisteredComposite:
         """Register one expression.
 
         :param shapes: name -> (n, 3) whole deltas of the personal template
@@ -161,7 +167,7 @@ class RegisterScans:
         matched = np.zeros(len(points), bool)
         skin = template.row_of >= 0
         matched[skin] = found.matched[template.row_of[skin]]
-        return Composite(points=points, weights=weights, matched=matched, place=found.place, report=report)
+        return RegisteredComposite(points=points, weights=weights, matched=matched, place=found.place, report=report)
 
     def _surface(
         self,

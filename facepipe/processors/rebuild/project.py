@@ -1,0 +1,166 @@
+"""Projects: what a rebuild is made of, in TOML. Paths are relative to the project's folder.
+
+template = "head.usda"                      # face stage with multipie68 landmarks
+database = "faces.fpdb"
+work = "work"                               # folder of the stages' results (default: the project's name)
+
+[neutral]
+scan = "scans/neutral.ply"
+landmarks = "scans/neutral.landmarks.json"  # default: beside the scan, or found on it
+
+[expressions.smile]                         # one table for each other scan
+scan = "scans/smile.ply"
+weights = { mouthSmileLeft = 1, mouthSmileRight = 1 }  # default: what the table of composites has under its name
+
+[options.neutral]                           # and options.template, options.expressions, options.split
+unit = "mm"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from facepipe.errors import InputError
+from facepipe.geometry.example_rigging import SplitOptions
+from facepipe.options import from_json
+from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
+from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
+from facepipe.processors.rebuild.personal_template import PersonalTemplateOptions
+from facepipe.processors.rebuild.register_scans import RegisterScansOptions
+from facepipe.reading import read_bytes
+
+_MOST_BYTES = 1 << 22
+_KEYS = ("template", "database", "work", "neutral", "expressions", "options")
+_OPTIONS = ("neutral", "template", "expressions", "split")
+_SPLIT_NOISE = 0.2  # mm: what registered expressions are off by
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectScan:
+    """A scan and what goes with it; files that are there."""
+
+    name: str
+    scan: Path
+    landmarks: Path | None = None  # None: they are to be found on the scan
+    weights: Mapping[str, float] = field(default_factory=dict)  # of an expression, by the names that were given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """A rebuild, checked as far as its text goes."""
+
+    path: Path
+    template: Path
+    database: Path
+    work: Path
+    neutral: ProjectScan
+    expressions: tuple[ProjectScan, ...]  # in the order of the file
+    neutral_options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+    template_options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
+    expression_options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
+    split_options: SplitOptions = field(default_factory=lambda: SplitOptions(noise=_SPLIT_NOISE))
+
+
+def read_project(path: Path) -> Project:
+    """:raises InputError: not readable, no TOML, not such a project, or a file that it names and that is not there"""
+    try:
+        content = tomllib.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:  # bad UTF-8 too
+        raise InputError(path, f"is not TOML ({str(error)[:120]})") from None
+    where = str(path)
+    _check_keys(where, content, _KEYS)
+    options = _table(where, content, "options")
+    _check_keys(f"{where} -> options", options, _OPTIONS)
+    if "neutral" not in content:
+        raise InputError(where, "has no neutral, expected a table [neutral] with its scan")
+    expressions = _table(where, content, "expressions")
+    return Project(
+        path=path,
+        template=_file(where, content, "template", path.parent),
+        database=_file(where, content, "database", path.parent),
+        work=path.parent / _text(where, content, "work", path.stem),
+        neutral=_scan(where, "neutral", _table(where, content, "neutral"), path.parent, with_weights=False),
+        expressions=tuple(
+            _scan(f"{where} -> expressions", name, own, path.parent, with_weights=True)
+            for name, own in expressions.items()
+        ),
+        neutral_options=from_json(FitNeutralOptions, options.get("neutral", {}), f"{where} -> options.neutral"),
+        template_options=from_json(
+            PersonalTemplateOptions, options.get("template", {}), f"{where} -> options.template"
+        ),
+        expression_options=from_json(
+            RegisterScansOptions, options.get("expressions", {}), f"{where} -> options.expressions"
+        ),
+        split_options=_split_options(options.get("split", {}), f"{where} -> options.split"),
+    )
+
+
+def _split_options(values: object, where: str) -> SplitOptions:
+    given = {"noise": _SPLIT_NOISE, **values} if isinstance(values, Mapping) else values
+    return from_json(SplitOptions, given, where)
+
+
+def _scan(where: str, name: str, content: object, folder: Path, *, with_weights: bool) -> ProjectScan:
+    where = f"{where} -> {name[:60]}"
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(where, "expected a name of letters, digits and underscores")
+    if not isinstance(content, dict):
+        raise InputError(where, f"{str(content)[:40]}, expected a table with a scan")
+    _check_keys(where, content, ("scan", "landmarks", "weights") if with_weights else ("scan", "landmarks"))
+    scan = _file(where, content, "scan", folder)
+    beside = scan.with_name(f"{scan.stem}.landmarks.json")
+    given = _file(where, content, "landmarks", folder) if "landmarks" in content else None
+    return ProjectScan(
+        name=name,
+        scan=scan,
+        landmarks=given or (beside if beside.is_file() else None),
+        weights=_weights(where, name, content) if with_weights else {},
+    )
+
+
+def _weights(where: str, name: str, content: Mapping[str, Any]) -> dict[str, float]:
+    if "weights" not in content:
+        if name not in DEFAULT_COMPOSITES:
+            known = ", ".join(DEFAULT_COMPOSITES)
+            raise InputError(where, f"no weights, expected some, or one of the names that have them: {known}")
+        return dict(DEFAULT_COMPOSITES[name])
+    weights = content["weights"]
+    if not isinstance(weights, dict) or not weights:
+        raise InputError(f"{where} -> weights", f"{str(weights)[:40]}, expected a weight for each shape that it shows")
+    for shape, weight in weights.items():
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0.0 < weight <= 2.0:
+            raise InputError(f"{where} -> weights -> {shape[:60]}", f"{weight}, expected a number above 0, up to 2")
+    return {shape: float(weight) for shape, weight in weights.items()}
+
+
+def _check_keys(where: str, content: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in content:
+        if key not in known:
+            raise InputError(where, f"'{key[:60]}' is unknown, expected some of {', '.join(known)}")
+
+
+def _table(where: str, content: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = content.get(key, {})
+    if not isinstance(found, dict):
+        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected a table")
+    return found
+
+
+def _text(where: str, content: Mapping[str, Any], key: str, default: str | None = None) -> str:
+    found = content.get(key, default)
+    if found is None:
+        raise InputError(where, f"has no {key}, expected a file's name")
+    if not isinstance(found, str) or not found:
+        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected a file's name")
+    return found
+
+
+def _file(where: str, content: Mapping[str, Any], key: str, folder: Path) -> Path:
+    path = folder / _text(where, content, key)
+    if not path.is_file():
+        raise InputError(f"{where} -> {key}", f"{path}: no such file")
+    return path
