@@ -46,6 +46,7 @@ RECIPE_VERSION = "facepipe:recipe:version"
 
 REGION_PRIMVAR = "facepipe:region:"  # a primvar, so "primvars:" comes before it in full attribute names
 SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetres
+SCANNED = "facepipe:scanned"  # a primvar: float per point, 1 where the scan of an expression showed it, 0 elsewhere
 LANDMARKS_PREFIX = "facepipe:landmarks:"
 SLIDER_PREFIX = "facepipe:slider:"
 

@@ -15,7 +15,13 @@ from facepipe.processors.rebuild.register_scans import (
     RegisterScansOptions,
 )
 from facepipe.processors.rebuild.scan_fit import ScanFit
-from facepipe.processors.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
+from facepipe.processors.rebuild.split_expressions import (
+    ShapeReport,
+    SplitExpressions,
+    SplitExpressionsOptions,
+    SplitFit,
+    SplitReport,
+)
 from facepipe.processors.rebuild.template import Template
 
 __all__ = [
@@ -41,6 +47,7 @@ __all__ = [
     "ScanFit",
     "ShapeReport",
     "SplitExpressions",
+    "SplitExpressionsOptions",
     "SplitFit",
     "SplitReport",
     "Template",

@@ -42,9 +42,11 @@ class AuthorNeutral:
 
     :param shapes: blendshapes by name, (n, 3) whole deltas in millimetres, in place of those of the same name or
         beside them; the others keep their offsets
+    :param primvars: (n,) values of whole points to author beside it all, by primvar name
     """
 
     shapes: Mapping[str, FloatArray] = field(default_factory=dict)
+    primvars: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, face: Face, points: FloatArray, *, recipe: Recipe | None = None) -> AuthorNeutralReport:
         """Author whole `points` (n, 3), millimetres and Y up, on `face`, which stands over the template.
@@ -54,7 +56,7 @@ class AuthorNeutral:
         """
         parts = face.parts()
         self._check(face, parts, points)
-        authored = author_changes(face, replace(self._result(parts, points), recipe=recipe))
+        authored = author_changes(face, replace(self._result(parts, points), recipe=recipe), self.primvars)
         return AuthorNeutralReport(authored=authored, warnings=tuple(self._said(parts)))
 
     def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from pathlib import Path
 
-from facepipe import __version__
 from facepipe.options import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
-from facepipe.stage.files import relative_path
-from facepipe.stage.recipes import source_digest
+from facepipe.processors.rebuild.stage_recipe import stage_recipe
 
 VERB = "fit-neutral"
 
@@ -35,15 +32,6 @@ def neutral_recipe(
     :param landmarks: their file; None where they were found on the scan
     :raises InputError: a source that can't be read
     """
-    folder = Path(out).absolute().parent
     files = {"template": template, "scan": scan, "database": database}
     files |= {} if landmarks is None else {"landmarks": landmarks}
-    seen = {what: relative_path(os.fspath(file), folder) for what, file in files.items()}
-    sources = tuple(dict.fromkeys(seen.values()))
-    return Recipe(
-        verb=VERB,
-        sources=sources,
-        digests=tuple(source_digest(folder / one) for one in sources),
-        options={"files": seen, "options": to_json(options), "quality": dataclasses.asdict(quality)},
-        version=__version__,
-    )
+    return stage_recipe(VERB, files, out, {"options": to_json(options), "quality": dataclasses.asdict(quality)})

@@ -106,8 +106,9 @@ class NeutralScan:
     """The neutral that expressions are registered from."""
 
     points: FloatArray  # (n, 3) whole points
-    place: Similarity  # from its scan's coordinates
-    landmarks: ScanLandmarks  # markers on it are followed
+    # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers don't count.
+    place: Similarity | None = None
+    landmarks: ScanLandmarks = field(default_factory=ScanLandmarks)  # markers on it are followed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +199,7 @@ def _anchors(template: Template, neutral: NeutralScan, expression: ExpressionSca
     anchors = Anchors.at_points(template.landmarks, expression.landmarks.points, names)
     own = expression.landmarks.markers
     common = [marker for marker in own if marker in neutral.landmarks.markers]
-    if not common:
+    if neutral.place is None or not common:
         return anchors
     places = neutral.place.apply(np.array([neutral.landmarks.markers[marker] for marker in common]))
     skin = neutral.points[template.rows]
@@ -216,6 +217,8 @@ def _start(surface: DeformableSurface, anchors: Anchors, neutral: NeutralScan) -
     """About where the scan lies, and whether it has the scale of the neutral's scan."""
     places = anchors.places(surface.points(surface.expected))
     free = robust_similarity(anchors.targets, places)
+    if neutral.place is None:
+        return free, False
     size = neutral.place.scale
     if abs(free.scale / size - 1.0) > _SAME_SIZE:
         return free, False
@@ -224,6 +227,6 @@ def _start(surface: DeformableSurface, anchors: Anchors, neutral: NeutralScan) -
 
 
 def _resized(name: str, scale: float, neutral: NeutralScan, hold: bool) -> tuple[str, ...]:
-    if hold:
+    if hold or neutral.place is None:
         return ()
     return (f"{name}: 1 unit is {scale / neutral.place.scale:.4g} times that of the neutral's scan, fitted freely",)

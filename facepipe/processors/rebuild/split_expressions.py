@@ -20,6 +20,16 @@ _OBSERVED = 0.05  # shapes told less than this stay as the template has them
 
 
 @dataclass(frozen=True, kw_only=True)
+class SplitExpressionsOptions(SplitOptions):
+    """How registered expressions are split: they lie a little worse than what `SplitOptions` expects.
+
+    :raises InputError: a number out of range
+    """
+
+    noise: float = field(default=0.2, metadata=dict(SplitOptions.__dataclass_fields__["noise"].metadata))
+
+
+@dataclass(frozen=True, kw_only=True)
 class ShapeReport:
     """How much the scans told of one shape."""
 
@@ -54,7 +64,7 @@ class SplitFit:
 class SplitExpressions:
     """Registered expressions split into the shapes that they are sums of, near the personal template's."""
 
-    options: SplitOptions = field(default_factory=lambda: SplitOptions(noise=0.2))
+    options: SplitOptions = field(default_factory=SplitExpressionsOptions)
 
     def __call__(
         self,
