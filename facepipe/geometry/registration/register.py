@@ -119,7 +119,7 @@ class _State:
         """
         before = self.points
         surface = self._some if by_model else self._surface
-        matches = self._matches(surface, before, reach)
+        matches = self._matches(surface, before, reach, roughly=by_model)
         if np.count_nonzero(matches.kept) < min(_FEWEST, len(surface.seen)):
             what = f"{np.count_nonzero(matches.kept)} points of the face find a place on it"
             raise FitError("scan", f"{what}, expected {_FEWEST} or more: does it show this face?")
@@ -156,10 +156,12 @@ class _State:
             steps=steps,
         )
 
-    def _matches(self, surface: DeformableSurface, points: FloatArray, reach: float) -> Matches:
+    def _matches(
+        self, surface: DeformableSurface, points: FloatArray, reach: float, *, roughly: bool = False
+    ) -> Matches:
         seen = surface.seen
         normals = point_normals(points, surface.triangles)[seen]
-        matches = self._scan.matches(points[seen], normals, reach, self._options.angle, self._place)
+        matches = self._scan.matches(points[seen], normals, reach, self._options.angle, self._place, roughly=roughly)
         return replace(matches, kept=matches.kept & ~_across(surface, points, matches))
 
     def _pull(self, surface: DeformableSurface, points: FloatArray, matches: Matches, huber: float) -> Pull:

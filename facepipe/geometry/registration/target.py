@@ -67,7 +67,14 @@ class ScanTarget:
         return replace(self, points=by.apply(self.points), normals=self.normals @ by.rotation.T)
 
     def matches(
-        self, points: FloatArray, normals: FloatArray, reach: float, angle: float, place: Similarity = _AS_IT_LIES
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        reach: float,
+        angle: float,
+        place: Similarity = _AS_IT_LIES,
+        *,
+        roughly: bool = False,
     ) -> Matches:
         """The nearest places to points (m, 3) with unit normals (m, 3).
 
@@ -76,14 +83,15 @@ class ScanTarget:
 
         :param place: from the scan to where the points are; what is found is there too. The scan itself stays, so that
             it is sorted once for all searches
+        :param roughly: the nearest points of the scan instead of places on its triangles, in a tenth of the time
         """
-        found, own, distances, ended = self._nearest(place.undo(points))
+        found, own, distances, ended = self._nearest(place.undo(points), roughly or not len(self.triangles))
         places, own, distances = place.apply(found), own @ place.rotation.T, place.scale * distances
         alike = np.einsum("mi,mi->m", own, normals) >= np.cos(angle)
         return Matches(places=places, normals=own, distances=distances, kept=alike & ~ended & (distances <= reach))
 
-    def _nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        if not len(self.triangles):
+    def _nearest(self, points: FloatArray, of_points: bool) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        if of_points:
             distances, number = self._tree.query(points)
             return self.points[number], self.normals[number], distances, self.border[number]
         found = self._search.closest(points)
