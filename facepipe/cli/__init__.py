@@ -35,6 +35,7 @@ COMMANDS = {
     "blend": "mix faces of one topology by region, with shapes and rig",
     "database": "collect faces: models of identity and expressions",
     "fit-neutral": "fit a face to the scan of a person",
+    "rebuild": "make an actor's neutral and own shapes from scans",
     "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
     "schema-path": "print the folder of the USD schemas",

@@ -17,7 +17,7 @@ class Quality:
     surface_mean_mm: float  # mean distance from the face's points to the scan of its neutral
     surface_p95_mm: float  # 95th percentile of these
     coverage: float  # share 0..1 of the face area that the scan shows
-    flipped_triangles: int  # of the neutral and its shapes, against the template's
+    flipped_triangles: int  # of the neutral and its shapes, against what models and templates of them show
 
     def __post_init__(self) -> None:
         """:raises InputError: a number out of range"""

@@ -136,7 +136,7 @@ class FitNeutral:
         off = np.linalg.norm(found.residual[template.face], axis=1)
         report = NeutralReport(
             fit=fit,
-            quality=_quality(fit, template, points),
+            quality=_quality(fit, template, model, points),
             coefficients=tuple(float(one) for one in found.coefficients),
             residual_mean_mm=float(off.mean()) if len(off) else 0.0,
             residual_max_mm=float(off.max(initial=0.0)),
@@ -177,8 +177,10 @@ def _surface(template: Template, identity: IdentityModel, options: FitNeutralOpt
     )
 
 
-def _quality(fit: ScanFit, template: Template, points: FloatArray) -> Quality:
-    flipped = flipped_triangles(template.points, points, template.topology.triangles)
+def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
+    """Triangles are told as flipped against what the identity model shows of this person: people's own corners of lips
+    and lids turn some against the template's."""
+    flipped = flipped_triangles(model, points, template.topology.triangles)
     return Quality(
         surface_mean_mm=fit.surface_mean_mm,
         surface_p95_mm=fit.surface_p95_mm,

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.geometry.flips import flipped_triangles
 from facepipe.parts import FaceParts
-from facepipe.processors.database import FaceDatabase, load_database, whole_face
+from facepipe.processors.database import FaceDatabase, Quality, load_database, quality_from, whole_face
 from facepipe.processors.rebuild.composites import resolved
 from facepipe.processors.rebuild.fit_neutral import FitNeutral
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
@@ -29,6 +30,7 @@ from facepipe.processors.rebuild.stage_content import (
 from facepipe.processors.rebuild.template import Template
 from facepipe.processors.rebuild.work_folder import StageResult, WorkFolder, array_digest, file_digest
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import save_parts
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -51,6 +53,7 @@ class Rebuilt:
     shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta
     reports: Mapping[str, Mapping[str, Any]]  # stage -> its report: "neutral", "expressions/NAME", "shapes"
     composites: Mapping[str, FloatArray]  # expression -> (n, 3) whole points
+    quality: Quality  # of neutral and shapes, for a database
     reused: tuple[str, ...]  # stages whose results were there
     corrected: tuple[str, ...]  # results that a corrected mesh replaced
     warnings: tuple[str, ...]
@@ -78,7 +81,7 @@ class Rebuild:
         """
         project = self._project
         neutral, neutral_report = self._neutral()
-        shapes = self._personal(neutral.points)
+        start = shapes = self._personal(neutral.points)
         found, reports = {}, {"neutral": neutral_report}
         for scan in project.expressions:
             composite, report = self._expression(scan, neutral, shapes)
@@ -92,6 +95,7 @@ class Rebuild:
             shapes=shapes,
             reports=reports,
             composites={name: composite.points for name, composite in found.items()},
+            quality=self._quality(neutral, neutral_report, start, shapes),
             reused=tuple(self._reused),
             corrected=tuple(self._corrected),
             warnings=(*lines, *self._idle_corrections()),
@@ -192,7 +196,15 @@ class Rebuild:
         found = self._folder.stage(name, inputs, compute)
         if found.reused:
             self._reused.append(name)
+        if "points" in found.arrays:
+            self._show(name, found)
         return found
+
+    def _show(self, name: str, found: StageResult) -> None:
+        """A mesh beside the result, for eyes and for an artist's hand."""
+        path = self._folder.path / f"{name}.usdc"
+        if not (found.reused and path.is_file()):
+            save_parts(self._template.topology.parts(found.arrays["points"]), path)
 
     def _after_correction(self, name: str, points: FloatArray) -> FloatArray:
         path = self._folder.correction(name)
@@ -200,6 +212,22 @@ class Rebuild:
             return np.asarray(points, np.float64)
         self._corrected.append(name)
         return whole_face(self._readers.face(path), str(path), self._template.topology, self._template.where).points
+
+    def _quality(
+        self,
+        neutral: NeutralScan,
+        report: Mapping[str, Any],
+        start: Mapping[str, FloatArray],
+        shapes: Mapping[str, FloatArray],
+    ) -> Quality:
+        """The neutral's, and triangles that shapes turn where the personal template does not."""
+        found, triangles = quality_from(report["quality"], "neutral"), self._template.topology.triangles
+        turned = found.flipped_triangles
+        for name, delta in shapes.items():
+            if delta is not start[name]:
+                before, after = neutral.points + start[name], neutral.points + delta
+                turned += int(flipped_triangles(before, after, triangles).sum())
+        return replace(found, flipped_triangles=turned)
 
     def _idle_corrections(self) -> tuple[str, ...]:
         idle = [name for name in self._folder.corrections() if name not in self._corrected]
