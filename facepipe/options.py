@@ -64,8 +64,8 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
             raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(hints)}")
         if not _fits(value, hints[name]):
             raise InputError(f"{where} -> {name}", f"{repr(value)[:40]}, expected {_expected(hints[name])}")
-    options = kind(**values)
     try:
+        options = kind(**values)
         check_ranges(options)
     except InputError as error:
         raise error.under(where) from None

@@ -1,0 +1,192 @@
+"""`facepipe rebuild`: a project's scans to the actor's neutral and shapes, stage by stage."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scan_domes
+from test_cli import run
+
+import facepipe
+from facepipe.importers.scan_landmarks import write_scan_landmarks
+from facepipe.importers.scan_ply import write_ply
+from facepipe.processors.database import save_database, whole_face
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import save_parts
+from facepipe.stage.recipes import file_recipe
+from facepipe.validate import validate
+
+PERSON = 9
+GAIN = 1.3  # the person opens the jaw further than the template
+PROJECT = """
+template = "head.usda"
+database = "faces.fpdb"
+[neutral]
+scan = "neutral.ply"
+[expressions.open]
+scan = "open.ply"
+weights = { jawOpen = 1 }
+[options.neutral]
+unit = "cm"
+[options.expressions]
+weight_sigma = 0.01
+[options.split]
+weight_spread = 0
+"""
+
+
+@pytest.fixture(scope="session")
+def drawer_of_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    save_parts(scan_domes.face(), folder / "head.usda")
+    save_database(scan_domes.database(), folder / "faces.fpdb")
+    scan, landmarks = scan_domes.scan(PERSON)
+    put(folder, "neutral", scan, landmarks)
+    opened = scan_domes.POSE.scale * motion(scan_domes.grid(61)[0]) @ scan_domes.POSE.rotation.T
+    own = scan_domes.grid(31)[0][scan_domes.face().meshes[0].landmarks["multipie68"].indices]
+    marks = scan_domes.POSE.scale * motion(own) @ scan_domes.POSE.rotation.T
+    put(folder, "open", replace(scan, points=scan.points + opened), ScanLandmarks(points=landmarks.points + marks))
+    (folder / "anna.toml").write_text(PROJECT)
+    return folder
+
+
+@pytest.fixture
+def project(drawer_of_scans: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "project"
+    shutil.copytree(drawer_of_scans, folder)
+    return folder / "anna.toml"
+
+
+def motion(places: np.ndarray) -> np.ndarray:
+    """(n, 3) millimetres that the person's jawOpen moves places on the dome."""
+    lower = 1.0 / (1.0 + np.exp((places[:, 1] + 12.0) / 4.0))
+    return GAIN * np.where(lower > 0.02, lower, 0.0)[:, None] * np.array([0.0, -6.0, -2.0])
+
+
+def put(folder: Path, name: str, scan: Scan, landmarks: ScanLandmarks) -> None:
+    write_ply(scan, folder / f"{name}.ply")
+    write_scan_landmarks(landmarks, folder / f"{name}.landmarks.json")
+
+
+def rebuilt(capsys: pytest.CaptureFixture[str], project: Path, name: str = "anna.usda") -> dict[str, object]:
+    code, out, err = run(capsys, "rebuild", project, "-o", project.parent / name, "--json", "--force")
+    assert code == 0, err
+    return dict(json.loads(out))
+
+
+def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = rebuilt(capsys, project)
+    out = project.parent / "anna.usda"
+    face = whole_face(facepipe.open(out).parts(), "anna")
+    places, _ = scan_domes.grid(31)
+    skin = len(places)
+    truth = scan_domes.dome(places, PERSON)
+    assert np.abs(face.points[:skin] - truth).mean() < 0.1
+    template = whole_face(scan_domes.face(), "head").deltas["jawOpen"][:skin]
+    before = np.linalg.norm(template - motion(places), axis=1).mean()
+    after = np.linalg.norm(face.deltas["jawOpen"][:skin] - motion(places), axis=1).mean()
+    assert after < 0.5 * before
+    assert set(told["stages"]) == {"neutral", "expressions/open", "shapes"}  # type: ignore[call-overload]
+    assert told["stages"]["shapes"]["unseen"] == ["smile"]  # type: ignore[index]
+    assert validate(out) == ()
+    recipe = file_recipe(out).recipe
+    assert recipe is not None
+    assert (recipe.verb, recipe.sources[0], len(recipe.sources)) == ("rebuild", "./head.usda", 7)
+    assert recipe.options["quality"] == told["quality"]
+
+
+def test_only_what_changed_is_done_again(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rebuilt(capsys, project)["reused"] == []
+    first = (project.parent / "anna.usda").read_bytes()
+    stages = ["neutral", "template", "expressions/open", "shapes"]
+    assert rebuilt(capsys, project)["reused"] == stages
+    assert (project.parent / "anna.usda").read_bytes() == first
+    project.write_text(PROJECT.replace("weight_spread = 0", "weight_spread = 0.05"))
+    assert rebuilt(capsys, project)["reused"] == stages[:3]
+    (project.parent / "open.landmarks.json").write_text((project.parent / "open.landmarks.json").read_text() + "\n")
+    # landmarks written otherwise are the same places: what comes of them is the same, and so is what follows
+    assert rebuilt(capsys, project)["reused"] == [*stages[:2], "shapes"]
+
+
+def test_corrected_meshes_take_the_place_of_results(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rebuilt(capsys, project)
+    work = project.parent / "anna"
+    shown = facepipe.open(work / "neutral.usdc").parts()
+    head = shown.meshes[0]
+    sculpted = np.array(head.points)
+    sculpted[400] += (0.0, 0.0, 3.0)
+    save_parts(
+        replace(shown, meshes=(replace(head, points=sculpted), *shown.meshes[1:])), work / "corrections/neutral.usdc"
+    )
+    told = rebuilt(capsys, project)
+    assert told["corrected"] == ["neutral"]
+    assert told["reused"] == ["neutral"]
+    found = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
+    assert np.allclose(found[400], sculpted[400], atol=1e-4)
+
+    (work / "corrections/shapes").mkdir()
+    shape = replace(shown, meshes=(replace(head, points=sculpted - (0.0, 1.0, 0.0)), *shown.meshes[1:]))
+    save_parts(shape, work / "corrections/shapes/smile.usdc")
+    save_parts(shape, work / "corrections/shapes/frown.usdc")
+    told = rebuilt(capsys, project)
+    assert told["corrected"] == ["neutral", "shapes/smile"]
+    assert f"{work}/corrections/shapes/frown: corrects no result" in told["warnings"]  # type: ignore[operator]
+    delta = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").deltas["smile"]
+    assert np.allclose(delta[: len(sculpted)], [0.0, -1.0, 0.0], atol=1e-4)
+
+
+def test_a_correction_of_another_topology_is_refused(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rebuilt(capsys, project)
+    kept = (project.parent / "anna.usda").read_bytes()
+    shown = facepipe.open(project.parent / "anna/neutral.usdc").parts()
+    save_parts(replace(shown, meshes=shown.meshes[:1]), project.parent / "anna/corrections/neutral.usdc")
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda", "--force")
+    assert code == 2
+    assert "corrections/neutral.usdc: no mesh 'Eye', expected the meshes of" in err
+    assert (project.parent / "anna.usda").read_bytes() == kept
+
+
+def test_an_expression_that_fails_keeps_the_stages_before(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = (project.parent / "open.landmarks.json").read_text()
+    (project.parent / "open.landmarks.json").write_text('{"scheme": "multipie68", "points": []}')
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert not (project.parent / "anna.usda").exists()
+    (project.parent / "open.landmarks.json").write_text(good)
+    assert rebuilt(capsys, project)["reused"] == ["neutral", "template"]
+
+
+def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project.write_text(PROJECT.split("[expressions.open]")[0])
+    told = rebuilt(capsys, project)
+    assert set(told["stages"]) == {"neutral"}  # type: ignore[call-overload]
+    face = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna")
+    assert set(face.deltas) == {"jawOpen", "smile"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("jawOpen = 1", "jawShut = 1", "open -> weights -> jawShut: no such shape, expected some of jawOpen"),
+        ('unit = "cm"', 'unit = "mm"', "neutral.ply: is said to be in mm, but has the size of a face in cm"),
+        ('scan = "open.ply"', 'scan = "head.usda"\nlandmarks = "neutral.landmarks.json"', ""),
+    ],
+)
+def test_bad_projects_write_nothing(
+    project: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
+) -> None:
+    project.write_text(PROJECT.replace(old, new))
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda")
+    if message:
+        assert code == 2
+        assert message in err
+        assert not (project.parent / "anna.usda").exists()
+    else:  # a stage is a scan like any other: it is fitted, or refused in one line
+        assert code in (0, 1, 2)
+        assert code != 2 or err.count("\n") == 1

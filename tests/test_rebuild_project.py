@@ -1,0 +1,127 @@
+"""Project files and work folders of rebuilds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facepipe.errors import InputError
+from facepipe.processors.rebuild import DEFAULT_COMPOSITES, read_project, resolved
+from facepipe.processors.rebuild.work_folder import WorkFolder
+
+_HEAD = 'template = "head.usda"\ndatabase = "faces.fpdb"\n[neutral]\nscan = "neutral.ply"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("head.usda", "faces.fpdb", "neutral.ply", "smile.ply", "wink.ply", "smile.landmarks.json"):
+        (tmp_path / name).write_text("")
+    return tmp_path
+
+
+def _project(folder: Path, text: str) -> Path:
+    path = folder / "anna.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path) -> None:
+    text = '[expressions.smile]\nscan = "smile.ply"\n[expressions.wink]\nscan = "wink.ply"\nweights = { blink = 1 }\n'
+    project = read_project(_project(folder, _HEAD + text + "[options.neutral]\nunit = 'mm'\n"))
+    smile, wink = project.expressions
+    assert project.work == folder / "anna"
+    assert (smile.landmarks, wink.landmarks) == (folder / "smile.landmarks.json", None)
+    assert smile.weights == DEFAULT_COMPOSITES["smile"]
+    assert wink.weights == {"blink": 1.0}
+    assert project.neutral_options.unit == "mm"
+    assert project.split_options.noise == 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("template = 1\n", "anna.toml: has no neutral, expected a table [neutral] with its scan"),
+        (_HEAD.replace("head", "tail"), "anna.toml -> template: {folder}/tail.usda: no such file"),
+        (_HEAD + "landmark = 1\n", "anna.toml -> neutral: 'landmark' is unknown, expected some of scan, landmarks"),
+        (_HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected a table with a scan"),
+        (
+            _HEAD + "[expressions.wink]\nscan = 'wink.ply'\n",
+            "anna.toml -> expressions -> wink: no weights, expected some, or one of the names that have them: jaw_open",
+        ),
+        (
+            _HEAD + "[expressions.wink]\nscan = 'wink.ply'\nweights = { eyeBlink_L = nan }\n",
+            "anna.toml -> expressions -> wink -> weights -> eyeBlink_L: nan, expected a number above 0, up to 2",
+        ),
+        (_HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options.neutral -> option prior: is -1, expected"),
+        (_HEAD + "[options.all]\n", "anna.toml -> options: 'all' is unknown, expected some of neutral, template,"),
+        ("[[[", "anna.toml: is not TOML ("),
+    ],
+)
+def test_mistakes_are_told_in_one_line(folder: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_project(_project(folder, text))
+    assert str(error.value).startswith(f"{folder}/" + message.format(folder=folder))
+    assert "\n" not in str(error.value)
+
+
+def test_shapes_of_composites_are_found_however_their_sides_are_written() -> None:
+    assert resolved({"smile_L": 1.0, "browInnerUp_R": 0.5}, ("smileLeft", "browInnerUp"), "x") == {
+        "smileLeft": 1.0,
+        "browInnerUp": 0.5,
+    }
+    assert resolved({"smileLeft": 1.0}, ("smile_L",), "x") == {"smile_L": 1.0}
+    with pytest.raises(InputError, match="x -> jawOpen: no such shape, expected some of smile_L"):
+        resolved({"jawOpen": 1.0}, ("smile_L",), "x")
+
+
+def test_the_default_composites_close_lips_of_open_jaws_only() -> None:
+    for weights in DEFAULT_COMPOSITES.values():
+        assert all(0.0 < weight <= 1.0 for weight in weights.values())
+        assert "mouthClose" not in weights or "jawOpen" in weights
+
+
+def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def compute() -> tuple[dict[str, np.ndarray], dict[str, int]]:
+        calls.append(1)
+        return {"points": np.arange(6.0).reshape(2, 3)}, {"calls": len(calls)}
+
+    first = WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 1}, compute)
+    again = WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 1}, compute)
+    assert (first.reused, again.reused, again.content) == (False, True, {"calls": 1})
+    assert np.array_equal(again.arrays["points"], np.arange(6.0).reshape(2, 3))
+    assert WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 2}, compute).content == {"calls": 2}
+
+
+def test_a_failing_stage_leaves_what_was_there(tmp_path: Path) -> None:
+    folder = WorkFolder(tmp_path)
+    folder.stage("a", {"x": 1}, lambda: ({"points": np.ones((1, 3))}, {}))
+    kept = (tmp_path / "a.fpstage").read_bytes()
+
+    def fails() -> tuple[dict[str, np.ndarray], dict[str, int]]:
+        raise InputError("scan", "is gone")
+
+    with pytest.raises(InputError):
+        folder.stage("a", {"x": 2}, fails)
+    assert (tmp_path / "a.fpstage").read_bytes() == kept
+
+
+@pytest.mark.parametrize("damage", [b"", b"nonsense", None])
+def test_a_damaged_result_is_made_anew(tmp_path: Path, damage: bytes | None) -> None:
+    folder, path = WorkFolder(tmp_path), tmp_path / "a.fpstage"
+    folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
+    path.write_bytes(path.read_bytes()[:-3] if damage is None else damage)
+    assert not folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {})).reused
+    assert folder.stage("a", {}, lambda: ({"points": np.zeros((1, 3))}, {})).reused
+
+
+def test_two_corrections_of_one_result_are_refused(tmp_path: Path) -> None:
+    folder = WorkFolder(tmp_path)
+    (tmp_path / "corrections" / "neutral.obj").write_text("")
+    assert folder.correction("neutral") == tmp_path / "corrections" / "neutral.obj"
+    (tmp_path / "corrections" / "neutral.usdc").write_text("")
+    with pytest.raises(InputError, match=r"neutral\.usdc, neutral\.obj, expected one correction of neutral"):
+        folder.correction("neutral")
