@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.flips import flipped_triangles
+from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts
 from facepipe.processors.database import FaceDatabase, Quality, load_database, quality_from, whole_face
 from facepipe.processors.rebuild.composites import resolved
@@ -52,7 +53,9 @@ class Rebuilt:
     neutral: FloatArray  # (n, 3) whole points, millimetres
     shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta
     reports: Mapping[str, Mapping[str, Any]]  # stage -> its report: "neutral", "expressions/NAME", "shapes"
+    personal: Mapping[str, FloatArray]  # name -> (n, 3) whole delta of the personal template
     composites: Mapping[str, FloatArray]  # expression -> (n, 3) whole points
+    places: Mapping[str, Similarity]  # stage of a scan -> from the scan's coordinates to those of the points
     quality: Quality  # of neutral and shapes, for a database
     reused: tuple[str, ...]  # stages whose results were there
     corrected: tuple[str, ...]  # results that a corrected mesh replaced
@@ -80,12 +83,12 @@ class Rebuild:
         :raises FacepipeError: what can't be read, fitted or written; the results of the stages before stay
         """
         project = self._project
-        neutral, neutral_report = self._neutral()
+        neutral, neutral_report, neutral_place = self._neutral()
         start = shapes = self._personal(neutral.points)
-        found, reports = {}, {"neutral": neutral_report}
+        found, reports, places = {}, {"neutral": neutral_report}, {"neutral": neutral_place}
         for scan in project.expressions:
-            composite, report = self._expression(scan, neutral, shapes)
-            found[scan.name], reports[f"expressions/{scan.name}"] = composite, report
+            stage = f"expressions/{scan.name}"
+            found[scan.name], reports[stage], places[stage] = self._expression(scan, neutral, shapes)
         if found:
             shapes, reports["shapes"] = self._split(neutral.points, shapes, found)
         shapes = self._corrected_shapes(neutral.points, shapes)
@@ -94,14 +97,16 @@ class Rebuild:
             neutral=neutral.points,
             shapes=shapes,
             reports=reports,
+            personal=start,
             composites={name: composite.points for name, composite in found.items()},
+            places=places,
             quality=self._quality(neutral, neutral_report, start, shapes),
             reused=tuple(self._reused),
             corrected=tuple(self._corrected),
             warnings=(*lines, *self._idle_corrections()),
         )
 
-    def _neutral(self) -> tuple[NeutralScan, Mapping[str, Any]]:
+    def _neutral(self) -> tuple[NeutralScan, Mapping[str, Any], Similarity]:
         project = self._project
         landmarks: list[ScanLandmarks] = []
 
@@ -116,8 +121,8 @@ class Rebuild:
         found = self._stage("neutral", inputs, compute)
         points = self._after_correction("neutral", found.arrays["points"])
         marks = landmarks[0] if landmarks else self._landmarks(project.neutral)
-        base = NeutralScan(points=points, place=place_of(found.content["place"]), landmarks=marks)
-        return base, found.content["report"]
+        place = place_of(found.content["place"])
+        return NeutralScan(points=points, place=place, landmarks=marks), found.content["report"], place
 
     def _personal(self, neutral: FloatArray) -> dict[str, FloatArray]:
         project = self._project
@@ -138,7 +143,7 @@ class Rebuild:
 
     def _expression(
         self, scan: ProjectScan, neutral: NeutralScan, shapes: Mapping[str, FloatArray]
-    ) -> tuple[Composite, Mapping[str, Any]]:
+    ) -> tuple[Composite, Mapping[str, Any], Similarity]:
         options = self._project.expression_options
         weights = resolved(scan.weights, tuple(shapes), f"{self._project.path} -> {scan.name} -> weights")
 
@@ -146,11 +151,12 @@ class Rebuild:
             one, marks = self._read(scan)
             given = ExpressionScan(scan=one, landmarks=marks, weights=weights)
             found = RegisterScans(options=options)(self._template, neutral, shapes, given)
-            content = {"report": plain(found.report)}
+            content = {"report": plain(found.report), "place": place_json(found.place)}
             return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
 
         inputs = self._inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
         inputs |= {"shapes": array_digest(*(shapes[shape] for shape in weights)), "markers": _markers(neutral)}
+        inputs |= {"keeps": ["points", "matched", "report", "place"]}
         name = f"expressions/{scan.name}"
         found = self._stage(name, inputs, compute)
         points = self._after_correction(name, found.arrays["points"])
@@ -159,7 +165,7 @@ class Rebuild:
             weights=found.content["report"]["weights"],
             matched=found.arrays["matched"].astype(bool),
         )
-        return composite, found.content["report"]
+        return composite, found.content["report"], place_of(found.content["place"])
 
     def _split(
         self, neutral: FloatArray, shapes: Mapping[str, FloatArray], composites: Mapping[str, Composite]
