@@ -130,3 +130,32 @@ def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
         assert means["landmark_px"] < means["noisy_px"], "nearer to the truth than to the noise"
         assert means["geometry_mm"] < means["default_mm"]
         assert means["slider"] < means["nothing_slider"]
+
+
+def test_rebuild_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    printed = run("--json", out, "--data", tmp_path, benchmark="rebuild.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    assert result["people"] == []
+    assert str(tmp_path) in result["skipped"]["ICT-FaceKit"]
+    assert printed.count("skipped: ") == len(result["skipped"])
+
+
+@pytest.mark.slow
+def test_rebuild_benchmark_fits_nearer_than_its_peers(tmp_path: Path) -> None:
+    """One person; the peers where trimesh is installed."""
+    shared("ict_facekit/ict_facekit.npz")
+    out = tmp_path / "out.json"
+    printed = run("--identities", "1", "--json", out, benchmark="rebuild.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    (person,) = result["people"]
+    ours, head = person["best"]["facepipe"], person["best"]["facepipe, whole head"]
+    assert (ours["points"], head["points"]) == (9409, 14062)
+    assert ours["mean_mm"] == pytest.approx(person["best"]["facepipe, all threads"]["mean_mm"], rel=1e-3)
+    assert ours["surface_mm"] < 0.12 < ours["mean_mm"] < 0.8, "the distance from the scan is not the error"
+    assert ours["mean_mm"] < ours["p95_mm"]
+    for side, one in person["best"].items():
+        assert side in printed
+        assert one["before_bytes"] <= one["peak_bytes"]
+        assert side in ("facepipe", "facepipe, all threads", "facepipe, whole head") or one["mean_mm"] > ours["mean_mm"]
+    assert ("trimesh" in result["skipped"]) == (not any(side.startswith("nricp") for side in person["best"]))

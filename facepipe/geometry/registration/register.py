@@ -24,7 +24,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 _STAGES = ((5.0, 4.0, 6, 0.3), (2.0, 2.0, 4, 0.5), (1.0, 1.0, 8, 0.05))
 """Factors of reach and Huber's distance, steps at most, and the RMS movement (mm) that ends a stage."""
-_ENOUGH_MODES = 10  # a model that can come near by itself: the first stage is left to it, on some of the points
+_ENOUGH_MODES = 20  # a model that can come near by itself: the first stage is left to it, on some of the points
 _SOME_POINTS = 3000
 _FEWEST = 50  # matches
 _ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is told
