@@ -15,10 +15,10 @@ from facepipe.render.fit_sheet import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
 
 HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
-SIZE = 96
+SIZE = 64
 
 
-def shown(side: int = 61) -> FitPicture:
+def shown(side: int = 31) -> FitPicture:
     """A person beside its own scan."""
     parts, (scan, landmarks) = scan_domes.face(9), scan_domes.scan(9, side, HOME)
     points = whole_points(parts)
@@ -46,7 +46,7 @@ def test_a_face_that_lies_on_its_scan_looks_like_it() -> None:
 
 
 def test_a_cloud_looks_like_the_surface() -> None:
-    surface = shown(121)
+    surface = shown(61)
     cloud = replace(surface, scan=replace(surface.scan, triangles=no_triangles()))
     assert np.median(np.abs(cells(surface)[0] - cells(cloud)[0])) < 12.0
 
