@@ -18,6 +18,7 @@ from facepipe.geometry.registration.step import Pull, solve_model_step, solve_st
 from facepipe.geometry.registration.surface import DeformableSurface
 from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -77,17 +78,24 @@ def register(
     :raises FitError: hardly a point of the face finds a place on the scan
     """
     options = options or RegistrationOptions()
-    state = _State(surface, scan, _moved(anchors, start), start, options)
+    with one_thread():
+        state = _State(surface, scan, _moved(anchors, start), start, options)
+        steps = _run(state, options, progress)
+        return state.result(steps)
+
+
+def _run(state: _State, options: RegistrationOptions, progress: Callable[[int], None]) -> int:
+    """All stages; the number of steps."""
     steps = 0
     for stage, (widening, softening, most, still) in enumerate(_STAGES):
-        by_model = stage == 0 and len(surface.expected) >= _ENOUGH_MODES
+        by_model = stage == 0 and state.has_model
         for _ in range(most):
             steps += 1
             change = state.advance(options.reach_mm * widening, options.huber_mm * softening, by_model=by_model)
             progress(steps)
             if change < still:
                 break
-    return state.result(steps)
+    return steps
 
 
 class _State:
@@ -107,6 +115,11 @@ class _State:
         self._stiffness = _stiffness(surface, self._areas, options.membrane)
         self._coefficients = surface.expected.copy()
         self._residual = np.zeros_like(surface.base)
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the modes can come near by themselves."""
+        return len(self._surface.expected) >= _ENOUGH_MODES
 
     @property
     def points(self) -> FloatArray:
