@@ -46,10 +46,10 @@ def fit_sheet(fit: FitPicture) -> Image:
 
     :raises InputError: points or distances that don't fit, or a size out of range
     """
-    scan = _scan_parts(fit.scan)
+    scan = scan_parts(fit.scan)
     known = fit.distances[np.isfinite(fit.distances)]
     mean = f", mean {known.mean():.2f} mm" if len(known) else ""
-    heat = HeatMap(values=fit.distances, range=(0.0, fit.largest_mm or _round_above(known)))
+    heat = HeatMap(values=fit.distances, range=(0.0, fit.largest_mm or round_above(known)))
     images = []
     for view in _VIEWS:
         options = PictureOptions(size=fit.size, camera=_camera(fit, view, 0))
@@ -62,7 +62,7 @@ def fit_sheet(fit: FitPicture) -> Image:
     return contact_sheet(images, columns=3)
 
 
-def _round_above(known: FloatArray) -> float:
+def round_above(known: FloatArray) -> float:
     """A round number of millimetres that 98 % of the distances are below."""
     wanted = float(np.percentile(known, 98)) if len(known) else 1.0
     return next((one for one in _ROUND if one >= wanted), _ROUND[-1])
@@ -76,7 +76,7 @@ def _camera(fit: FitPicture, view: View, right: int) -> Camera:
     return portrait(middle + corners * half, view, Frame(width=fit.size, height=fit.size, right=right))
 
 
-def _scan_parts(scan: Scan) -> FaceParts:
+def scan_parts(scan: Scan) -> FaceParts:
     """A scan as a face, for the renderer; small discs for a cloud."""
     points, triangles = scan.points, scan.triangles
     if scan.is_cloud:

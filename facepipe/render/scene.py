@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.parts import FaceParts, Material, Mesh, UvSet
 from facepipe.render.camera import y_up
+from facepipe.render.occlusion import ambient_occlusion
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -64,6 +66,16 @@ class Scene:
         """(t,) triangles whose back is as good as their front."""
         flags = np.array([surface.mesh.double_sided for surface in self.surfaces], dtype=bool)
         return np.asarray(flags[self.surface])
+
+    @cached_property
+    def occluders(self) -> IntArray:
+        """(o, 3) triangles that keep light away."""
+        return self.triangles[~self.see_through]
+
+    @cached_property
+    def sky(self) -> FloatArray:
+        """(n,) share of the sky that each point sees; the same for all views, and the costliest part of one."""
+        return ambient_occlusion(self.points, self.normals, self.occluders)
 
     def uv(self, surface: Surface, name: str, ids: IntArray, weights: FloatArray) -> FloatArray | None:
         """(m, 2) texture coordinates in the triangles `ids` (m,) at barycentrics (m, 3); None: no such UV set."""

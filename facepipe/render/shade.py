@@ -12,7 +12,7 @@ from facepipe.parts import TextureInput
 from facepipe.render.camera import Camera
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.lighting import EVEN, PORTRAIT, Samples, Studio, lit
-from facepipe.render.occlusion import SHADOW_RESOLUTION, DepthMap, ambient_occlusion, depth_map
+from facepipe.render.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
 from facepipe.render.rasterise import barycentrics
 from facepipe.render.scene import Scene, Surface
 from facepipe.render.textures import TextureCache
@@ -66,21 +66,16 @@ class Shader:
         colors = colors if self.paint is None else self.paint
         heat = np.zeros(len(scene.points)) if self.heatmap is None else self.heatmap.values
         position = self.camera.to_camera(scene.points)
-        sky = ambient_occlusion(scene.points, scene.normals, self._occluders)
         turned = scene.normals @ self.camera.axes.T
-        return np.column_stack([position, turned, sky, colors, heat]).astype(np.float32)
+        return np.column_stack([position, turned, scene.sky, colors, heat]).astype(np.float32)
 
     @cached_property
     def shadow(self) -> DepthMap | None:
         """The key light's view."""
-        if not self.studio.shadows or not self.studio.lights or not len(self._occluders):
+        if not self.studio.shadows or not self.studio.lights or not len(self.scene.occluders):
             return None
         towards = self.studio.lights[0].unit.astype(np.float64) @ self.camera.axes
-        return depth_map(self.scene.points, self._occluders, towards, SHADOW_RESOLUTION)
-
-    @cached_property
-    def _occluders(self) -> IntArray:
-        return self.scene.triangles[~self.scene.see_through]
+        return depth_map(self.scene.points, self.scene.occluders, towards, SHADOW_RESOLUTION)
 
     def _mesh_starts(self) -> list[tuple[Surface, int]]:
         surface, at = np.unique(self.scene.surface, return_index=True)

@@ -114,7 +114,7 @@ def _column(rows: Sequence[Row], values: Mapping[str, float], width: int, names:
         value = values[row.name]
         write(image, (0, middle), row.name, anchor="lm", room=names)
         write(image, (width, middle), f"{value:.2f}", anchor="rm", room=numbers)
-        _bar(image, (left, right), middle, (row.minimum, row.maximum), (row.default, value))
+        draw_bar(image, (left, right), middle, (row.minimum, row.maximum), (row.default, value))
     return image
 
 
@@ -140,11 +140,11 @@ def _shape_rows(
                 continue
             middle, color = top + ROW * (row + 0.5), INK if abs(each[name]) > ACTIVE else MUTED
             write(image, (right, middle), f"{each[name]:.2f}", size=size, color=color, anchor="rm", room=numbers)
-            _bar(image, (left, round(right - numbers)), middle, limits, (0.0, each[name]))
+            draw_bar(image, (left, round(right - numbers)), middle, limits, (0.0, each[name]))
     return image
 
 
-def _bar(
+def draw_bar(
     image: Image, span: tuple[int, int], middle: float, limits: tuple[float, float], values: tuple[float, float]
 ) -> None:
     """A track from the least to the largest value, a bar from the default to the value, and a tick at the default."""
