@@ -200,7 +200,13 @@ def test_a_step_is_the_least_squares_solution() -> None:
     anchors = Anchors(
         corners=rng.integers(0, count, (5, 3)), shares=np.full((5, 3), 1 / 3), targets=rng.normal(size=(5, 3)) * 30
     )
-    pull = Pull(matches=matches, weights=rng.uniform(0, 3, count), anchors=anchors, anchor_weights=rng.uniform(1, 5, 5))
+    pull = Pull(
+        matches=matches,
+        weights=rng.uniform(0, 3, count),
+        anchors=anchors,
+        anchor_weights=rng.uniform(1, 5, 5),
+        spread=anchors.matrix(count),
+    )
     stiffness = _stiffness(surface, np.ones(count), 1.0)
     step = solve_step(surface, stiffness, pull, scale=True)
 

@@ -113,6 +113,7 @@ class _State:
         self._some = _thinned(surface)
         self._areas = point_areas(surface.base, surface.triangles)
         self._stiffness = _stiffness(surface, self._areas, options.membrane)
+        self._spread = anchors.matrix(len(surface.base)) @ _around(surface)
         self._coefficients = surface.expected.copy()
         self._residual = np.zeros_like(surface.base)
 
@@ -189,7 +190,20 @@ class _State:
             weights=weights,
             anchors=self._anchors,
             anchor_weights=trusted / options.anchor_sigma_mm**2,
+            spread=self._spread,
         )
+
+
+def _around(surface: DeformableSurface) -> Any:
+    """(n, n) sparse: means over the points around each. An anchor that pulled one point alone would draw a spike."""
+    from scipy.sparse import csr_array, diags_array, identity
+
+    count = len(surface.base)
+    pairs, _ = cotangent_weights(surface.base, surface.triangles)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    near = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count)) + identity(count)
+    mean = diags_array(1.0 / near.sum(axis=1)) @ near
+    return (mean @ mean).tocsr()
 
 
 def _thinned(surface: DeformableSurface) -> DeformableSurface:

@@ -37,6 +37,7 @@ class Pull:
     weights: FloatArray  # (m,) of the matches
     anchors: Anchors
     anchor_weights: FloatArray  # (l,)
+    spread: Any  # (l, n) sparse: the residual's part in the anchors, taken over the points around
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +63,7 @@ def solve_step(surface: DeformableSurface, stiffness: Any, pull: Pull, *, scale:
     fixed = _anchor_columns(surface, pull.anchors, centre, scale)  # (l, 3, 1 + q)
     right = np.zeros((count, 3, planes.shape[1]))
     right[seen] = matches.normals[:, :, None] * (pull.weights[:, None] * planes)[:, None, :]
-    spread = pull.anchors.matrix(count)
+    spread = pull.spread
     weighted = pull.anchor_weights[:, None, None] * fixed
     right += (spread.T @ weighted.reshape(len(weighted), -1)).reshape(right.shape)
     factor = factorise(stiffness + _data_matrix(pull, seen, spread))
