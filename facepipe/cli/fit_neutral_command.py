@@ -18,20 +18,20 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.atomic import replacing
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
+from facepipe.cli.scan_input import landmark_file, landmarks_of, named
+from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
-from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild import NeutralFit, Template
     from facepipe.processors.rebuild.fit_neutral import NeutralReport
-    from facepipe.scans import Scan, ScanLandmarks
+    from facepipe.scans import Scan
     from facepipe.stage import Face
 
 _STEPS = 18  # of a fit, at most
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.processors.rebuild import FitNeutral, FitNeutralOptions, Template
     from facepipe.stage import open_face
 
-    file = _landmark_file(arguments)
+    file = landmark_file(arguments.scan, arguments.landmarks)
     inputs = [arguments.scan, arguments.template, arguments.database, *([file] if file else [])]
     out = output_of(arguments, inputs)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
@@ -68,8 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     face = open_face(arguments.template)
     template = Template.of(face.parts(), str(arguments.template))
     database, scan = load_database(arguments.database), read_scan(arguments.scan)
-    landmarks, found = _landmarks(file, scan)
-    with _named(arguments.scan), progress("fit", _STEPS) as bar:
+    landmarks, found = landmarks_of(file, scan)
+    with named(arguments.scan), progress("fit", _STEPS) as bar:
         fit = fit_neutral(template, scan, landmarks, database, lambda step: bar.update())
     authored = _author(_Request(arguments, file, out, picture), face, template, scan, fit)
     report = fit.report
@@ -94,36 +94,6 @@ class _Request(NamedTuple):
     picture: Path | None
 
 
-def _landmark_file(arguments: argparse.Namespace) -> Path | None:
-    """The landmarks given, or those that lie beside the scan."""
-    if arguments.landmarks is not None:
-        return Path(arguments.landmarks)
-    beside: Path = arguments.scan.with_name(f"{arguments.scan.stem}.landmarks.json")
-    return beside if beside.exists() else None
-
-
-def _landmarks(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[str, ...]]:
-    """Landmarks from a file, or found on the scan, and what there is to say of that."""
-    from facepipe.importers.scan_landmarks import read_scan_landmarks
-
-    if file is not None:
-        return read_scan_landmarks(file), ()
-    from facepipe.processors.scan_landmarks import FindScanLandmarks
-    from facepipe.render.surface_view import draw_surface
-
-    found = FindScanLandmarks(draw=draw_surface)(scan)
-    return found.landmarks, found.report.warnings
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Errors with the file that they are about."""
-    try:
-        yield
-    except FacepipeError as error:
-        raise error if str(path) in error.where else error.under(path) from None
-
-
 def _author(request: _Request, face: Face, template: Template, scan: Scan, fit: NeutralFit) -> tuple[str, ...]:
     """Write the stage and the picture, or neither; what there is to say of it."""
     from facepipe.processors.rebuild import FitNeutralOptions
@@ -138,26 +108,11 @@ def _author(request: _Request, face: Face, template: Template, scan: Scan, fit: 
     with ExitStack() as files:
         picture = None if request.picture is None else files.enter_context(replacing(request.picture))
         derived = files.enter_context(face.deriving(request.out, flatten=given.flatten))
-        with _named(given.template):
+        with named(given.template):
             report = AuthorNeutral()(derived, fit.points, recipe=recipe)
         if picture is not None:
-            _draw(picture, template, scan, fit)
+            draw_fit(picture, template, fit.points, scan, fit.place)
     return report.warnings
-
-
-def _draw(path: Path, template: Template, scan: Scan, fit: NeutralFit) -> None:
-    from facepipe.processors.database.whole_face import whole_parts
-    from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
-    from facepipe.render import save_png
-    from facepipe.render.fit_sheet import FitPicture, fit_sheet
-
-    shown = FitPicture(
-        parts=whole_parts(template.parts, fit.points),
-        landmarks=fit.points[template.rows[template.landmarks]],
-        scan=in_place(scan, fit.place),
-        distances=scan_distances(template, fit.points, scan, fit.place),
-    )
-    save_png(fit_sheet(shown), path)
 
 
 def _text(out: Path, report: NeutralReport) -> str:

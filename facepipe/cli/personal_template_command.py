@@ -1,0 +1,76 @@
+"""Make a person's starting shapes: those of a database or of the template, carried to the person's neutral.
+
+NEUTRAL is a face stage of `facepipe fit-neutral`, corrected by hand or not, on the topology of --template. Shapes come
+from --database, as its mean person has them and its people have in common, where it has expressions; else from the
+template, by deformation transfer. OUT is an override layer over NEUTRAL; shapes that the database lacks stay as they
+are. --flatten writes a standalone file.
+
+examples:
+  facepipe personal-template anna.usda --template head.usda --database faces.fpdb -o personal.usda
+  facepipe personal-template anna.usda --template head.usda --shapes-from template -o personal.usda
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.parser import add_options, add_output, options_from, output_of
+from facepipe.cli.scan_input import named
+from facepipe.cli.show import emit, progress, table, warn
+
+if TYPE_CHECKING:
+    from facepipe.processors.rebuild.author_personal import PersonalReport
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.processors.rebuild import PersonalTemplateOptions
+
+    add = parser.add_argument
+    add("neutral", type=Path, metavar="NEUTRAL", help="face stage with the person's neutral")
+    add("--template", type=Path, required=True, metavar="FACE", help="face stage that NEUTRAL was fitted with")
+    add("--database", type=Path, metavar="FPDB", help="faces of the template's topology: .fpdb")
+    add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
+    add("--flatten", action="store_true", help="write a standalone file")
+    add("--json", action="store_true", help="print the report as JSON")
+    add_options(parser, PersonalTemplateOptions)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, carry over, author, report."""
+    from facepipe.processors.database import load_database
+    from facepipe.processors.rebuild import PersonalTemplate, PersonalTemplateOptions, Template
+    from facepipe.processors.rebuild.author_personal import AuthorPersonal, personal_recipe
+    from facepipe.stage import open_face
+
+    inputs = [arguments.neutral, arguments.template, *([arguments.database] if arguments.database else [])]
+    out = output_of(arguments, inputs)
+    options = options_from(arguments, PersonalTemplateOptions)
+    face = open_face(arguments.neutral)
+    template = Template.of(open_face(arguments.template).parts(), str(arguments.template))
+    database = None if arguments.database is None else load_database(arguments.database)
+    author = AuthorPersonal(template=template, make=PersonalTemplate(options=options), database=database)
+    before, files = face.parts().recipe, (arguments.neutral, arguments.template, arguments.database)
+    recipe = personal_recipe(before, *files, out=out, options=options)
+    with (
+        face.deriving(out, flatten=arguments.flatten) as derived,
+        named(arguments.neutral),
+        progress("shapes", author.count) as bar,
+    ):
+        report = author(derived, recipe=recipe, done=bar.update)
+    warn(report.warnings)
+    result = {"path": str(out), **json.loads(report.to_json())}
+    emit(result, _text(out, report), as_json=arguments.json)
+    return 0
+
+
+def _text(out: Path, report: PersonalReport) -> str:
+    rows = [
+        ("shapes", f"{len(report.motion_mm)}, {report.source}"),
+        ("largest motion", f"{max(report.motion_mm.values()):.1f} mm"),
+        ("from the template's", f"mean {report.change_mean_mm:.2f} mm, over what they move"),
+    ]
+    return "\n".join([str(out), table(rows)])

@@ -1,0 +1,32 @@
+"""The picture of a face on its scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from facepipe.geometry.similarity import Similarity
+    from facepipe.parts import FloatArray
+    from facepipe.processors.rebuild import Template
+    from facepipe.scans import Scan
+
+
+def draw_fit(path: Path, template: Template, points: FloatArray, scan: Scan, place: Similarity) -> None:
+    """Scan, face and their distance, drawn to `path`.
+
+    :param points: (n, 3) whole points
+    :param place: from the scan's coordinates to those
+    """
+    from facepipe.processors.database.whole_face import whole_parts
+    from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
+    from facepipe.render import save_png
+    from facepipe.render.fit_sheet import FitPicture, fit_sheet
+
+    shown = FitPicture(
+        parts=whole_parts(template.parts, points),
+        landmarks=points[template.rows[template.landmarks]],
+        scan=in_place(scan, place),
+        distances=scan_distances(template, points, scan, place),
+    )
+    save_png(fit_sheet(shown), path)

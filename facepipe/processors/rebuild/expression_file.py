@@ -1,0 +1,103 @@
+"""Registered expressions as face stages: a shape over the personal template that holds all of the expression.
+
+Beside the shape they hold what splitting asks for: which points the scan showed, as a primvar, and the weights that the
+scan was to show, in the recipe. The shape may be corrected by hand before it is split.
+
+Splitting begins with the weights given, and finds them anew beside the shapes: those that registration found hold how
+much more or less than the template the person moves, which is the shapes' own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError, SchemaError, TopologyError
+from facepipe.parts import Recipe
+from facepipe.processors.database import WholeFace, whole_face
+from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
+from facepipe.processors.rebuild.register_scans import Composite
+from facepipe.stage import Face, open_face
+from facepipe.stage.recipes import recipe_of, source_digest
+from facepipe.tokens import SCANNED
+
+FloatArray = npt.NDArray[np.floating]
+AnyPath = str | os.PathLike[str]
+
+VERB = "register-scan"
+_SAME_MM = 0.01  # neutrals that differ by less are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpressionFile:
+    """An expression that was read."""
+
+    name: str  # of its shape
+    composite: Composite
+    warnings: tuple[str, ...] = ()
+
+
+def author_expression(
+    face: Face, name: str, neutral: FloatArray, composite: Composite, recipe: Recipe
+) -> AuthorNeutralReport:
+    """Author an expression as the shape `name` on `face`, which stands over the personal template.
+
+    :param neutral: (n, 3) whole points of the personal template
+    :param recipe: with the expression's name, and the weights that it was to show, under "name" and "weights"
+    :raises TopologyError, InputError: as `AuthorNeutral`
+    """
+    author = AuthorNeutral(
+        shapes={name: composite.points - neutral}, primvars={SCANNED: composite.matched.astype(np.float32)}
+    )
+    return author(face, neutral, recipe=recipe)
+
+
+def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> ExpressionFile:
+    """The expression that `author_expression` has left in `path`, to be split over `base`.
+
+    :param personal: file of the personal template, whose face is `base`
+    :raises InputError: no file, none of `facepipe register-scan`, or one over another neutral
+    :raises TopologyError: other meshes or faces
+    :raises SchemaError: a damaged recipe, or no shape of its name
+    """
+    recipe, _ = recipe_of(path, VERB)
+    name, weights = _asked(recipe, f"{path} -> recipe")
+    face = open_face(path)
+    found = whole_face(face.parts(), str(path))
+    if found.topology.digest != base.topology.digest:
+        raise TopologyError(path, f"other meshes or faces than {personal}, expected the same")
+    off = float(np.linalg.norm(found.points - base.points, axis=1).max(initial=0.0))
+    if off > _SAME_MM:
+        raise InputError(path, f"stands on a neutral that is up to {off:.2f} mm from that of {personal}")
+    if name not in found.deltas:
+        raise SchemaError(path, f"has no shape '{name}', expected that of its recipe")
+    scanned = np.nan_to_num(face.primvar(SCANNED)) > 0.5
+    composite = Composite(points=base.points + found.deltas[name], weights=weights, matched=scanned)
+    return ExpressionFile(name=name, composite=composite, warnings=_changes(path, recipe, Path(personal)))
+
+
+def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
+    """Name and weights in a recipe."""
+    name, weights = recipe.options.get("name"), recipe.options.get("weights")
+    if not isinstance(name, str) or not isinstance(weights, Mapping) or not weights:
+        raise SchemaError(where, "expected the expression's name and weights")
+    for shape, weight in weights.items():
+        if not isinstance(weight, int | float) or not math.isfinite(weight):
+            raise SchemaError(f"{where} -> weights -> {shape}", f"{weight!r:.40}, expected a finite number")
+    return name, {str(shape): float(weight) for shape, weight in weights.items()}
+
+
+def _changes(path: Path, recipe: Recipe, personal: Path) -> tuple[str, ...]:
+    """What to say where the personal template is not what the expression was registered with."""
+    files = recipe.options.get("files")
+    seen = files.get("personal") if isinstance(files, Mapping) else None
+    known = dict(zip(recipe.sources, recipe.digests, strict=True)).get(str(seen))
+    if known == source_digest(personal):
+        return ()
+    return (f"{personal.name} is not what {path.name} was registered with",)
