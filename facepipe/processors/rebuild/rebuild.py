@@ -162,7 +162,7 @@ class Rebuild:
         points = self._after_correction(name, found.arrays["points"])
         composite = Composite(
             points=points,
-            weights=found.content["report"]["weights"],
+            weights=weights,  # as asked for: what this person does more or less belongs into the shapes
             matched=found.arrays["matched"].astype(bool),
         )
         return composite, found.content["report"], place_of(found.content["place"])
