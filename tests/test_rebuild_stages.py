@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scan_domes
 from expression_domes import OWN, PERSON
+from import_data import shared
 from test_cli import run
 
 import facepipe
@@ -32,7 +33,7 @@ from facepipe.processors.database import (
 from facepipe.processors.rebuild import Template
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.processors.rebuild.neutral_place import placed_neutral
-from facepipe.scans import Scan
+from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 from facepipe.tokens import SCANNED
@@ -69,7 +70,7 @@ class Files:
         return whole_face(facepipe.open(self[name]).parts(), name).deltas[shape][:DOME]
 
 
-def _put(folder: Path, capsys: pytest.CaptureFixture[str] | None = None) -> Files:
+def _put(folder: Path) -> Files:
     files = Files(folder)
     save_parts(expression_domes.face(), files["head.usda"])
     recipe = Recipe(verb="fit-neutral", options={"quality": QUALITY.__dict__})
@@ -478,3 +479,42 @@ def test_inputs_are_not_overwritten(files: Files, capsys: pytest.CaptureFixture[
             changed[changed.index("-o") + 1] = files[target]
             assert run(capsys, *changed)[0] == 2
     assert {path: path.read_bytes() for path in files.folder.iterdir()} == before
+
+
+@pytest.mark.slow
+def test_a_real_template_gets_the_shapes_of_an_actor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """ICT-FaceKit, an actor whose expressions are known, three simulated scans, from command to command."""
+    from scan_actors import COMPOSITES, Actor, ict
+    from scan_simulator import simulate
+
+    npz, files, actor = shared("ict_facekit/ict_facekit.npz"), Files(tmp_path), Actor(101)
+    assert run(capsys, "import", "ict", npz, files["head.usdc"])[0] == 0
+    with facepipe.open(files["head.usdc"]).deriving(files["anna.usdc"]) as derived:
+        AuthorNeutral()(derived, actor.neutral)
+    words = (files["anna.usdc"], "--template", files["head.usdc"], "-o", files["personal.usdc"])
+    assert run(capsys, "personal-template", *words)[0] == 0
+    for number, name in enumerate(("jaw_open", "smile", "laugh")):
+        seen = simulate(actor.composite(COMPOSITES[name]), 100 * 101 + number)
+        scan = Scan(name=name, points=seen.points, triangles=seen.triangles.astype(np.int32))
+        write_ply(scan, files[f"{name}.ply"])
+        write_scan_landmarks(ScanLandmarks(points=seen.landmarks), files[f"{name}.landmarks.json"])
+        words = (files[f"{name}.ply"], "--personal", files["personal.usdc"], "-o", files[f"{name}.usdc"])
+        code, _, err = run(capsys, "register-scan", *words, "--picture", files[f"{name}.png"])
+        assert code in (0, 1), err
+    words = tuple(files[f"{name}.usdc"] for name in ("jaw_open", "smile", "laugh"))
+    code, out, err = run(
+        capsys, "split-shapes", *words, "--personal", files["personal.usdc"], "-o", files["actor.usdc"]
+    )
+    assert code == 0, err
+    print(out)
+    assert validate(files["actor.usdc"]) == ()
+    off: dict[str, list[float]] = {"personal.usdc": [], "actor.usdc": []}
+    for name in ("jawOpen", "mouthSmile_L", "mouthSmile_R", "cheekSquint_L", "cheekSquint_R"):
+        truth = actor.shape(name)[: ict().full_face]
+        moved = np.linalg.norm(truth, axis=1) > 0.05 * np.linalg.norm(truth, axis=1).max()
+        ours = name.replace("_L", "Left").replace("_R", "Right")
+        for file, means in off.items():
+            delta = whole_face(facepipe.open(files[file]).parts(), file).deltas[ours][: ict().full_face]
+            means.append(float(np.linalg.norm(delta - truth, axis=1)[moved].mean()))
+    print(off)
+    assert np.mean(off["actor.usdc"]) < 0.65 * np.mean(off["personal.usdc"])
