@@ -501,10 +501,9 @@ def test_a_real_template_gets_the_shapes_of_an_actor(tmp_path: Path, capsys: pyt
         words = (files[f"{name}.ply"], "--personal", files["personal.usdc"], "-o", files[f"{name}.usdc"])
         code, _, err = run(capsys, "register-scan", *words, "--picture", files[f"{name}.png"])
         assert code in (0, 1), err
-    words = tuple(files[f"{name}.usdc"] for name in ("jaw_open", "smile", "laugh"))
-    code, out, err = run(
-        capsys, "split-shapes", *words, "--personal", files["personal.usdc"], "-o", files["actor.usdc"]
-    )
+    registered = [files[f"{name}.usdc"] for name in ("jaw_open", "smile", "laugh")]
+    files_of = ("--personal", files["personal.usdc"], "-o", files["actor.usdc"])
+    code, out, err = run(capsys, "split-shapes", *registered, *files_of)
     assert code == 0, err
     print(out)
     assert validate(files["actor.usdc"]) == ()

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.geometry.registration import Anchors, DeformableSurface, register
+from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.processors.rebuild.register_scans import NeutralScan
 from facepipe.processors.rebuild.scan_fit import scan_target
@@ -17,6 +17,7 @@ FloatArray = npt.NDArray[np.floating]
 
 _FEWEST_LANDMARKS = 6
 _RIGID = 1e6  # of the residual's precision: nothing bends
+_LANDMARKS_MM = 5.0  # landmarks only begin: the surface places the scan far better than hands do
 
 
 def placed_neutral(template: Template, points: FloatArray, scan: Scan, landmarks: ScanLandmarks) -> NeutralScan:
@@ -43,5 +44,6 @@ def placed_neutral(template: Template, points: FloatArray, scan: Scan, landmarks
     )
     start = robust_similarity(landmarks.points[known], base[template.landmarks][known])
     anchors = Anchors.at_points(template.landmarks, landmarks.points)
-    place = register(surface, scan_target(scan)[0], anchors, start).place
+    options = RegistrationOptions(anchor_sigma_mm=_LANDMARKS_MM)
+    place = register(surface, scan_target(scan)[0], anchors, start, options).place
     return NeutralScan(points=points, place=place, landmarks=landmarks)
