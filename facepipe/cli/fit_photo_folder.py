@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.cli.report_folder import REPORT, check_report_folder
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit import Landmarks68, Photo, PhotoFitReport
     from facepipe.render import PhotoSheet, SheetPhoto
 
-_REPORT, _SHEET = "report.json", "sheet.png"
-_OF_PHOTO = re.compile(r".+\.(landmarks\.json|render\.png|overlay\.png)")
+_SHEET = "sheet.png"
+_KNOWN = re.compile(r"report\.json|sheet\.png|[^/]+\.(landmarks\.json|render\.png|overlay\.png)")
 _OVERLAY = 1024  # pixels of an overlay's longer side
 _MARK = 1 / 120  # of the landmarks' larger extent, the radius of one
 _LEAST = 1.5  # pixels of that
@@ -30,23 +30,7 @@ def check_folder(folder: Path, *, force: bool, taken: Sequence[Path]) -> None:
     :param taken: files that must not be in it: inputs and outputs
     :raises InputError: it may not
     """
-    place = folder.resolve()
-    if not place.parent.is_dir():
-        raise InputError(folder, "the folder around it does not exist")
-    if place.exists() and not place.is_dir():
-        raise InputError(folder, "is a file, expected a folder to make")
-    inside = next((one for one in taken if place in one.resolve().parents or place == one.resolve()), None)
-    if inside is not None:
-        raise InputError(folder, f"holds {inside.name}, which is read or written too, expected another folder")
-    if not place.exists():
-        return
-    if not force:
-        raise InputError(folder, "exists, expected a new folder (or --force)")
-    names = sorted(one.name for one in place.iterdir())
-    foreign = [name for name in names if name not in (_REPORT, _SHEET) and not _OF_PHOTO.fullmatch(name)]
-    if foreign or (names and _REPORT not in names):
-        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT}"
-        raise InputError(folder, f"{found}, expected an empty folder or a report of fit-photo to replace")
+    check_report_folder(folder, force=force, taken=taken, known=_KNOWN, command="fit-photo")
 
 
 def write_folder(
@@ -63,7 +47,7 @@ def write_folder(
         save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")
         write_landmarks(folder / f"{name}.landmarks.json", marks, photo)
     save_png(photo_sheet(sheet), folder / _SHEET)
-    write_bytes(folder / _REPORT, f"{report.to_json()}\n".encode())
+    write_bytes(folder / REPORT, f"{report.to_json()}\n".encode())
 
 
 def render_image(one: SheetPhoto) -> Image:

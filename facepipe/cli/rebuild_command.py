@@ -17,11 +17,12 @@ Each stage's result is kept in the project's work folder and used again until it
 expressions/NAME, shapes. Beside it lies the mesh (NAME.usdc); a corrected one, saved as corrections/NAME.usdc (.obj,
 .glb ...) in the work folder, takes its place in all that follows, and corrections/shapes/jawOpen.usdc that of a shape.
 
-OUT is an override layer over the template. Exit code 1: done, but a limit of the quality gate of `facepipe database
+OUT is an override layer over the template. --report makes a folder of pictures: each scan beside what was registered to
+it, and how much the scans told of each shape. Exit code 1: done, but a limit of the quality gate of `facepipe database
 add` is missed.
 
 examples:
-  facepipe rebuild anna.toml -o anna.usda
+  facepipe rebuild anna.toml -o anna.usda --report anna_report
   facepipe rebuild anna.toml -o anna.usda --flatten --force --json
 """
 
@@ -29,10 +30,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.atomic import replacing_folder
 from facepipe.cli.parser import add_output, output_of
+from facepipe.cli.rebuild_report import RebuildPictures, check_folder
 from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
@@ -49,6 +53,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add("project", type=Path, metavar="PROJECT", help="scans, template, database and options: .toml")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
     add("--flatten", action="store_true", help="write a standalone file")
+    add("--report", type=Path, metavar="DIR", help="folder to make: report, pictures of scans and shapes")
     add("--json", action="store_true", help="print the report as JSON")
 
 
@@ -58,10 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.processors.rebuild import Rebuild, Template, read_project
     from facepipe.processors.rebuild.author_neutral import AuthorNeutral
     from facepipe.processors.rebuild.rebuild_recipe import rebuild_recipe
+    from facepipe.processors.rebuild.work_folder import CORRECTIONS
     from facepipe.stage import open_face
 
     project = read_project(arguments.project)
     out = output_of(arguments, _inputs(project))
+    if arguments.report is not None:
+        taken = [*_inputs(project), out, project.work, project.work / CORRECTIONS]
+        check_folder(arguments.report, force=arguments.force, taken=taken)
     face = open_face(project.template)
     template = Template.of(face.parts(), str(project.template))
     with progress("rebuild", 3 + len(project.expressions)) as bar:
@@ -71,14 +80,24 @@ def run(arguments: argparse.Namespace) -> int:
             bar.update()
 
         rebuilt = Rebuild(project, template, _readers(), said)()
-    recipe = rebuild_recipe(project, out, rebuilt.quality)
-    with face.deriving(out, flatten=arguments.flatten) as derived:
+    recipe, missed = rebuild_recipe(project, out, rebuilt.quality), misses(rebuilt.quality, QualityLimits())
+    with ExitStack() as files:  # the stage and its report, or none of them
+        folder = None if arguments.report is None else files.enter_context(replacing_folder(arguments.report))
+        derived = files.enter_context(face.deriving(out, flatten=arguments.flatten))
         authored = AuthorNeutral(shapes=rebuilt.shapes)(derived, rebuilt.neutral, recipe=recipe)
-    missed = misses(rebuilt.quality, QualityLimits())
-    warnings = [*rebuilt.warnings, *authored.warnings, *missed]
+        warnings = [*rebuilt.warnings, *authored.warnings, *missed]
+        result = _result(out, rebuilt, warnings, missed)
+        if folder is not None:
+            result["report"] = str(arguments.report)
+            _draw(folder, RebuildPictures(project=project, template=template, rebuilt=rebuilt), result)
     warn(warnings)
-    emit(_result(out, rebuilt, warnings, missed), _text(out, rebuilt), as_json=arguments.json)
+    emit(result, _text(out, rebuilt, arguments.report), as_json=arguments.json)
     return 1 if missed else 0
+
+
+def _draw(folder: Path, pictures: RebuildPictures, result: dict[str, Any]) -> None:
+    with progress("report", pictures.count) as bar:
+        pictures.write(folder, result, bar.update)
 
 
 def _inputs(project: Project) -> list[Path]:
@@ -130,7 +149,7 @@ def _result(out: Path, rebuilt: Rebuilt, warnings: list[str], missed: tuple[str,
     }
 
 
-def _text(out: Path, rebuilt: Rebuilt) -> str:
+def _text(out: Path, rebuilt: Rebuilt, report_folder: Path | None) -> str:
     rows: list[tuple[str, ...]] = [("scan", "mean mm", "p95 mm", "face seen", "landmarks mm")]
     for name, report in rebuilt.reports.items():
         if "fit" in report:
@@ -158,4 +177,6 @@ def _text(out: Path, rebuilt: Rebuilt) -> str:
         lines.append(f"reused: {', '.join(rebuilt.reused)}")
     if rebuilt.corrected:
         lines.append(f"corrected by hand: {', '.join(rebuilt.corrected)}")
+    if report_folder is not None:
+        lines.append(str(report_folder))
     return "\n".join(lines)

@@ -27,22 +27,21 @@ def color_scale(width: int, limits: tuple[float, float], text: str, none: str = 
 
     image = block(width, SMALL * 1.6 + _BAR + SMALL * 1.7)
     top, long = round(SMALL * 1.6), min(_LONGEST, width * 2 // 3)
-    inset = round(text_width("0.00", SMALL) / 2)
-    write(image, (inset, SMALL * 1.05), text, size=SMALL, color=MUTED, room=width - inset)
+    write(image, (0, SMALL * 1.05), text, size=SMALL, color=MUTED, room=width)
     low, high = limits
     shares = (np.arange(long) + 0.5) / long
     row = (colors(shares) * 255 + 0.5).astype(np.uint8)
-    image.paste(Images.fromarray(np.repeat(row[None], _BAR, axis=0)), (inset, top))
+    image.paste(Images.fromarray(np.repeat(row[None], _BAR, axis=0)), (0, top))
     pen = ImageDraw.Draw(image)
     marks = ticks(low, high)
     for number, (value, figure) in enumerate(marks):
-        x = inset + (value - low) / (high - low) * long
+        x = min((value - low) / (high - low) * long, long - 1)
         pen.line((x, top + _BAR, x, top + _BAR + 5), fill=INK, width=2)
         shown = f"{figure} {unit}" if number == len(marks) - 1 else figure
-        place = x - text_width(figure, SMALL) / 2
+        place = max(0.0, x - text_width(figure, SMALL) / 2)
         write(image, (place, top + _BAR + SMALL * 1.25), shown, size=SMALL)
     if none:
-        left = inset + long + round(BODY * 2)
+        left = long + round(BODY * 2)
         grey = tuple(round(255 * level) for level in NO_VALUE)
         pen.rectangle((left, top, left + _BAR - 1, top + _BAR - 1), fill=grey)
         room = width - left - _BAR - BODY

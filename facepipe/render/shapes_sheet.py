@@ -11,13 +11,12 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts
-from facepipe.render.camera import Frame, View, portrait
+from facepipe.render.camera import Frame, portrait
 from facepipe.render.color_scale import color_scale
 from facepipe.render.fit_sheet import round_above
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.picture import PictureOptions, picture
-from facepipe.render.sheet import contact_sheet
-from facepipe.render.typesetting import below, block, heading
+from facepipe.render.typesetting import MUTED, SMALL, below, beside, block, heading, write
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating]
 
 MOST = 12  # shapes that are drawn
-_COLUMNS, _SAMPLES, _BORDER = 4, 2, 28
-_VIEW: View = (0.35, 0.05)  # what moves forward shows too
+_COLUMNS, _SAMPLES, _GAP, _BORDER = 4, 2, 10, 28
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,25 +54,38 @@ def shapes_sheet(given: ChangedShapes, names: Sequence[str]) -> Image:
     """
     if not names:
         raise InputError(given.title, "no shapes to draw, expected one or more")
-    distances = {name: _distances(given, name) for name in names}
-    together = np.concatenate([each[given.counted] for each in distances.values()])
-    limits = (0.0, round_above(together[together > 0.0]))
-    camera = portrait(given.framing, _VIEW, Frame(width=given.size, height=given.size))
-    images = []
-    for name in names:
-        heat = HeatMap(values=distances[name], range=limits)
-        options = PictureOptions(size=given.size, camera=camera, samples=_SAMPLES, heatmap=heat, bar=False)
-        largest = float(distances[name][given.counted].max())
-        images.append(
-            (f"{name}, up to {largest:.1f} mm", picture(given.parts, given.neutral + given.shapes[name], options))
-        )
-    sheet = contact_sheet(images, _COLUMNS)
-    width = max(sheet.width, _COLUMNS * given.size)
-    scale = color_scale(width, limits, "distance of the shape at weight 1 from the personal template's")
-    page = below([heading(width, given.title), sheet, scale], 8)
-    framed = block(page.width + 2 * _BORDER, page.height + 2 * _BORDER)
+    limits = 0.0, _largest(given, names)
+    cells = [_cell(given, name, limits) for name in names]
+    rows = [beside(cells[start : start + _COLUMNS], _GAP) for start in range(0, len(cells), _COLUMNS)]
+    width = _COLUMNS * (given.size + _GAP) - _GAP
+    text = "distance of the shape at weight 1 from the personal template's; the last colour stands for more, too"
+    scale = color_scale(width, limits, text)
+    page = below([heading(width, given.title), *rows, scale], _GAP)
+    framed = block(width + 2 * _BORDER, page.height + 2 * _BORDER)
     framed.paste(page, (_BORDER, _BORDER))
     return framed
+
+
+def _largest(given: ChangedShapes, names: Sequence[str]) -> float:
+    """A round number of millimetres that nearly all distances are below; what is beyond has the last colour."""
+    together = np.concatenate([_distances(given, name)[given.counted] for name in names])
+    return round_above(together[together > 0.0])
+
+
+def _cell(given: ChangedShapes, name: str, limits: tuple[float, float]) -> Image:
+    distances = _distances(given, name)
+    options = PictureOptions(
+        size=given.size,
+        camera=portrait(given.framing, "front", Frame(width=given.size, height=given.size)),
+        samples=_SAMPLES,
+        heatmap=HeatMap(values=distances, range=limits),
+        bar=False,
+    )
+    caption = block(given.size, SMALL * 1.7)
+    write(caption, (0, SMALL * 1.0), name, size=SMALL, room=given.size * 0.7)
+    largest = f"to {distances[given.counted].max():.1f} mm"
+    write(caption, (given.size, SMALL * 1.0), largest, size=SMALL, color=MUTED, anchor="rs", room=given.size * 0.3)
+    return below([picture(given.parts, given.neutral + given.shapes[name], options), caption], 2)
 
 
 def _distances(given: ChangedShapes, name: str) -> FloatArray:

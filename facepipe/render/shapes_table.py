@@ -17,7 +17,7 @@ WIDTH = 1300  # pixels
 COLUMNS = 4  # of shapes that no scan told
 _BORDER = 28
 _BARS = 260  # from 0 to 1
-_NUMBER = 110  # pixels of a column of numbers
+_OBSERVED, _GAIN, _CHANGE = 80, 190, 350  # from the end of the bars to where numbers end, pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ def _told(rows: Sequence[ShapeRow], width: int) -> Image:
     image = block(width, ROW * (len(rows) + 1))
     names = min(max(text_width(row.name) for row in rows) + 2, width * 0.3)
     bar = round(names + BODY), round(names + BODY) + _BARS
-    observed, gain, change = (bar[1] + _NUMBER * number - BODY * (number == 1) for number in (1, 2, 3))
+    observed, gain, change = (bar[1] + column for column in (_OBSERVED, _GAIN, _CHANGE))
     scans = change + BODY * 1.6
     heads = ((bar[0], "told by scans, 0 to 1", "lm"), (gain, "gain", "rm"), (change, "change mm", "rm"))
     for x, text, anchor in (*heads, (scans, "scans that show it", "lm")):

@@ -36,6 +36,7 @@ class Turntable:
     """A face and its scan in one place: millimetres, Y up."""
 
     title: str
+    source: str = ""  # of the scan
     notes: tuple[str, ...] = ()  # below the title, a line each
     parts: FaceParts  # meshes at the registered points
     scan: Scan
@@ -57,11 +58,11 @@ def turntable(shown: Turntable) -> Image:
         ("distance from the scan", shown.parts, heat),
     ]
     width = len(_VIEWS) * (shown.size + _GAP) - _GAP
-    parts = [heading(width, shown.title), _notes(width, shown.notes)]
+    parts = [heading(width, shown.title, shown.source), _notes(width, shown.notes)]
     for name, face, colors in rows:
         parts += [_label(width, name), beside(_views(shown, face, colors), _GAP)]
     text = "distance of the registered face from the scan"
-    parts.append(color_scale(width, heat.limits, text, "not shown by the scan"))
+    parts.append(color_scale(width, heat.limits, text, "no place on the scan"))
     return _framed(below(parts, _GAP))
 
 

@@ -1,0 +1,280 @@
+"""The report of a rebuild: what its pictures show, and that the folder is there whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scan_domes
+from PIL import Image
+from test_cli import run
+
+from facepipe.atomic import replacing_folder
+from facepipe.cli import main
+from facepipe.cli.rebuild_report import RebuildPictures, shape_rows
+from facepipe.errors import InputError
+from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
+from facepipe.importers.scan_ply import write_ply
+from facepipe.processors.database import save_database
+from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
+from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
+from facepipe.render.shapes_table import ShapeRow, shapes_table, some_of
+from facepipe.render.slider_table import ABOVE, ROW
+from facepipe.render.turntable import Turntable, turntable
+from facepipe.render.typesetting import SMALL, text_width
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import open_face, save_parts
+
+PERSON = 9  # none of the database's
+FILES = ["expressions", "expressions/open.png", "neutral.png", "report.json", "shapes.png", "shapes_heat.png"]
+
+
+def _open(weight: float) -> tuple[Scan, ScanLandmarks]:
+    """The person with the jaw open, somewhere, with landmarks."""
+    head = scan_domes.face(PERSON).meshes[0]
+    points, shape = head.points.copy(), head.blendshapes[0]
+    points[shape.point_indices] += weight * 1.3 * shape.offsets
+    placed = scan_domes.POSE.apply(10.0 * points)
+    triangles = head.face_vertex_indices.reshape(-1, 3)
+    marks = placed[head.landmarks["multipie68"].indices]
+    return Scan(name="open", points=placed, triangles=triangles), ScanLandmarks(points=marks)
+
+
+def _put(folder: Path, name: str, scan: tuple[Scan, ScanLandmarks]) -> None:
+    write_ply(scan[0], folder / f"{name}.ply")
+    write_scan_landmarks(scan[1], folder / f"{name}.landmarks.json")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A project, and the report of its first run."""
+
+    folder: Path
+    told: dict[str, object]
+    json: str
+
+    def words(self, *more: object) -> tuple[object, ...]:
+        return ("rebuild", self.folder / "p.toml", "-o", self.folder / "out.usda", "--force", *more)
+
+    def rebuilt(self) -> tuple[RebuildPictures, Rebuilt]:
+        """What the pictures are drawn of, from the stages' results."""
+        project = read_project(self.folder / "p.toml")
+        template = Template.of(open_face(project.template).parts(), "head.usda")
+
+        def never(*given: object) -> object:
+            raise AssertionError(given)
+
+        readers = Readers(scan=read_scan, landmarks=read_scan_landmarks, find_landmarks=never, face=never)  # type: ignore[arg-type]
+        rebuilt = Rebuild(project, template, readers)()
+        return RebuildPictures(project=project, template=template, rebuilt=rebuilt), rebuilt
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("rebuild")
+    save_parts(scan_domes.face(), folder / "head.usda")
+    save_database(scan_domes.database(), folder / "faces.fpdb")
+    _put(folder, "neutral", scan_domes.scan(PERSON))
+    _put(folder, "open", _open(0.8))
+    lines = ['template = "head.usda"', 'database = "faces.fpdb"', "[neutral]", 'scan = "neutral.ply"']
+    lines += ["[expressions.open]", 'scan = "open.ply"', "weights = { jawOpen = 0.8 }"]
+    (folder / "p.toml").write_text("\n".join(lines), encoding="utf-8")
+    former = folder / "report"  # of an expression that is in the project no more
+    (former / "expressions").mkdir(parents=True)
+    (former / "report.json").write_text("{}", encoding="utf-8")
+    (former / "expressions" / "gone.png").write_bytes(b"old")
+    words = Made(folder, {}, "").words("--json", "--report", former)
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main([str(word) for word in words]) in (0, 1)
+    return Made(folder, json.loads(out.getvalue()), out.getvalue())
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(one.relative_to(folder).as_posix() for one in folder.rglob("*"))
+
+
+def test_all_files_are_there_and_none_of_a_former_report(made: Made) -> None:
+    assert _names(made.folder / "report") == FILES
+
+
+def test_the_report_is_what_the_command_prints(made: Made) -> None:
+    assert (made.folder / "report" / "report.json").read_text(encoding="utf-8") == made.json
+    assert made.told["report"] == str(made.folder / "report")
+
+
+def test_rows_and_columns_of_a_turntable(made: Made) -> None:
+    """Scan and registered face look alike; distances have the colours of a heat map alone, from violet."""
+    pixels = np.asarray(Image.open(made.folder / "report" / "expressions" / "open.png").convert("RGB")).astype(int)
+    violet = (pixels[..., 2] - pixels[..., 1] > 25) & (pixels[..., 0] - pixels[..., 1] > 10)
+    share = violet.mean(axis=1)
+    height = len(share)
+    assert share[: int(0.6 * height)].max() < 0.02
+    heat = share[int(0.62 * height) : int(0.9 * height)]
+    assert heat.max() > 0.1
+    thirds = np.array_split(violet[int(0.62 * height) : int(0.9 * height)], 3, axis=1)
+    assert min(third.mean() for third in thirds) > 0.03
+
+
+def test_the_table_names_each_shape_once(made: Made) -> None:
+    _, rebuilt = made.rebuilt()
+    rows = shape_rows(rebuilt)
+    assert [row.name for row in rows] == list(rebuilt.shapes)
+    assert {row.name for row in rows if row.unseen} == {"smile"}
+    told = next(row for row in rows if row.name == "jawOpen")
+    assert told.scans == ("open",)
+    assert told.gain > 1.05  # this person opens the mouth wider than the template does
+
+
+def test_an_existing_folder_is_refused(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without --force always; with it where it holds what no report has."""
+    folder = made.folder / "again"
+    folder.mkdir()
+    (folder / "report.json").write_text("{}", encoding="utf-8")
+    words = [word for word in made.words("--report", folder) if word != "--force"]
+    words[words.index("-o") + 1] = made.folder / "other.usda"
+    for more, file, text in (
+        ((), "report.json", "exists, expected a new folder"),
+        (("--force",), "notes.txt", "holds"),
+    ):
+        (folder / file).write_text("mine", encoding="utf-8")
+        before = _names(folder)
+        code, out, err = run(capsys, *words, *more)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert text in err
+        assert _names(folder) == before
+        assert not (made.folder / "other.usda").exists()
+
+
+@pytest.mark.parametrize("place", [".", "p", "p/corrections", "none/report", "p.toml"])
+def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str], place: str) -> None:
+    before = _names(made.folder)
+    code, out, err = run(capsys, *made.words("--report", made.folder / place))
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert _names(made.folder) == before
+
+
+def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
+    pictures, _ = made.rebuilt()
+    scans = tuple(replace(one, scan=one.scan.with_name("gone.ply")) for one in pictures.project.expressions)
+    broken = replace(pictures, project=replace(pictures.project, expressions=scans))
+    before = _names(made.folder)
+    with pytest.raises(InputError, match=r"gone\.ply"), replacing_folder(made.folder / "broken") as folder:
+        broken.write(folder, {})
+    assert _names(made.folder) == before
+
+
+def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -> None:
+    pictures, rebuilt = made.rebuilt()
+    alone = replace(
+        pictures,
+        project=replace(pictures.project, expressions=()),
+        rebuilt=replace(
+            rebuilt, shapes=rebuilt.personal, composites={}, reports={"neutral": rebuilt.reports["neutral"]}
+        ),
+        size=128,
+    )
+    steps: list[None] = []
+    alone.write(tmp_path, {}, lambda: steps.append(None))
+    assert _names(tmp_path) == ["neutral.png", "report.json"]
+    assert len(steps) == alone.count
+
+
+def test_the_same_pictures_again(made: Made, tmp_path: Path) -> None:
+    for folder in (tmp_path / "one", tmp_path / "other"):
+        folder.mkdir()
+        replace(made.rebuilt()[0], size=128).write(folder, made.told)
+    for name in FILES[1:]:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes(), name
+
+
+def _shown(distances: np.ndarray) -> np.ndarray:
+    """The pixels of the row of distances, (h, w, 3)."""
+    parts = scan_domes.face()
+    mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
+    parts = replace(parts, meshes=(mesh,), meters_per_unit=0.001, materials=())
+    scan = Scan(name="scan", points=mesh.points, triangles=mesh.face_vertex_indices.reshape(-1, 3))
+    given = Turntable(
+        title="t", parts=parts, scan=scan, distances=distances, largest_mm=1.0, framing=mesh.points, size=160
+    )
+    pixels = np.asarray(turntable(given)).astype(float)
+    return pixels[int(0.63 * len(pixels)) : int(0.84 * len(pixels))]
+
+
+def test_no_distance_is_one_colour() -> None:
+    """The hue of violet wherever the face is, and no other; where distances differ there are others."""
+    count = len(scan_domes.face().meshes[0].points)
+
+    def greenest(pixels: np.ndarray) -> float:
+        dark = pixels.max(axis=2) < 140  # the face, not what is behind
+        assert dark.sum() > 1000
+        return float((pixels[..., 1] - pixels[..., 2])[dark].max())
+
+    assert greenest(_shown(np.zeros(count))) < 0.0
+    assert greenest(_shown(np.linspace(0.0, 0.7, count))) > 0.0
+
+
+def _changes(count: int, moved: dict[str, float]) -> ChangedShapes:
+    parts = scan_domes.face()
+    mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
+    before = {f"s{number}": np.zeros_like(mesh.points) for number in range(count)}
+    shapes = {name: delta + moved.get(name, 0.0) * np.array([0.0, 0.0, 1.0]) for name, delta in before.items()}
+    return ChangedShapes(
+        title="t",
+        parts=replace(parts, meshes=(mesh,), meters_per_unit=0.001),
+        neutral=mesh.points,
+        shapes=shapes,
+        before=before,
+        counted=np.arange(len(mesh.points)),
+        framing=mesh.points,
+        size=128,
+    )
+
+
+def test_the_most_changed_shapes_are_drawn() -> None:
+    """The largest change first, none that has not changed, at most so many; the same change has the same colour."""
+    given = _changes(6, {"s1": 0.5, "s4": 2.0, "s5": 1.0})
+    assert most_changed(given) == ["s4", "s5", "s1"]
+    assert most_changed(given, most=2) == ["s4", "s5"]
+    assert most_changed(_changes(3, {})) == []
+    with pytest.raises(InputError, match="no shapes"):
+        shapes_sheet(given, [])
+    alike = np.asarray(shapes_sheet(_changes(2, {"s0": 1.0, "s1": 1.0}), ["s0", "s1"])).astype(int)
+    cells = [alike[:, start : start + 128] for start in (28, 28 + 138)]
+    top = next(row for row in range(70, len(alike)) if (cells[0][row].max(axis=1) < 245).all())
+    np.testing.assert_array_equal(*[cell[top : top + 128] for cell in cells])
+
+
+def _row(name: str, observed: float, *, unseen: bool = False) -> ShapeRow:
+    return ShapeRow(name=name, observed=observed, gain=1.0, change_mm=0.1, scans=("one",), unseen=unseen)
+
+
+def test_bars_are_as_long_as_what_was_told() -> None:
+    def length(*rows: ShapeRow) -> int:
+        pixels = np.asarray(shapes_table(rows))
+        return int((pixels == ABOVE).all(axis=2).sum(axis=1).max())
+
+    whole = length(_row("a", 1.0))
+    assert length(_row("a", 0.5)) == pytest.approx(whole / 2, abs=2)
+    assert length(_row("a", 1.0, unseen=True)) == 0
+    assert length(_row("a", 1.0, unseen=True), _row("b", 0.25)) == pytest.approx(whole / 4, abs=2)
+
+
+def test_a_table_grows_by_a_row_a_shape() -> None:
+    heights = [shapes_table([_row(f"s{number}", 0.5) for number in range(count)]).height for count in (1, 2, 9)]
+    assert np.diff(heights).tolist() == [ROW, 7 * ROW]
+
+
+def test_names_that_find_no_room_are_counted() -> None:
+    names = [f"expression_{number}" for number in range(12)]
+    assert some_of(names[:2], 1e6) == "expression_0, expression_1"
+    shown = some_of(names, 400.0)
+    kept = shown.count("expression")
+    assert shown.endswith(f" + {12 - kept}")
+    assert text_width(shown, SMALL) <= 400.0
+    assert some_of([], 400.0) == ""
