@@ -103,7 +103,7 @@ class Rebuild:
             quality=self._quality(neutral, neutral_report, start, shapes),
             reused=tuple(self._reused),
             corrected=tuple(self._corrected),
-            warnings=(*lines, *self._idle_corrections()),
+            warnings=(*lines, *self._left_shapes(shapes), *self._idle_corrections()),
         )
 
     def _neutral(self) -> tuple[NeutralScan, Mapping[str, Any], Similarity]:
@@ -234,6 +234,12 @@ class Rebuild:
                 before, after = neutral.points + start[name], neutral.points + delta
                 turned += int(flipped_triangles(before, after, triangles).sum())
         return replace(found, flipped_triangles=turned)
+
+    def _left_shapes(self, shapes: Mapping[str, FloatArray]) -> tuple[str, ...]:
+        own = {shape.name for mesh in self._template.parts.meshes for shape in mesh.blendshapes}
+        left = sorted(own - set(shapes))
+        where = self._template.where
+        return (f"{where}: the database lacks {', '.join(left)}: the template's offsets are kept",) if left else ()
 
     def _idle_corrections(self) -> tuple[str, ...]:
         idle = [name for name in self._folder.corrections() if name not in self._corrected]
