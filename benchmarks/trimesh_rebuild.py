@@ -17,7 +17,7 @@ TUNED: dict[str, dict[str, Any]] = {
         "distance_threshold": 0.03,
     },
 }
-"""What fitted best of about a dozen settings each on another person (seed 103)."""
+"""What fitted best of about ten settings each on another person (seed 103)."""
 
 
 def trimesh_fit(kind: str, setting: str, path: str) -> Json:
