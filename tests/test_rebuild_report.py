@@ -23,6 +23,8 @@ from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_la
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
+from facepipe.render.heatmap import HeatMap
+from facepipe.render.picture import PictureOptions, picture, pictures
 from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
 from facepipe.render.shapes_table import ShapeRow, shapes_table, some_of
 from facepipe.render.slider_table import ABOVE, ROW
@@ -160,9 +162,9 @@ def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str]
 
 
 def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
-    pictures, _ = made.rebuilt()
-    scans = tuple(replace(one, scan=one.scan.with_name("gone.ply")) for one in pictures.project.expressions)
-    broken = replace(pictures, project=replace(pictures.project, expressions=scans))
+    shown, _ = made.rebuilt()
+    scans = tuple(replace(one, scan=one.scan.with_name("gone.ply")) for one in shown.project.expressions)
+    broken = replace(shown, project=replace(shown.project, expressions=scans))
     before = _names(made.folder)
     with pytest.raises(InputError, match=r"gone\.ply"), replacing_folder(made.folder / "broken") as folder:
         broken.write(folder, {})
@@ -170,10 +172,10 @@ def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
 
 
 def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -> None:
-    pictures, rebuilt = made.rebuilt()
+    shown, rebuilt = made.rebuilt()
     alone = replace(
-        pictures,
-        project=replace(pictures.project, expressions=()),
+        shown,
+        project=replace(shown.project, expressions=()),
         rebuilt=replace(
             rebuilt, shapes=rebuilt.personal, composites={}, reports={"neutral": rebuilt.reports["neutral"]}
         ),
@@ -219,6 +221,18 @@ def test_no_distance_is_one_colour() -> None:
     assert greenest(_shown(np.linspace(0.0, 0.7, count))) > 0.0
 
 
+def test_several_pictures_are_those_of_one_after_another() -> None:
+    parts = scan_domes.face()
+    heat = HeatMap(values=np.zeros(sum(len(mesh.points) for mesh in parts.meshes)))
+    several = [PictureOptions(size=128, view=view, heatmap=heat, samples=1) for view in ("front", "three-quarter")]
+    several.append(replace(several[0], bar=False))
+    found = [np.asarray(image) for image in pictures(parts, None, several)]
+    for image, options in zip(found, several, strict=True):
+        np.testing.assert_array_equal(image, np.asarray(picture(parts, None, options)))
+    yellow = [((image[..., 0] > 200) & (image[..., 2] < 90)).any() for image in found]
+    assert yellow == [True, True, False]  # the upper end of the bar, where there is one
+
+
 def _changes(count: int, moved: dict[str, float]) -> ChangedShapes:
     parts = scan_domes.face()
     mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
@@ -247,7 +261,7 @@ def test_the_most_changed_shapes_are_drawn() -> None:
     alike = np.asarray(shapes_sheet(_changes(2, {"s0": 1.0, "s1": 1.0}), ["s0", "s1"])).astype(int)
     cells = [alike[:, start : start + 128] for start in (28, 28 + 138)]
     top = next(row for row in range(70, len(alike)) if (cells[0][row].max(axis=1) < 245).all())
-    np.testing.assert_array_equal(*[cell[top : top + 128] for cell in cells])
+    np.testing.assert_array_equal(cells[0][top : top + 128], cells[1][top : top + 128])
 
 
 def _row(name: str, observed: float, *, unseen: bool = False) -> ShapeRow:
