@@ -100,7 +100,7 @@ def test_the_size_is_found_with_the_rest(files: Files, capsys: pytest.CaptureFix
     """Identity and size look alike on a dome: what is left of the person is right but for a similarity."""
     code, out, _ = run(capsys, *files.words())
     assert code == 0
-    assert "10.03 mm (cm)" in out
+    assert "10.01 mm (cm)" in out
     found = fitted(files)
     assert np.abs(fit_similarity(found, truth()).apply(found) - truth()).max() < 0.15
 

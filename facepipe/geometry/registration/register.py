@@ -40,7 +40,7 @@ class RegistrationOptions:
     reach_mm: float = 4.0  # matches further off don't count, in the last stage
     angle: float = 0.84  # radians between normals, beyond which a match doesn't count
     anchor_sigma_mm: float = 0.16  # of landmarks and markers
-    membrane: float = 3.0  # stiffness of the residual
+    membrane: float = 6.0  # stiffness of the residual
     scale: bool = True  # the scan's size is not known
 
 

@@ -43,14 +43,14 @@ class FitNeutralOptions:
         },
     )
     prior: float = field(
-        default=0.1,
+        default=0.03,
         metadata={
             "help": "weight of the squared identity coefficients, in standard deviations, against the scan",
             "range": (1e-6, 1e9),
         },
     )
     membrane: float = field(
-        default=3.0,
+        default=6.0,
         metadata={"help": "stiffness of what the identity model can't show", "range": (1e-6, 1e9)},
     )
     landmark_sigma_mm: float = field(
