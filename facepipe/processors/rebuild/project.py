@@ -25,18 +25,17 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.errors import InputError
-from facepipe.geometry.example_rigging import SplitOptions
 from facepipe.options import from_json
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
 from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
 from facepipe.processors.rebuild.personal_template import PersonalTemplateOptions
 from facepipe.processors.rebuild.register_scans import RegisterScansOptions
+from facepipe.processors.rebuild.split_expressions import SplitExpressionsOptions
 from facepipe.reading import read_bytes
 
 _MOST_BYTES = 1 << 22
 _KEYS = ("template", "database", "work", "neutral", "expressions", "options")
 _OPTIONS = ("neutral", "template", "expressions", "split")
-_SPLIT_NOISE = 0.2  # mm: what registered expressions are off by
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +61,7 @@ class Project:
     neutral_options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
     template_options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
     expression_options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
-    split_options: SplitOptions = field(default_factory=lambda: SplitOptions(noise=_SPLIT_NOISE))
+    split_options: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
 
 
 def read_project(path: Path) -> Project:
@@ -95,13 +94,8 @@ def read_project(path: Path) -> Project:
         expression_options=from_json(
             RegisterScansOptions, options.get("expressions", {}), f"{where} -> options.expressions"
         ),
-        split_options=_split_options(options.get("split", {}), f"{where} -> options.split"),
+        split_options=from_json(SplitExpressionsOptions, options.get("split", {}), f"{where} -> options.split"),
     )
-
-
-def _split_options(values: object, where: str) -> SplitOptions:
-    given = {"noise": _SPLIT_NOISE, **values} if isinstance(values, Mapping) else values
-    return from_json(SplitOptions, given, where)
 
 
 def _scan(where: str, name: str, content: object, folder: Path, *, with_weights: bool) -> ProjectScan:
