@@ -276,6 +276,12 @@ def test_damage_is_refused_in_one_line(small: Path, data: st.DataObject) -> None
     assert content == whole or refused(lambda: load_database(harmed), harmed) is not None
 
 
+@pytest.mark.parametrize("content", [{"a": "0" * 64}, {"sha256": "0" * 64}])
+def test_content_that_looks_like_an_open_sum_is_kept(tmp_path: Path, content: dict[str, str]) -> None:
+    write_arrays(tmp_path / "a.fpdb", FORMAT, content, {"x": np.ones(3)})
+    assert read_arrays(tmp_path / "a.fpdb", FORMAT).content == content
+
+
 ARRAYS = ("identity/components", "identity/coefficients", "expressions/core", "topology/0/indices", "topology/points")
 
 

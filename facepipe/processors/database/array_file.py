@@ -51,7 +51,8 @@ def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapp
     found = hashlib.sha256(head)
     for array in stored.values():
         found.update(array.reshape(-1).data)
-    head = head.replace(_NO_SUM.encode(), found.hexdigest().encode(), 1)
+    key = '"sha256":"'  # with its quotes bare it is nowhere else: those within the content are escaped
+    head = head.replace(f"{key}{_NO_SUM}".encode(), f"{key}{found.hexdigest()}".encode(), 1)
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(head)
         for array in stored.values():
