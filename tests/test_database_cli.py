@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +118,37 @@ def test_the_gate_reads_recipes_and_reports(
     assert load_database(database).history[-1].ignored == ()
 
 
+def test_adds_at_once_lose_no_face(faces: list[Path], database: Path) -> None:
+    words = [sys.executable, "-m", "facepipe", "database", "add", str(database)]
+    both = [subprocess.Popen([*words, str(face)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) for face in faces[3:]]
+    ends = [(one.communicate()[1], one.returncode) for one in both]
+    assert [code for _, code in ends] == [0, 0], ends
+    found = load_database(database)
+    assert {entry.name for entry in found.entries} == {"p0", "p1", "p2", "p3", "p4"}
+    assert found.version == 3
+
+
+def test_remove_takes_faces_out_in_place_or_elsewhere(
+    faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, other = database.read_bytes(), tmp_path / "other.fpdb"
+    assert run(capsys, "database", "remove", database, "p1", "-o", other)[0] == 0
+    assert database.read_bytes() == before
+    code, out, _ = run(capsys, "database", "remove", database, "p1", "--json")
+    assert code == 0
+    assert [entry["name"] for entry in json.loads(out)["entries"]] == ["p0", "p2"]
+    assert database.read_bytes() == other.read_bytes()
+    for words in (("p1",), ("p0", "p0"), ("p0",), ()):
+        code, out, err = run(capsys, "database", "remove", database, *words)
+        assert err.startswith(f"facepipe: {database}" if words else "facepipe database remove: ")
+        assert (code, out, err.count("\n")) == (2, "", 1), words
+        assert database.read_bytes() == other.read_bytes()
+    assert run(capsys, "database", "add", database, faces[1], faces[3])[0] == 0
+    assert [entry.name for entry in load_database(database).entries] == ["p0", "p2", "p1", "p3"]
+    _, text, _ = run(capsys, "database", "info", database)
+    assert "version 2: remove 1" in text
+
+
 def test_bad_lines_are_told_in_one(faces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words in (
         ("create", faces[0], "-o", tmp_path / "x.fpdb"),
@@ -134,7 +167,7 @@ def test_bad_lines_are_told_in_one(faces: list[Path], tmp_path: Path, capsys: py
     assert not (tmp_path / "x.fpdb").exists()
 
 
-@pytest.mark.parametrize("action", ["create", "add", "info"])
+@pytest.mark.parametrize("action", ["create", "add", "remove", "info"])
 def test_each_action_has_help_with_an_example(capsys: pytest.CaptureFixture[str], action: str) -> None:
     code, out, _ = run(capsys, "database", action, "--help")
     assert code == 0

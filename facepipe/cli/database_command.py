@@ -1,8 +1,9 @@
 """Databases of faces on one topology: what people's faces and expressions differ in.
 
 create makes a database of two or more face stages; add puts more into it, in place and whole or not at all (-o writes
-another file); info tells what is in one. A database holds a model of neutrals (principal components) and one of
-expressions (a multilinear model) of the blendshapes that all faces have that have any; others are listed as left out.
+another file); remove takes faces out of it by their names; info tells what is in one. Changes of one database wait for
+each other. It holds a model of neutrals (principal components) and one of expressions (a multilinear model) of the
+blendshapes that all faces have that have any; others are listed as left out.
 
 add refuses a rebuilt face whose measures, in its recipe or in a report given by --quality, miss the limits below. A
 report is a JSON object, alone or under "quality": {"surface_mean_mm": 0.1, "surface_p95_mm": 0.4, "coverage": 0.9,
@@ -12,6 +13,7 @@ examples:
   facepipe database create faces/*.usda -o faces.fpdb
   facepipe database add faces.fpdb actor.usda
   facepipe database add faces.fpdb actor.usda --quality report.json -o more.fpdb
+  facepipe database remove faces.fpdb actor
   facepipe database info faces.fpdb --json
 """
 
@@ -27,6 +29,7 @@ from facepipe.cli.database_text import as_json, as_text
 from facepipe.cli.parser import Parser, add_options, add_output, check_input, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
+from facepipe.locks import locked
 
 if TYPE_CHECKING:
     from facepipe.processors.database import AddOptions, FaceDatabase, Quality
@@ -45,28 +48,40 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add_output(create, "database to write: .fpdb")
     add_options(create, DatabaseOptions)
     add = actions.add_parser("add", help="put more faces into a database", epilog=_example("add"))
-    add.add_argument("database", type=Path, metavar="DATABASE", help="database: .fpdb")
+    _add_database(add)
     _add_faces(add)
-    add.add_argument("-o", "--output", type=Path, metavar="OUT", help="write another file (default: in place)")
-    add.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
     text = "measures of a face: a JSON report, with several faces NAME=REPORT, once for each"
     add.add_argument("--quality", action="append", default=[], metavar="REPORT", help=text)
     add_options(add, AddOptions, "quality gate")
+    remove = actions.add_parser("remove", help="take faces out of a database", epilog=_example("remove"))
+    _add_database(remove)
+    remove.add_argument("names", nargs="+", metavar="NAME", help="names of faces, as info tells them")
     info = actions.add_parser("info", help="tell what is in a database", epilog=_example("info"))
     info.add_argument("database", type=Path, metavar="DATABASE", help="database: .fpdb")
-    for one in (create, add, info):
+    for one in (create, add, remove, info):
         one.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do the action."""
-    actions: dict[str, Callable[[argparse.Namespace], int]] = {"create": _create, "add": _add, "info": _info}
+    actions: dict[str, Callable[[argparse.Namespace], int]] = {
+        "create": _create,
+        "add": _add,
+        "remove": _remove,
+        "info": _info,
+    }
     return actions[arguments.action](arguments)
 
 
 def _example(action: str) -> str:
     lines = [line.strip() for line in (__doc__ or "").splitlines() if f"facepipe database {action}" in line]
     return f"example: {lines[0]}"
+
+
+def _add_database(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("database", type=Path, metavar="DATABASE", help="database: .fpdb")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="write another file (default: in place)")
+    parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
 
 
 def _add_faces(parser: argparse.ArgumentParser) -> None:
@@ -81,22 +96,33 @@ def _create(arguments: argparse.Namespace) -> int:
     sources = _sources(arguments, None)
     with _progress("create", sources) as bar:
         made = create_database(sources, options_from(arguments, DatabaseOptions), done=bar.update)
-    save_database(made.database, out)
+    with _alone(out):
+        save_database(made.database, out)
     return _told(out, made.database, made.warnings, arguments)
 
 
 def _add(arguments: argparse.Namespace) -> int:
     from facepipe.processors.database import AddOptions, add_faces, check_suffix, load_database, save_database
 
-    out = _output(arguments)
-    check_suffix(out)
-    database = load_database(arguments.database)
-    sources = _sources(arguments, database)
-    options = options_from(arguments, AddOptions)
-    qualities = _qualities(arguments, sources, options)
-    with _progress("add", sources) as bar:
-        made = add_faces(database, sources, options, qualities=qualities, done=bar.update)
-    save_database(made.database, out)
+    out = check_suffix(_output(arguments))
+    with _alone(out):  # from reading on: what another adds meanwhile would be lost
+        database = load_database(arguments.database)
+        sources = _sources(arguments, database)
+        options = options_from(arguments, AddOptions)
+        qualities = _qualities(arguments, sources, options)
+        with _progress("add", sources) as bar:
+            made = add_faces(database, sources, options, qualities=qualities, done=bar.update)
+        save_database(made.database, out)
+    return _told(out, made.database, made.warnings, arguments)
+
+
+def _remove(arguments: argparse.Namespace) -> int:
+    from facepipe.processors.database import check_suffix, load_database, remove_faces, save_database
+
+    out = check_suffix(_output(arguments))
+    with _alone(out):
+        made = remove_faces(load_database(arguments.database), arguments.names, str(arguments.database))
+        save_database(made.database, out)
     return _told(out, made.database, made.warnings, arguments)
 
 
@@ -111,7 +137,12 @@ def _output(arguments: argparse.Namespace) -> Path:
     if arguments.output is None:
         check_input(arguments.database)
         return Path(arguments.database)
-    return output_of(arguments, [arguments.database, *arguments.faces])
+    return output_of(arguments, [arguments.database, *getattr(arguments, "faces", [])])
+
+
+def _alone(path: Path) -> AbstractContextManager[None]:
+    """Nobody else changes the file; waits for who does."""
+    return locked(path, waiting=lambda: warn([f"{path}: another process changes it, waiting"]))
 
 
 def _sources(arguments: argparse.Namespace, database: FaceDatabase | None) -> list[StageSource]:

@@ -5,6 +5,7 @@ from facepipe.processors.database.database_file import check_suffix, load_databa
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
 from facepipe.processors.database.predict import carried_mean, predicted_shapes
 from facepipe.processors.database.quality import Quality, QualityLimits, misses, quality_from
+from facepipe.processors.database.remove import remove_faces
 from facepipe.processors.database.whole_face import Topology, WholeFace, whole_face, whole_points
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "misses",
     "predicted_shapes",
     "quality_from",
+    "remove_faces",
     "save_database",
     "whole_face",
     "whole_points",

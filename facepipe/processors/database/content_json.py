@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from facepipe.errors import InputError
 from facepipe.options import from_json
-from facepipe.processors.database.face_database import Entry, StoredError, Update
+from facepipe.processors.database.face_database import REMOVE, Entry, StoredError, Update
 from facepipe.processors.database.quality import quality_from
 
 Value = TypeVar("Value")
@@ -57,10 +57,21 @@ def _check(header: Header, path: Path) -> None:
         raise InputError(path, "two entries of one name, expected each once")
     if [update.version for update in header.history] != list(range(1, len(header.history) + 1)):
         raise InputError(f"{path} -> history", "versions that don't count from 1")
-    if [name for update in header.history for name in update.entries] != [entry.name for entry in header.entries]:
+    if _names_after(header.history) != [entry.name for entry in header.entries]:
         raise InputError(f"{path} -> history", "other entries than there are")
     if not header.tolerance_mm > 0:
         raise InputError(f"{path} -> tolerance_mm", f"{header.tolerance_mm}, expected a number above 0")
+
+
+def _names_after(history: tuple[Update, ...]) -> list[str]:
+    """Names of the entries that updates leave."""
+    names: list[str] = []
+    for update in history:
+        if update.verb == REMOVE:
+            names = [name for name in names if name not in update.entries]
+        else:
+            names += update.entries
+    return names
 
 
 def _entry(value: Any, where: str) -> Entry:

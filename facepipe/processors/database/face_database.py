@@ -15,6 +15,8 @@ from facepipe.processors.database.whole_face import Topology
 
 FloatArray = npt.NDArray[np.floating]
 
+REMOVE = "remove"  # the verb of updates whose entries went
+
 
 @dataclass(frozen=True, kw_only=True)
 class StoredError:
@@ -43,8 +45,8 @@ class Update:
     """One change of the database."""
 
     version: int
-    verb: str  # "create", "add"
-    entries: tuple[str, ...]  # that came
+    verb: str  # "create", "add", "remove"
+    entries: tuple[str, ...]  # that came, or went
     dropped: tuple[str, ...] = ()  # shapes that went, as not all faces have them
     ignored: tuple[str, ...] = ()  # why the quality gate would have refused
     facepipe: str  # version
