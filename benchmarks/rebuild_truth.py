@@ -1,10 +1,11 @@
 """How true a rebuild is: simulated scans of people that the database can't show, from scans to shapes.
 
-Each actor has a neutral and 15 expressions scanned; every stage of `facepipe rebuild` runs on the scans. Distances are
-those of points from where they truly are, in millimetres, over the face area. Shapes are told by the sum of their
-errors over that of the generic ones, which deformation transfer carries to the rebuilt neutral.
+Each actor has a neutral and 15 expressions scanned; every stage of `facepipe rebuild` runs on the scans, and with
+--joint once more, from a neutral that was refined on all of them. Distances are those of points from where they truly
+are, in millimetres, over the face area; "surface" is that of the neutral's points from the true surface. Shapes are
+told by the sum of their errors over that of the generic ones, carried to the rebuilt neutral by deformation transfer.
 
-usage: python benchmarks/rebuild_truth.py [--actors 6] [--json OUT]
+usage: python benchmarks/rebuild_truth.py [--actors 6] [--joint] [--json OUT]
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _FIRST = 101
 _COLUMNS = {
     "neutral": "mean",
     "neutral p95": "p95",
+    "surface": "surface",
     "narrow": "narrow",
     "narrow p95": "p95",
     "expressions": "expressions",
@@ -50,56 +52,81 @@ class Actor:
         self._model, self._who, self._composites = ict(), Actor(seed), COMPOSITES
         self._seed, self._template, self._database = seed, template, database
         self._scan = simulate(self._who.neutral, seed)
+        truths = {name: self._who.composite(shown) for name, shown in COMPOSITES.items()}
+        self._scans = {
+            name: (truth, simulate(truth, 100 * seed + number)) for number, (name, truth) in enumerate(truths.items())
+        }
 
-    def figures(self) -> dict[str, float]:
-        """All of its row."""
-        from facepipe.processors.rebuild import FitNeutral, NeutralScan, PersonalTemplate
+    def figures(self, *, joint: bool) -> dict[str, dict[str, float]]:
+        """All of its rows."""
+        from facepipe.processors.rebuild import FitNeutral, NeutralScan
 
         scan, landmarks = self._read("neutral", self._scan)
         fit = FitNeutral()(self._template, scan, landmarks, self._database)
-        self._place = fit.place
-        off = np.linalg.norm(self._home(fit.points) - self._who.neutral, axis=1)
-        narrow = off[: self._model.narrow_face]
-        off = off[: self._model.full_face]
-        found = {"neutral": off.mean(), "neutral p95": np.percentile(off, 95)}
-        found |= {"narrow": narrow.mean(), "narrow p95": np.percentile(narrow, 95)}
-        shapes = PersonalTemplate()(self._template, fit.points)
         base = NeutralScan(points=fit.points, place=fit.place, landmarks=landmarks)
-        registered, rows = self._registered(base, shapes)
-        found |= {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
-        found |= self._split(fit.points, shapes, registered)
+        rows, (shapes, registered) = {}, self._expressions(base)
+        rows["alone"] = self._row(base, shapes, registered)
+        if joint:
+            base = self._together(scan, base, np.array(fit.report.coefficients), shapes, registered)
+            rows["joint"] = self._row(base, *self._expressions(base))
+        return rows
+
+    def _expressions(self, base: Any) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+        """The personal template, and what was registered from it."""
+        from facepipe.processors.rebuild import PersonalTemplate, RegisterScans
+
+        shapes = PersonalTemplate()(self._template, base.points)
+        return shapes, {name: RegisterScans()(self._template, base, shapes, self._given(name)) for name in self._scans}
+
+    def _together(
+        self, scan: Any, base: Any, coefficients: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
+    ) -> Any:
+        """The neutral refined on all scans."""
+        from facepipe.processors.rebuild import FitTogether, NeutralScan, PlacedExpression
+
+        placed = [PlacedExpression(expression=self._given(name), place=one.place) for name, one in registered.items()]
+        fit = FitTogether()(self._template, scan, base, coefficients, self._database, shapes, placed).neutral
+        return NeutralScan(points=fit.points, place=fit.place, landmarks=base.landmarks)
+
+    def _row(self, base: Any, shapes: dict[str, FloatArray], registered: dict[str, Any]) -> dict[str, float]:
+        self._place = base.place
+        rows = [self._expression(name, base, shapes, one.points) for name, one in registered.items()]
+        found = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+        found |= self._neutral(base.points) | self._split(base.points, shapes, registered)
         return {key: float(value) for key, value in found.items()}
 
-    def _registered(self, base: Any, shapes: dict[str, FloatArray]) -> tuple[dict[str, Any], list[dict[str, float]]]:
-        from scan_simulator import simulate
+    def _neutral(self, points: FloatArray) -> dict[str, float]:
+        from facepipe.geometry.closest_points import closest_places
 
-        from facepipe.processors.rebuild import ExpressionScan, RegisterScans
+        points, truth = self._home(points), self._who.neutral
+        face, near = slice(0, self._model.full_face), slice(0, self._model.narrow_face)
+        off = np.linalg.norm(points - truth, axis=1)
+        nearest = closest_places(points[face], truth, self._model.triangles).places
+        surface = np.linalg.norm(points[face] - nearest, axis=1)
+        found = {"neutral": off[face].mean(), "neutral p95": np.percentile(off[face], 95), "surface": surface.mean()}
+        return found | {"narrow": off[near].mean(), "narrow p95": np.percentile(off[near], 95)}
 
-        found, rows, face = {}, [], slice(0, self._model.full_face)
-        own = self._home(base.points)
-        for number, (name, shown) in enumerate(self._composites.items()):
-            truth = self._who.composite(shown)
-            weights = {_ours(shape): weight for shape, weight in shown.items()}
-            scan, landmarks = self._read(name, simulate(truth, 100 * self._seed + number))
-            given = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
-            found[name] = RegisterScans()(self._template, base, shapes, given)
-            motion = (truth - self._who.neutral)[face]
-            start = base.points + np.sum([weight * shapes[shape] for shape, weight in weights.items()], axis=0)
-            delta, before = (
-                np.linalg.norm((self._home(points) - own)[face] - motion, axis=1)
-                for points in (found[name].points, start)
-            )
-            off = np.linalg.norm((self._home(found[name].points) - truth)[face], axis=1)
-            rows.append(
-                {
-                    "expressions": off.mean(),
-                    "delta": delta.mean(),
-                    "delta p95": np.percentile(delta, 95),
-                    "template delta": before.mean(),
-                    "template p95": np.percentile(before, 95),
-                }
-            )
-        return found, rows
+    def _expression(self, name: str, base: Any, shapes: dict[str, FloatArray], points: FloatArray) -> dict[str, float]:
+        face, (truth, _) = slice(0, self._model.full_face), self._scans[name]
+        own, weights = self._home(base.points), self._given(name).weights
+        motion = (truth - self._who.neutral)[face]
+        start = base.points + np.sum([weight * shapes[shape] for shape, weight in weights.items()], axis=0)
+        delta, before = (np.linalg.norm((self._home(one) - own)[face] - motion, axis=1) for one in (points, start))
+        return {
+            "expressions": np.linalg.norm((self._home(points) - truth)[face], axis=1).mean(),
+            "delta": delta.mean(),
+            "delta p95": np.percentile(delta, 95),
+            "template delta": before.mean(),
+            "template p95": np.percentile(before, 95),
+        }
+
+    def _given(self, name: str) -> Any:
+        """A scanned expression as a project gives it."""
+        from facepipe.processors.rebuild import ExpressionScan
+
+        scan, landmarks = self._read(name, self._scans[name][1])
+        weights = {_ours(shape): weight for shape, weight in self._composites[name].items()}
+        return ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
 
     def _split(
         self, neutral: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
@@ -171,19 +198,22 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--actors", type=positive, default=6, help="how many, of other seeds each (default 6)")
+    parser.add_argument("--joint", action="store_true", help="also from a neutral refined on all scans")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
     template, database = _prepared()
-    rows = {}
+    found: dict[str, dict[str, dict[str, float]]] = {}
     for seed in range(_FIRST, _FIRST + arguments.actors):
-        rows[str(seed)] = Actor(seed, template, database).figures()
-        print(f"{seed}: " + ", ".join(f"{key} {value:.3f}" for key, value in rows[str(seed)].items()), file=sys.stderr)
-    rows["mean"] = {key: float(np.mean([row[key] for row in rows.values()])) for key in _COLUMNS}
-    table = [("", "", *_COLUMNS.values())]
-    table += [("actor", seed, *(f"{row[key]:.3f}" for key in _COLUMNS)) for seed, row in rows.items()]
+        for way, row in Actor(seed, template, database).figures(joint=arguments.joint).items():
+            found.setdefault(way, {})[str(seed)] = row
+            print(f"{way} {seed}: " + ", ".join(f"{key} {row[key]:.3f}" for key in _COLUMNS), file=sys.stderr)
+    table = [("", "actor", *_COLUMNS.values())]
+    for way, rows in found.items():
+        rows["mean"] = {key: float(np.mean([row[key] for row in rows.values()])) for key in _COLUMNS}
+        table += [(way, seed, *(f"{row[key]:.3f}" for key in _COLUMNS)) for seed, row in rows.items()]
     print("\n".join(aligned(table)))
     if arguments.json:
-        arguments.json.write_text(json.dumps(rows, sort_keys=True, indent=2) + "\n")
+        arguments.json.write_text(json.dumps(found, sort_keys=True, indent=2) + "\n")
     return 0
 
 

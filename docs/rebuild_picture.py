@@ -1,8 +1,8 @@
 """Draws docs/rebuild_scan.png: `python docs/rebuild_picture.py`. Needs ../shared/data.
 
 ICT-FaceKit (MIT license) fitted to "Infinite, 3D Head Scan" by Lee Perry-Smith (CC-BY 3.0, based on a work at
-www.triplegangers.com; www.ir-ltd.net), with 60 people made of ICT-FaceKit's modes as database and 14 landmarks placed
-by hand (docs/rebuild_landmarks.json).
+www.triplegangers.com; www.ir-ltd.net), with 60 people made of ICT-FaceKit's modes as database and 20 landmarks placed
+by hand (docs/rebuild_landmarks.json). The scan has closed eyes; the last picture is the neutral, with open ones.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from facepipe.render import save_png
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "shared" / "data"
 PEOPLE = 60
-WIDTH = 700
+WIDTH = 900
 
 
 def person(seed: int) -> WholeFace:
@@ -39,7 +39,8 @@ def draw(folder: Path) -> Image.Image:
     main(["import", "ict", str(DATA / "ict_facekit" / "ict_facekit.npz"), head])
     scan, marks = str(DATA / "scans" / "LeePerrySmith.glb"), str(HERE / "rebuild_landmarks.json")
     given = ["--template", head, "--database", faces, "--landmarks", marks]
-    main(["fit-neutral", scan, *given, "-o", out, "--picture", sheet])
+    shown = ["--weights", "eyeBlink_L=1", "eyeBlink_R=1"]
+    main(["fit-neutral", scan, *given, *shown, "-o", out, "--picture", sheet])
     image = Image.open(sheet).convert("RGB")
     return image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
 

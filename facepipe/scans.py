@@ -45,12 +45,19 @@ def no_landmarks() -> FloatArray:
     return np.full((LANDMARK_COUNT, 3), np.nan)
 
 
+def no_sigmas() -> FloatArray:
+    """(68,) NaN: a fit's options say how far off landmarks are."""
+    return np.full(LANDMARK_COUNT, np.nan)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ScanLandmarks:
     """Where the landmarks of a face lie on a scan, and markers that were painted on the actor."""
 
     scheme: str = LANDMARK_SCHEME
     points: FloatArray = field(default_factory=no_landmarks)  # (68, 3) float64, rows of NaN where unknown
+    # (68,) mm: how far off each may be, the standard deviation of each coordinate; NaN: as a fit's options say.
+    sigma_mm: FloatArray = field(default_factory=no_sigmas)
     markers: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (3,)
 
     @property

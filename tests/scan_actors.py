@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,21 @@ def ict() -> Ict:
         )
 
 
+@functools.cache
+def ict_face() -> Ict:
+    """The face area alone, at a third of the cost; parts and landmarks are those of the whole."""
+    model, end = ict(), ict().full_face
+    inside = (model.triangles < end).all(axis=1)
+    return replace(
+        model,
+        neutral=model.neutral[:end],
+        identity=model.identity[:, :end],
+        deltas=model.deltas[:, :end],
+        triangles=model.triangles[inside],
+        triangle_faces=model.triangle_faces[inside],
+    )
+
+
 def database_faces(count: int = 60, seed: int = 1) -> FloatArray:
     """(count, n, 3) neutrals of people of the first 60 modes."""
     weights = np.random.default_rng(seed).standard_normal((count, DATABASE_MODES))
@@ -81,10 +96,12 @@ class Actor:
     """One person; the same seed gives the same person.
 
     :param warp: RMS of the warp that no mode holds, in millimetres
+    :param model: all of ICT-FaceKit or a part of it; None: all
     """
 
-    def __init__(self, seed: int, *, modes: int = 100, warp: float = _WARP) -> None:
-        model, self._seed = ict(), seed
+    def __init__(self, seed: int, *, modes: int = 100, warp: float = _WARP, model: Ict | None = None) -> None:
+        self._model, self._seed = model or ict(), seed
+        model = self._model
         rng = np.random.default_rng([seed, 0])
         weights = rng.standard_normal(modes)
         person = model.neutral + np.tensordot(weights, model.identity[:modes], axes=1)
@@ -93,17 +110,17 @@ class Actor:
 
     @functools.cached_property
     def _transfer(self) -> Transfer:
-        return Transfer(self.neutral, ict().triangles, np.zeros(len(self.neutral), bool))
+        return Transfer(self.neutral, self._model.triangles, np.zeros(len(self.neutral), bool))
 
     def transferred(self, name: str) -> FloatArray:
         """(n, 3) delta of an expression as deformation transfer makes it, without the actor's own way."""
-        model = ict()
+        model = self._model
         delta = model.deltas[model.names.index(name)]
         return self._transfer.solve(model.neutral[None], (model.neutral + delta)[None]) - self.neutral
 
     def shape(self, name: str) -> FloatArray:
         """(n, 3) delta of the actor's own expression."""
-        model = ict()
+        model = self._model
         rng = np.random.default_rng([self._seed, 1, model.names.index(name)])
         gain, turn = _personality(model.neutral, rng, _OWN_GAIN, _OWN_TURN)
         delta = self.transferred(name)

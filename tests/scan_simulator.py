@@ -15,6 +15,7 @@ from facepipe.render.rasterise import rasterise, screen_triangles
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
 
 _PIXELS = 640
 _CLEAR_PARTS = tuple(range(9, 17))  # fluid, blends, occlusion, lashes: no scanner sees them
@@ -66,7 +67,7 @@ def visible_triangles(points: FloatArray) -> IntArray:
     solid = np.flatnonzero(~np.isin(part, _CLEAR_PARTS))
     seen = np.zeros(len(solid), bool)
     for direction in _directions():
-        seen |= _seen_from(points, model.triangles[solid], direction)
+        seen |= _seen_from(points, model.triangles[solid], direction, ~seen)
     return np.asarray(model.triangles[solid[seen]])
 
 
@@ -76,7 +77,8 @@ def _directions() -> list[FloatArray]:
     return [*found, np.array([0.0, 1.0, 0.1])]
 
 
-def _seen_from(points: FloatArray, triangles: IntArray, direction: FloatArray) -> npt.NDArray[np.bool_]:
+def _seen_from(points: FloatArray, triangles: IntArray, direction: FloatArray, wanted: BoolArray) -> BoolArray:
+    """(t,) those of the `wanted` triangles that are seen; only what covers one of these is drawn beside them."""
     right = np.cross([0.0, 1.0, 0.0], direction)
     right /= np.linalg.norm(right)
     local = points @ np.stack([right, np.cross(direction, right), direction], axis=1)
@@ -84,13 +86,27 @@ def _seen_from(points: FloatArray, triangles: IntArray, direction: FloatArray) -
     low, high = used.min(axis=0), used.max(axis=0)
     scale = (_PIXELS - 2) / float((high - low)[:2].max())
     flat = (local - low) * [scale, -scale, 1.0] + [1.0, _PIXELS - 1.0, 1.0]
-    raster = rasterise(screen_triangles(np.c_[flat, np.ones(len(flat))], triangles), _PIXELS, _PIXELS)
-    hit = np.unique(raster.triangle)
+    a, b, c = flat[triangles].transpose(1, 0, 2)
+    towards = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    asked = wanted & (towards < 0)  # y down turns the corners round
+    screen = screen_triangles(np.c_[flat, np.ones(len(flat))], triangles)
+    alone = rasterise(screen.select(asked), _PIXELS, _PIXELS)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    others = ~asked & _touch(alone.triangle >= 0, low, high)
+    hit = rasterise(screen.select(others), _PIXELS, _PIXELS, floor=alone.key).triangle
     seen = np.zeros(len(triangles), bool)
     seen[hit[hit >= 0]] = True
-    a, b, c = flat[triangles].transpose(1, 0, 2)
-    facing = np.cross(b - a, c - a)[:, 2] < 0  # y down turns the corners round
-    return np.asarray(seen & facing)
+    return seen & asked
+
+
+def _touch(mask: BoolArray, low: FloatArray, high: FloatArray) -> BoolArray:
+    """(t,) rectangles on the screen that hold a marked pixel."""
+    sums = np.zeros((_PIXELS + 1, _PIXELS + 1), np.int64)
+    sums[1:, 1:] = mask.cumsum(axis=0).cumsum(axis=1)
+    (left, top), (right, bottom) = (
+        np.clip(one[:, :2].astype(np.int64) + more, 0, _PIXELS).T for one, more in ((low, 0), (high, 1))
+    )
+    return np.asarray(sums[bottom, right] + sums[top, left] > sums[top, right] + sums[bottom, left])
 
 
 def retriangulated(points: FloatArray, triangles: IntArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

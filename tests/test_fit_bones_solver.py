@@ -476,3 +476,15 @@ def test_targets_that_do_not_fit_are_refused() -> None:
         fit.fit(np.full(small().points.shape, np.nan))
     with pytest.raises(InputError, match="initial"):
         fit.fit(small().points, start=np.zeros((2, 9)))
+
+
+@pytest.mark.parametrize("room", [0.0, 1e-18, 1e-12])
+def test_a_variable_hardly_off_its_bound_does_not_keep_the_others(room: float) -> None:
+    """The step of both together leaves the box at once, and what is left of it goes up."""
+    hessian, linear = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.1])
+    for sign in (1.0, -1.0):
+        bounds = np.array([-room, -10.0]), np.array([10.0, 10.0])
+        lower, upper = bounds if sign > 0 else (-bounds[1], -bounds[0])
+        found = solve_boxed(hessian, sign * linear, lower, upper)
+        assert np.allclose(found.x, sign * np.array([-room, -0.1 + 0.9 * room]), rtol=0, atol=1e-15)
+        assert found.residual <= 1e-12

@@ -10,6 +10,7 @@ import scan_domes
 
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
+from facepipe.parts import Material
 from facepipe.processors.database.whole_face import whole_parts, whole_points
 from facepipe.render.fit_sheet import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
@@ -63,6 +64,28 @@ def test_what_the_scan_does_not_show_is_grey() -> None:
     fit = shown()
     pixels = cells(replace(fit, distances=np.full(len(fit.distances), np.nan)))[2]
     assert np.ptp(pixels, axis=2).max() < 30.0
+
+
+def test_clear_parts_are_left_out() -> None:
+    """The eyeball as glass: the same as without it."""
+    fit = shown()
+    head, eye = fit.parts.meshes
+    glass = replace(
+        fit.parts, meshes=(head, replace(eye, material="Glass")), materials=(Material(name="Glass", opacity=0.2),)
+    )
+    count = len(head.points)
+    bare = replace(fit, parts=replace(fit.parts, meshes=(head,)), distances=fit.distances[:count])
+    for one, other in zip(cells(replace(fit, parts=glass)), cells(bare), strict=True):
+        assert np.array_equal(one, other)
+    assert not np.array_equal(cells(fit)[1], cells(bare)[1])
+
+
+def test_a_neutral_that_differs_is_drawn_last() -> None:
+    fit = shown()
+    narrow, wide = (np.asarray(fit_sheet(one)) for one in (fit, replace(fit, neutral=fit.parts)))
+    gap = max(2, SIZE // 40)
+    assert wide.shape[1] == narrow.shape[1] + SIZE + gap
+    assert np.array_equal(wide[gap : gap + SIZE, -gap - SIZE : -gap], cells(fit)[1])
 
 
 @pytest.mark.parametrize("count", [3, 0])

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
+from solids import ball
 from test_cli import run
 
 import facepipe
@@ -113,6 +114,60 @@ def test_only_what_changed_is_done_again(project: Path, capsys: pytest.CaptureFi
     assert rebuilt(capsys, project)["reused"] == [*stages[:2], "shapes"]
 
 
+def test_expressions_follow_the_place_of_a_corrected_neutral(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The size of the neutral's scan is that of the expressions' too."""
+    rebuilt(capsys, project)
+    shutil.copyfile(project.parent / "anna/neutral.usdc", project.parent / "anna/corrections/neutral.usdc")
+    rebuilt(capsys, project)
+    project.write_text(PROJECT.replace('unit = "cm"', 'unit = "auto"'))
+    assert rebuilt(capsys, project)["reused"] == ["template"]
+
+
+def test_layers_below_the_template_count(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = project.parent / "base.usda"
+    (project.parent / "head.usda").rename(base)
+    with facepipe.open(base).deriving(project.parent / "head.usda"):
+        pass
+    rebuilt(capsys, project)
+    assert len(rebuilt(capsys, project)["reused"]) == 4  # type: ignore[arg-type]
+    base.write_text(base.read_text() + "# another\n")
+    assert rebuilt(capsys, project)["reused"] == []
+
+
+def test_a_neutral_is_refined_where_the_project_says_so(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rebuilt(capsys, project)
+    first = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
+    project.write_text(f"{PROJECT}[options.refinement]\nregions = ['all']\ndetail_mm = 6\n")
+    told = rebuilt(capsys, project)
+    assert told["reused"] == ["neutral"]
+    refined = told["stages"]["refined"]  # type: ignore[index]
+    assert refined["surface_mean_mm"] <= refined["before_mean_mm"]
+    assert told["quality"]["surface_mean_mm"] == refined["quality"]["surface_mean_mm"]  # type: ignore[index]
+    second = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
+    assert np.abs(second - first).max() == pytest.approx(refined["moved_max_mm"], abs=0.01)
+    assert 0.0 < np.abs(second - first).max() < 0.5
+    code, text, _ = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda", "--force")
+    assert code == 0
+    assert "neutral refined at 961 points" in text
+    assert "reused: neutral, refined, template, expressions/open, shapes" in text
+    project.write_text(f"{PROJECT}[options.refinement]\nregions = ['nose']\n")
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda", "--force")
+    assert code == 2
+    assert "anna.toml -> options.refinement -> region nose: no such region, expected one of all" in err
+
+
+def test_a_corrected_refined_neutral_is_taken_as_it_is(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project.write_text(f"{PROJECT}[options.refinement]\n")
+    rebuilt(capsys, project)
+    work = project.parent / "anna"
+    shutil.copyfile(work / "neutral.usdc", work / "corrections/refined.usdc")
+    told = rebuilt(capsys, project)
+    assert told["corrected"] == ["refined"]
+    shown = whole_face(facepipe.open(work / "neutral.usdc").parts(), "neutral").points
+    found = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
+    assert np.allclose(found, shown, atol=1e-4)
+
+
 def test_corrected_meshes_take_the_place_of_results(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rebuilt(capsys, project)
     work = project.parent / "anna"
@@ -162,6 +217,16 @@ def test_an_expression_that_fails_keeps_the_stages_before(project: Path, capsys:
     assert rebuilt(capsys, project)["reused"] == ["neutral", "template"]
 
 
+@pytest.mark.parametrize("name", ["neutral", "open"])
+def test_a_scan_of_something_else_is_named(project: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    points, triangles = ball(24, 5.0)
+    write_ply(Scan(name=name, points=points, triangles=triangles.astype(np.int32)), project.parent / f"{name}.ply")
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{name}.ply -> scan: 0 points of the face find a place on it" in err
+    assert not (project.parent / "anna.usda").exists()
+
+
 def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project.write_text(PROJECT.split("[expressions.open]")[0])
     told = rebuilt(capsys, project)
@@ -173,7 +238,11 @@ def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("jawOpen = 1", "jawShut = 1", "open -> weights -> jawShut: no such shape, expected some of jawOpen"),
+        (
+            "jawOpen = 1",
+            "jawShut = 1",
+            "expressions -> open -> weights -> jawShut: no such shape, expected some of jawOpen",
+        ),
         ('unit = "cm"', 'unit = "mm"', "neutral.ply: is said to be in mm, but has the size of a face in cm"),
     ],
 )
@@ -186,3 +255,20 @@ def test_bad_projects_write_nothing(
     assert message in err
     assert err.count("\n") == 1
     assert not (project.parent / "anna.usda").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("jawOpen = 1", "jawShut = 1", "expressions -> open -> weights -> jawShut: no such shape"),
+        ("[options.split]", "[options.refinement]\nregions = ['nose']\n[options.split]", "region nose: no such region"),
+    ],
+)
+def test_names_that_are_not_there_are_told_before_the_first_fit(
+    project: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
+) -> None:
+    project.write_text(PROJECT.replace(old, new))
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda")
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
+    assert not list(project.parent.rglob("*.fpstage"))

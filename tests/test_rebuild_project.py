@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from facepipe.errors import InputError
-from facepipe.processors.rebuild import DEFAULT_COMPOSITES, read_project, resolved
+from facepipe.processors.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
+from facepipe.processors.rebuild.project import Refinement
 from facepipe.processors.rebuild.work_folder import WorkFolder
 
 _HEAD = 'template = "head.usda"\ndatabase = "faces.fpdb"\n[neutral]\nscan = "neutral.ply"\n'
@@ -37,14 +38,37 @@ def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path)
     assert wink.weights == {"blink": 1.0}
     assert project.neutral_options.unit == "mm"
     assert project.split_options.noise == 0.2
+    assert project.neutral.weights == {}
+    shown = read_project(_project(folder, _HEAD + "weights = { eyeBlink_L = 1 }\n"))
+    assert shown.neutral.weights == {"eyeBlink_L": 1.0}
+
+
+def test_a_table_of_refinement_asks_for_it(folder: Path) -> None:
+    assert read_project(_project(folder, _HEAD)).refinement is None
+    everywhere = read_project(_project(folder, _HEAD + "[options.refinement]\n")).refinement
+    assert everywhere == Refinement()
+    text = "[options.refinement]\nregions = ['nose', 'mouth']\ndetail_mm = 8\n"
+    some = read_project(_project(folder, _HEAD + text)).refinement
+    assert some == Refinement(regions=("nose", "mouth"), options=RefineNeutralOptions(detail_mm=8.0))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (_HEAD + "[options]\nrefinement = 3\n", "anna.toml -> options.refinement: 3, expected an object of options"),
+        (
+            _HEAD + "[options.refinement]\nregions = 'nose'\n",
+            "anna.toml -> options.refinement -> regions: nose, expected a list of names",
+        ),
+        (
+            _HEAD + "[options.refinement]\nregion = ['nose']\n",
+            "anna.toml -> options.refinement: option 'region' is unknown, expected some of detail_mm",
+        ),
         ("template = 1\n", "anna.toml: has no neutral, expected a table [neutral] with its scan"),
         (_HEAD.replace("head", "tail"), "anna.toml -> template: {folder}/tail.usda: no such file"),
         (_HEAD + "landmark = 1\n", "anna.toml -> neutral: 'landmark' is unknown, expected some of scan, landmarks"),
+        (_HEAD + "weights = { blink = 0 }\n", "anna.toml -> neutral -> weights -> blink: 0, expected a number above 0"),
+        (_HEAD + "weights = {}\n", "anna.toml -> neutral -> weights: {{}}, expected a weight for each shape"),
         (_HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected a table with a scan"),
         (
             _HEAD + "[expressions.wink]\nscan = 'wink.ply'\n",
@@ -55,7 +79,10 @@ def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path)
             "anna.toml -> expressions -> wink -> weights -> eyeBlink_L: nan, expected a number above 0, up to 2",
         ),
         (_HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options.neutral -> option prior: is -1, expected"),
-        (_HEAD + "[options.all]\n", "anna.toml -> options: 'all' is unknown, expected some of neutral, template,"),
+        (
+            _HEAD + "[options.all]\n",
+            "anna.toml -> options: 'all' is unknown, expected some of neutral, refinement,",
+        ),
         ("[[[", "anna.toml: is not TOML ("),
     ],
 )
@@ -125,3 +152,10 @@ def test_two_corrections_of_one_result_are_refused(tmp_path: Path) -> None:
     (tmp_path / "corrections" / "neutral.usdc").write_text("")
     with pytest.raises(InputError, match=r"neutral\.usdc, neutral\.obj, expected one correction of neutral"):
         folder.correction("neutral")
+
+
+def test_joint_is_true_or_false(folder: Path) -> None:
+    assert not read_project(_project(folder, _HEAD)).joint
+    assert read_project(_project(folder, f"joint = true\n{_HEAD}")).joint
+    with pytest.raises(InputError, match=r"anna.toml -> joint: 1, expected true or false"):
+        read_project(_project(folder, f"joint = 1\n{_HEAD}"))

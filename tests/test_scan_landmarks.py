@@ -172,6 +172,8 @@ def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
     assert np.nanmean(errors[17:]) < 3.5  # mm
     assert np.nanmean(errors[:17]) < 7.5
     assert np.nanmax(errors) < 15.0
+    told = found.landmarks.sigma_mm * np.sqrt(3.0)  # of three coordinates
+    assert 0.5 < np.sqrt(np.nanmean((errors / told) ** 2)) < 1.5
 
 
 @pytest.mark.slow
@@ -224,6 +226,7 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytes
     assert main([*words, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["found"] == read_scan_landmarks(out).known.sum() == 68
+    assert read_scan_landmarks(out).sigma_mm.tolist() == [3.5] * 17 + [2.2] * 51
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert ((pixels[..., 0] > 200) & (pixels[..., 1] < 80)).sum() > 68 * 20  # its red dots
     assert main(words) == 2  # it exists now

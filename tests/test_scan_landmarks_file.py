@@ -21,6 +21,7 @@ WHOLE: dict[str, Any] = {
     "scheme": "multipie68",
     "points": [None if i in (3, 67) else PLACES[i].tolist() for i in range(68)],
     "markers": {"cheek_left": [1, 2.5, -3], "brow": [0.0, 0.0, 1e-9]},
+    "sigma_mm": [None if i in (5, 66) else 0.5 + i for i in range(68)],
 }
 
 
@@ -35,6 +36,9 @@ def test_landmarks_and_markers_are_what_the_file_says(tmp_path: Path) -> None:
     assert found.known.tolist() == [i not in (3, 67) for i in range(68)]
     assert (found.points[found.known] == PLACES[found.known]).all()
     assert {name: place.tolist() for name, place in found.markers.items()} == WHOLE["markers"]
+    assert np.array_equal(found.sigma_mm, np.array(WHOLE["sigma_mm"], float), equal_nan=True)
+    assert read(WHOLE | {"sigma_mm": 2}, tmp_path).sigma_mm.tolist() == [2.0] * 68
+    assert np.isnan(read({"points": WHOLE["points"]}, tmp_path).sigma_mm).all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -42,15 +46,22 @@ def test_landmarks_and_markers_are_what_the_file_says(tmp_path: Path) -> None:
     known=st.lists(st.booleans(), min_size=68, max_size=68).filter(any),
     names=st.sets(st.text(st.characters(exclude_categories=["Cs"]), min_size=1), max_size=4),
     scale=st.sampled_from([1e-12, 1.0, 1e12]),
+    sigmas=st.lists(st.none() | st.floats(1e-3, 1e3), min_size=68, max_size=68),
 )
 def test_written_landmarks_read_back_to_the_bit(
-    known: list[bool], names: set[str], scale: float, tmp_path_factory: pytest.TempPathFactory
+    known: list[bool],
+    names: set[str],
+    scale: float,
+    sigmas: list[float | None],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     points = np.where(np.array(known)[:, None], PLACES * scale, np.nan)
     markers = {name: PLACES[i] * scale for i, name in enumerate(sorted(names))}
     first, second = (tmp_path_factory.getbasetemp() / name for name in ("first.json", "second.json"))
-    write_scan_landmarks(ScanLandmarks(points=points, markers=markers), first)
+    own = np.array(sigmas, np.float64)
+    write_scan_landmarks(ScanLandmarks(points=points, sigma_mm=own, markers=markers), first)
     back = read_scan_landmarks(first)
+    assert np.array_equal(back.sigma_mm, own, equal_nan=True)
     assert np.array_equal(back.points, points, equal_nan=True)
     assert {name: place.tolist() for name, place in back.markers.items()} == {k: v.tolist() for k, v in markers.items()}
     write_scan_landmarks(back, second)
@@ -67,7 +78,12 @@ def test_written_landmarks_read_back_to_the_bit(
     ({"points": [[0, 0, 10**400]] * 68}, "expected a finite number"),
     ({"points": {"0": [0, 0, 0]}}, "expected a list of 68"),
     ({"scheme": "ibug98"}, "'ibug98', expected multipie68"),
-    ({"landmarks": []}, "key 'landmarks', expected scheme, points, markers"),
+    ({"landmarks": []}, "key 'landmarks', expected scheme, points, markers, sigma_mm"),
+    ({"sigma_mm": 0}, "sigma_mm: 0, expected 0.001 to 1000 mm"),
+    ({"sigma_mm": True}, "sigma_mm: True"),
+    ({"sigma_mm": [1.0] * 51}, "sigma_mm: 51 numbers, expected one, or 68"),
+    ({"sigma_mm": [1.0] * 67 + [-2]}, "sigma_mm -> 67: -2, expected 0.001 to 1000 mm"),
+    ({"sigma_mm": [None] * 67 + [float("nan")]}, "sigma_mm -> 67: nan"),
     ({"markers": [1, 2]}, "expected an object of name and place"),
     ({"markers": {"": [1, 2, 3]}}, "without a name"),
     ({"markers": {"dot": None}}, "markers -> 'dot': None, expected three numbers"),

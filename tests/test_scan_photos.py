@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,11 +57,12 @@ class Session:
 
 
 def session(folder: Path, cameras: dict[str, PhotoCamera], flags: list[str], *, stray: bool = False) -> Session:
-    """Photos of an actor by `cameras`, scanned. `stray`: with a photo of something else, and a note."""
+    """An actor by `cameras` (photos may be there already), scanned. `stray`: with one of something else, and a note."""
     pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     pytest.importorskip("cv2", reason="needs the extra [scan]")
     truth = Actor(5).neutral
-    photo_booth.take_photos(folder / "photos", truth, cameras)
+    if not (folder / "photos").exists():
+        photo_booth.take_photos(folder / "photos", truth, cameras)
     if stray:
         noise_photos(folder / "other", 1, (480, 576))[0].rename(folder / "photos" / "stray.png")
         (folder / "photos" / "note.txt").write_text("taken on a Tuesday")
@@ -162,23 +164,33 @@ def test_scans_do_not_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.slow
 def test_the_same_photos_give_the_same_bytes(tmp_path: Path) -> None:
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=320, height=384)
+    photo_booth.take_photos(tmp_path / "photos", Actor(5).neutral, cameras)
     for name in ("a", "b"):
-        (tmp_path / name).mkdir()
+        shutil.copytree(tmp_path / "photos", tmp_path / name / "photos")
         session(tmp_path / name, cameras, ["--no-landmarks"])
     for file in ("scan.ply", "scan.landmarks.json", "rig.json"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
 def many_cameras() -> dict[str, PhotoCamera]:
-    """Twelve cameras within 55 degrees to either side."""
-    ring = photo_booth.ring(np.linspace(-55, 55, 8).tolist(), [0], width=800, height=960)
-    above = photo_booth.ring([-30, 0, 30], [20], width=800, height=960)
-    below = photo_booth.ring([0], [-18], width=800, height=960)
+    """Ten cameras within 55 degrees to either side."""
+    ring = photo_booth.ring(np.linspace(-55, 55, 7).tolist(), [0], width=720, height=864)
+    above = photo_booth.ring([-28, 28], [20], width=720, height=864)
+    below = photo_booth.ring([0], [-18], width=720, height=864)
     return {f"{i:02d}.png": one for i, one in enumerate([*ring.values(), *above.values(), *below.values()])}
 
 
+@pytest.fixture(scope="module")
+def many_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The actor from all of them."""
+    folder = tmp_path_factory.mktemp("photos")
+    photo_booth.take_photos(folder, Actor(5).neutral, many_cameras())
+    return folder
+
+
 @pytest.mark.slow
-def test_cameras_withheld_the_scan_is_within_a_millimetre(tmp_path: Path) -> None:
+def test_cameras_withheld_the_scan_is_within_a_millimetre(many_photos: Path, tmp_path: Path) -> None:
+    shutil.copytree(many_photos, tmp_path / "photos")
     one = session(tmp_path, many_cameras(), [])
     errors = surface_errors(one, placement(one))
     assert np.median(errors) < 0.3
@@ -207,8 +219,9 @@ def coverage(one: Session, place: Similarity) -> float:
 
 
 @pytest.mark.slow
-def test_known_cameras_keep_their_coordinates(tmp_path: Path) -> None:
+def test_known_cameras_keep_their_coordinates(many_photos: Path, tmp_path: Path) -> None:
     cameras = many_cameras()
+    shutil.copytree(many_photos, tmp_path / "photos")
     write_cameras(tmp_path / "known.json", Cameras(cameras=cameras, unit="mm"))
     one = session(tmp_path, cameras, ["--no-landmarks", "--cameras", str(tmp_path / "known.json")])
     where_it_is = Similarity(rotation=np.eye(3), translation=np.zeros(3))

@@ -13,9 +13,15 @@ shapes that each shows:
   scan = "scans/wink.ply"
   weights = { eyeBlink_L = 1, cheekSquint_L = 0.5 }
 
-Each stage's result is kept in the project's work folder and used again until its inputs change: neutral, template,
-expressions/NAME, shapes. Beside it lies the mesh (NAME.usdc); a corrected one, saved as corrections/NAME.usdc (.obj,
-.glb ...) in the work folder, takes its place in all that follows, and corrections/shapes/jawOpen.usdc that of a shape.
+[options.refinement] with regions = ["nose", ...] draws the neutral, or these regions of it, closer to its scan.
+
+Each stage's result is kept in the project's work folder and used again until its inputs change: neutral, refined,
+template, expressions/NAME, shapes. Beside it lies the mesh (NAME.usdc); a corrected one, saved as
+corrections/NAME.usdc (.obj, .glb ...) in the work folder, takes its place in all that follows, and
+corrections/shapes/jawOpen.usdc that of a shape.
+
+With --joint the neutral is refined on all scans together, from fits to each alone (alone/ in the work folder): truer,
+in about twice the time.
 
 OUT is an override layer over the template. --report makes a folder of pictures: each scan beside what was registered to
 it, and how much the scans told of each shape. Exit code 1: done, but a limit of the quality gate of `facepipe database
@@ -23,7 +29,7 @@ add` is missed.
 
 examples:
   facepipe rebuild anna.toml -o anna.usda --report anna_report
-  facepipe rebuild anna.toml -o anna.usda --flatten --force --json
+  facepipe rebuild anna.toml -o anna.usda --joint --flatten --force --json
 """
 
 from __future__ import annotations
@@ -31,12 +37,13 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.atomic import replacing_folder
 from facepipe.cli.parser import add_output, output_of
-from facepipe.cli.rebuild_report import RebuildPictures, check_folder
+from facepipe.cli.rebuild_report import RebuildPictures, check_folder, refined_line
 from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
@@ -53,6 +60,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add("project", type=Path, metavar="PROJECT", help="scans, template, database and options: .toml")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
     add("--flatten", action="store_true", help="write a standalone file")
+    add("--joint", action="store_true", help="refine the neutral on all scans together, as joint = true in PROJECT")
     add("--report", type=Path, metavar="DIR", help="folder to make: report, pictures of scans and shapes")
     add("--json", action="store_true", help="print the report as JSON")
 
@@ -62,18 +70,20 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.processors.database import QualityLimits, misses
     from facepipe.processors.rebuild import Rebuild, Template, read_project
     from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+    from facepipe.processors.rebuild.rebuild import stage_count
     from facepipe.processors.rebuild.rebuild_recipe import rebuild_recipe
     from facepipe.processors.rebuild.work_folder import CORRECTIONS
     from facepipe.stage import open_face
 
     project = read_project(arguments.project)
+    project = replace(project, joint=project.joint or arguments.joint)
     out = output_of(arguments, _inputs(project))
     if arguments.report is not None:
         taken = [*_inputs(project), out, project.work, project.work / CORRECTIONS]
         check_folder(arguments.report, force=arguments.force, taken=taken)
     face = open_face(project.template)
     template = Template.of(face.parts(), str(project.template))
-    with progress("rebuild", 3 + len(project.expressions)) as bar:
+    with progress("rebuild", stage_count(project)) as bar:
 
         def said(name: str) -> None:
             bar.set_postfix_str(name)
@@ -161,18 +171,20 @@ def _text(out: Path, rebuilt: Rebuilt, report_folder: Path | None) -> str:
             )
             rows.append((name.removeprefix("expressions/"), *numbers, f"{fit['landmark_mean_mm']:.2f}"))
     lines = [str(out), table(rows)]
+    if "refined" in rebuilt.reports:
+        lines.append(refined_line(rebuilt.reports["refined"]))
     if "shapes" in rebuilt.reports:
         shapes, unseen = rebuilt.reports["shapes"]["shapes"], rebuilt.reports["shapes"]["unseen"]
         lines.append(
             f"{len(shapes) - len(unseen)} of {len(shapes)} shapes told by the scans, the others the template's"
         )
-        told = sorted(shapes, key=lambda name: -shapes[name]["change_mm"])[:_SHOWN]
+        told = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
         heads: tuple[str, ...] = ("changed most", "observed", "gain", "change mm", "scans")
         body = [
             (name, f"{one['observed']:.2f}", f"{one['gain']:.2f}", f"{one['change_mm']:.2f}", " ".join(one["scans"]))
             for name, one in ((name, shapes[name]) for name in told)
         ]
-        lines.append(table([heads, *body]))
+        lines += [table([heads, *body])] if body else []
     if rebuilt.reused:
         lines.append(f"reused: {', '.join(rebuilt.reused)}")
     if rebuilt.corrected:

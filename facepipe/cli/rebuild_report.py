@@ -30,6 +30,15 @@ def check_folder(folder: Path, *, force: bool, taken: Sequence[Path]) -> None:
     check_report_folder(folder, force=force, taken=taken, known=_KNOWN, command="rebuild")
 
 
+def refined_line(report: Mapping[str, Any]) -> str:
+    """What a refinement did to the neutral."""
+    return (
+        f"neutral refined at {report['points']} points: {report['before_mean_mm']:.3f} mm from the scan before (mean), "
+        f"{report['surface_mean_mm']:.3f} mm now; moved {report['moved_mean_mm']:.2f} mm, at most "
+        f"{report['moved_max_mm']:.2f} mm"
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class RebuildPictures:
     """What a report shows."""
@@ -66,7 +75,7 @@ class RebuildPictures:
 
     def _scans(self) -> dict[str, tuple[ProjectScan, FloatArray]]:
         """Stage -> its scan, and the whole points (n, 3) that were found."""
-        found = {"neutral": (self.project.neutral, self.rebuilt.neutral)}
+        found = {"neutral": (self.project.neutral, self.rebuilt.shown)}
         composites = self.rebuilt.composites
         return found | {f"expressions/{one.name}": (one, composites[one.name]) for one in self.project.expressions}
 
@@ -116,11 +125,13 @@ class RebuildPictures:
         ]
         if fit["outliers"]:
             lines.append(f"lie off, and don't count: {', '.join(fit['outliers'])}")
-        if stage != "neutral":
+        if stage == "neutral" and "refined" in self.rebuilt.reports:
+            lines.append(refined_line(self.rebuilt.reports["refined"]))
+        if report["weights"]:
             weights = sorted(report["weights"].items(), key=lambda one: -one[1])
             more = f" and {len(weights) - _NAMED} more" if len(weights) > _NAMED else ""
             lines.append(", ".join(f"{name} {weight:.2f}" for name, weight in weights[:_NAMED]) + more)
-        if stage in self.rebuilt.corrected:
+        if stage in self.rebuilt.corrected or (stage == "neutral" and "refined" in self.rebuilt.corrected):
             lines.append("corrected by hand: numbers are of the mesh before, colours of the corrected one")
         return tuple(lines)
 

@@ -33,6 +33,7 @@ from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
     from facepipe.parts import FloatArray, Recipe
+    from facepipe.processors.database import WholeFace
     from facepipe.processors.rebuild import CompositeReport, NeutralScan, RegisteredComposite, Template
     from facepipe.scans import Scan
     from facepipe.stage import Face
@@ -55,6 +56,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add("--landmarks", type=Path, metavar="JSON", help="landmarks of the scan (default SCAN's .landmarks.json)")
     add("--neutral-scan", type=Path, metavar="SCAN", help="scan that the neutral was fitted to")
     add("--neutral-landmarks", type=Path, metavar="JSON", help="its landmarks (default its .landmarks.json)")
+    text = "what the neutral's scan shows besides, as `facepipe fit-neutral` found it"
+    add("--neutral-weights", nargs="+", action="extend", metavar="SHAPE=WEIGHT", help=text)
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
     add("--flatten", action="store_true", help="write a standalone file")
     add("--picture", type=Path, metavar="PNG", help="draw scan, face and their distance")
@@ -78,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     template = Template.of(parts, str(request.personal))
     scan = read_scan(request.scan)
     landmarks, found = landmarks_of(request.landmarks, scan)
-    neutral, told = _neutral(request, template, own.points)
+    neutral, told = _neutral(request, template, own)
     given = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
     with named(request.scan), progress("register", _STEPS) as bar:
         composite = register(template, neutral, own.deltas, given, lambda step: bar.update())
@@ -98,18 +101,23 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if missed else 0
 
 
-def _neutral(request: Request, template: Template, points: FloatArray) -> tuple[NeutralScan, tuple[str, ...]]:
+def _neutral(request: Request, template: Template, own: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
     """The neutral, with the place of its scan where one is given, and what there is to say of that."""
     from facepipe.importers.scan_file import read_scan
-    from facepipe.processors.rebuild import NeutralScan
+    from facepipe.processors.rebuild import NeutralScan, resolved
     from facepipe.processors.rebuild.neutral_place import placed_neutral
+    from facepipe.processors.rebuild.shown_shapes import ShownShapes
 
     if request.neutral_scan is None:
-        return NeutralScan(points=points), ()
+        return NeutralScan(points=own.points), ()
+    expression = None
+    if request.neutral_weights:
+        shown = resolved(request.neutral_weights, tuple(own.deltas), "--neutral-weights")
+        expression = ShownShapes(deltas=own.deltas, weights=shown).expression(shown, len(own.points))
     scan = read_scan(request.neutral_scan)
     landmarks, found = landmarks_of(request.neutral_landmarks, scan)
     with named(request.neutral_scan):
-        return placed_neutral(template, points, scan, landmarks), found
+        return placed_neutral(template, own.points, scan, landmarks, expression), found
 
 
 def _author(

@@ -28,6 +28,7 @@ class Request:
     personal: Path
     neutral_scan: Path | None
     neutral_landmarks: Path | None
+    neutral_weights: Mapping[str, float]  # what it shows besides, as they were given
     name: str  # of the shape
     weights: Mapping[str, float]  # as they were given
     said_by: str  # the flag that gave them, for messages
@@ -71,6 +72,7 @@ class Request:
             "fit": json_value(dataclasses.asdict(fit)),
             "options": to_json(options),
         }
+        content |= {"neutral_weights": dict(self.neutral_weights)} if self.neutral_weights else {}
         return stage_recipe(VERB, {what: file for what, file in files.items() if file is not None}, self.out, content)
 
 
@@ -81,8 +83,9 @@ def request_of(arguments: argparse.Namespace) -> Request:
     """
     marks = landmark_file(arguments.scan, arguments.landmarks)
     neutral = arguments.neutral_scan
-    if neutral is None and arguments.neutral_landmarks is not None:
-        raise InputError("--neutral-landmarks", "expected --neutral-scan beside it")
+    for flag in ("neutral_landmarks", "neutral_weights"):
+        if neutral is None and getattr(arguments, flag) is not None:
+            raise InputError(f"--{flag.replace('_', '-')}", "expected --neutral-scan beside it")
     neutral_marks = None if neutral is None else landmark_file(neutral, arguments.neutral_landmarks)
     given = (arguments.scan, marks, arguments.personal, neutral, neutral_marks)
     inputs = [one for one in given if one is not None]
@@ -94,6 +97,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
         personal=arguments.personal,
         neutral_scan=neutral,
         neutral_landmarks=neutral_marks,
+        neutral_weights=pairs(arguments.neutral_weights or [], "--neutral-weights"),
         name=_name(arguments),
         weights=weights,
         said_by=said_by,

@@ -12,11 +12,19 @@ if TYPE_CHECKING:
     from facepipe.scans import Scan
 
 
-def draw_fit(path: Path, template: Template, points: FloatArray, scan: Scan, place: Similarity) -> None:
+def draw_fit(
+    path: Path,
+    template: Template,
+    points: FloatArray,
+    scan: Scan,
+    place: Similarity,
+    neutral: FloatArray | None = None,
+) -> None:
     """Scan, face and their distance, drawn to `path`.
 
-    :param points: (n, 3) whole points
+    :param points: (n, 3) whole points as the scan shows them
     :param place: from the scan's coordinates to those
+    :param neutral: (n, 3) those without what the scan shows besides, where that is something
     """
     from facepipe.processors.database.whole_face import whole_parts
     from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
@@ -28,5 +36,6 @@ def draw_fit(path: Path, template: Template, points: FloatArray, scan: Scan, pla
         landmarks=points[template.rows[template.landmarks]],
         scan=in_place(scan, place),
         distances=scan_distances(template, points, scan, place),
+        neutral=None if neutral is None else whole_parts(template.parts, neutral),
     )
     save_png(fit_sheet(shown), path)

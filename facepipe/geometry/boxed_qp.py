@@ -13,6 +13,7 @@ BoolArray = npt.NDArray[np.bool_]
 _STEPS = 60
 _SETTLED = 1e-12  # of the largest slope at the start
 _ARMIJO = 1e-4
+_TIGHT = 1e-6  # of a step: room for less is none
 _FEW = 16  # of so many variables one may be held for the factor of all to serve
 
 
@@ -55,16 +56,23 @@ class BoxedQuadratic:
         x: FloatArray = np.zeros(len(linear))
         slope: FloatArray = np.array(linear, dtype=np.float64)
         enough, residual = _SETTLED * float(np.abs(slope).max(initial=0.0)), 0.0
+        jammed = np.zeros(len(x), dtype=np.bool_)
         for step in range(_STEPS):
             held = ((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0))
             residual = float(np.abs(slope[~held]).max(initial=0.0))
             if residual <= enough:
                 return BoxedSolution(x, residual, step)
-            direction = self._newton(held, lower < upper, slope)
+            direction = self._newton(held | jammed, lower < upper, slope)
             ahead, change = _along(self.hessian, x, slope, direction, lower, upper)
-            if ahead is x:
+            if ahead is not x:
+                x, slope, jammed = ahead, slope + change, np.zeros_like(jammed)
+                continue
+            stopped = _stopped(x, direction, lower, upper) & ~jammed
+            if not stopped.any():
                 return BoxedSolution(x, residual, step)
-            x, slope = ahead, slope + change
+            at_bound = np.where(stopped, np.where(direction < 0, lower, upper), x)
+            slope = slope + self.hessian @ (at_bound - x)
+            x, jammed = at_bound, jammed | stopped
         return BoxedSolution(x, residual, _STEPS)
 
     def _newton(self, held: BoolArray, movable: BoolArray, slope: FloatArray) -> FloatArray:
@@ -95,6 +103,12 @@ class BoxedQuadratic:
         # transposed, the same matrix lies as LAPACK wants it
         self._factor = cho_factor(own.T, lower=True, overwrite_a=own is not self.hessian, check_finite=False)
         self._factored = chosen
+
+
+def _stopped(x: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
+    """(n,) variables that the box stops at once: hardly off a bound, by rounding, they keep all others from moving."""
+    room = np.where(direction < 0, x - lower, upper - x)
+    return np.asarray((direction != 0) & (room <= _TIGHT * np.abs(direction)))
 
 
 def _along(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.floating]
 
 _NOTHING = 1e-12  # of the largest squared length: rounding, no direction
+_ROUNDING = 1e-6  # of the largest coefficients: float32, no direction
 
 
 class Held(NamedTuple):
@@ -46,6 +47,19 @@ def hold(basis: FloatArray, rows: FloatArray, tolerance: float) -> Held:
         coefficients=np.concatenate([coefficients, lengths[:, :added]], axis=1),
         distances=np.linalg.norm(off.reshape(count, points, 3), axis=2),
     )
+
+
+def narrowed(basis: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The basis (p, n, 3) of the directions that `coefficients` (..., q) in `basis` (q, n, 3) go, and those (..., p)
+    in it: what is told stays, but for rounding."""
+    size = coefficients.shape[-1]
+    flat = np.asarray(coefficients, np.float64).reshape(-1, size)
+    _, lengths, directions = np.linalg.svd(flat, full_matrices=False)
+    kept = directions[lengths > _ROUNDING * lengths.max(initial=0.0)]
+    if len(kept) == size:
+        return basis, coefficients
+    turned = (kept @ basis.reshape(size, -1)).astype(np.float32)
+    return turned.reshape(len(kept), *basis.shape[1:]), coefficients @ kept.T
 
 
 def coefficients_in(basis: FloatArray, rows: FloatArray) -> FloatArray:

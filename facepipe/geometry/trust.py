@@ -40,7 +40,7 @@ def trust(seen: Sequence[Block], wanted: Block) -> list[float]:
     """
     scales = [1.0 / block.mean_square if block.mean_square > 0 else 0.0 for block in seen]
     best, found = np.inf, [0.0] * len(seen)
-    if len(wanted.products) < 2:
+    if len(wanted.products) < 3:  # of two, each is predicted by the other alone, whatever the weights
         return found
     for steps in product(_STEPS, repeat=len(seen)):
         weights = [step * scale for step, scale in zip(steps, scales, strict=True)]

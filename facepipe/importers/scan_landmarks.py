@@ -1,7 +1,7 @@
 """Landmarks and painted markers of a scan, from and to JSON, in the scan's own coordinates.
 
 ``{"scheme": "multipie68", "points": [[x, y, z] | null, ... 68 of them], "markers": {"name": [x, y, z], ...}}``;
-points, markers, or both.
+points, markers, or both. ``"sigma_mm"``, a number or 68 of them or null, says how far off points may be.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from facepipe.errors import InputError
 from facepipe.finite import require_finite
 from facepipe.importers.scan_file import LARGEST
 from facepipe.reading import read_json_object
-from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME, FloatArray, ScanLandmarks, no_landmarks
+from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME, FloatArray, ScanLandmarks, no_landmarks, no_sigmas
 
 _MOST_BYTES = 1 << 24
-_KEYS = ("scheme", "points", "markers")
+_KEYS = ("scheme", "points", "markers", "sigma_mm")
+_LEAST_SIGMA, _MOST_SIGMA = 1e-3, 1e3  # mm
 
 
 def read_scan_landmarks(path: Path) -> ScanLandmarks:
     """The landmarks and markers in `path`.
 
     :raises InputError: no such JSON, an unknown key or scheme, another number of points than 68, something else than
-        three finite numbers or null, or neither a landmark nor a marker
+        three finite numbers or null, a sigma out of range, or neither a landmark nor a marker
     """
     content = read_json_object(Path(path), _MOST_BYTES)
     unknown = [key for key in content if key not in _KEYS]
@@ -37,7 +38,11 @@ def read_scan_landmarks(path: Path) -> ScanLandmarks:
     scheme = content.get("scheme", LANDMARK_SCHEME)
     if scheme != LANDMARK_SCHEME:
         raise InputError(f"{path} -> scheme", f"{ascii(scheme)[:40]}, expected {LANDMARK_SCHEME}")
-    found = ScanLandmarks(points=_points(path, content.get("points")), markers=_markers(path, content.get("markers")))
+    found = ScanLandmarks(
+        points=_points(path, content.get("points")),
+        sigma_mm=_sigmas(path, content.get("sigma_mm")),
+        markers=_markers(path, content.get("markers")),
+    )
     if not found.known.any() and not found.markers:
         raise InputError(path, "no landmark and no marker, expected at least one")
     return found
@@ -53,6 +58,9 @@ def write_scan_landmarks(landmarks: ScanLandmarks, path: Path) -> None:
     points = [row if there else None for row, there in zip(landmarks.points.tolist(), known.tolist(), strict=True)]
     lines = ",\n".join(f"    {json.dumps(row)}" for row in points)
     parts = [f'  "scheme": {json.dumps(landmarks.scheme)}', f'  "points": [\n{lines}\n  ]']
+    sigmas = [one if one == one else None for one in landmarks.sigma_mm.tolist()]
+    if any(one is not None for one in sigmas):
+        parts.append(f'  "sigma_mm": {json.dumps(sigmas)}')
     if landmarks.markers:
         rows = (f"    {json.dumps(name)}: {json.dumps(place.tolist())}" for name, place in landmarks.markers.items())
         parts.append('  "markers": {\n' + ",\n".join(rows) + "\n  }")
@@ -69,6 +77,22 @@ def _points(path: Path, value: object) -> FloatArray:
         raise InputError(where, f"{len(value)} landmarks, expected {LANDMARK_COUNT} (null for those that are unknown)")
     rows = [[math.nan] * 3 if row is None else _place(f"{where} -> {i}", row) for i, row in enumerate(value)]
     return np.array(rows, dtype=np.float64)
+
+
+def _sigmas(path: Path, value: object) -> FloatArray:
+    """(68,) of one number for all, or of one or null for each."""
+    where = f"{path} -> sigma_mm"
+    if isinstance(value, list):
+        if len(value) != LANDMARK_COUNT:
+            raise InputError(where, f"{len(value)} numbers, expected one, or {LANDMARK_COUNT}")
+        return np.array([math.nan if one is None else _sigma(f"{where} -> {i}", one) for i, one in enumerate(value)])
+    return no_sigmas() if value is None else np.full(LANDMARK_COUNT, _sigma(where, value))
+
+
+def _sigma(where: str, value: object) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool) and _LEAST_SIGMA <= value <= _MOST_SIGMA:
+        return float(value)
+    raise InputError(where, f"{ascii(value)[:40]}, expected {_LEAST_SIGMA:g} to {_MOST_SIGMA:g} mm")
 
 
 def _markers(path: Path, value: object) -> dict[str, FloatArray]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import InputError
 from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
 from facepipe.render import overlay
@@ -27,6 +28,7 @@ _MARGIN = np.array([0.62, 0.62, 0.5])  # of the landmarks' size, to either side:
 _ROUND = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _DISC = 0.7  # of the way to the next points: radius of what is drawn for a point of a cloud
 _NEIGHBOURS = 6
+_CLEAR = 0.5  # opacity of what a scanner looks through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,29 +39,52 @@ class FitPicture:
     landmarks: FloatArray  # (l, 3) of the face, which tell what to look at
     scan: Scan
     distances: FloatArray  # (n,) mm of all points from the scan, NaN where it doesn't show them
+    neutral: FaceParts | None = None  # where the scan shows more than it: drawn last
     largest_mm: float | None = None  # of the heat map; None: a round number that few distances are beyond
     size: int = 400  # pixels a picture
 
 
 def fit_sheet(fit: FitPicture) -> Image:
-    """Scan, face and distances, from the front and from between front and side.
+    """Scan, face and distances, from the front and from between front and side; then the neutral, where it differs.
+
+    Faces are without their clear parts (tears, lashes), which no scan shows.
 
     :raises InputError: points or distances that don't fit, or a size out of range
     """
     scan = scan_parts(fit.scan)
     known = fit.distances[np.isfinite(fit.distances)]
     mean = f", mean {known.mean():.2f} mm" if len(known) else ""
-    heat = HeatMap(values=fit.distances, range=(0.0, fit.largest_mm or round_above(known)))
+    fitted, distances = opaque(fit.parts, fit.distances)
+    heat = HeatMap(values=distances, range=(0.0, fit.largest_mm or round_above(known)))
     images = []
     for view in _VIEWS:
         options = PictureOptions(size=fit.size, camera=_camera(fit, view, 0))
         beside = replace(options, heatmap=heat, camera=_camera(fit, view, overlay.bar_width(fit.size)))
         images += [
             (f"scan {fit.scan.name}", picture(scan, None, options)),
-            ("fitted", picture(fit.parts, None, options)),
-            (f"distance from the scan{mean}", picture(fit.parts, None, beside)),
+            ("fitted", picture(fitted, None, options)),
+            (f"distance from the scan{mean}", picture(fitted, None, beside)),
         ]
-    return contact_sheet(images, columns=3)
+        images += (
+            [] if fit.neutral is None else [("neutral", picture(opaque(fit.neutral, fit.distances)[0], None, options))]
+        )
+    return contact_sheet(images, columns=len(images) // len(_VIEWS))
+
+
+def opaque(parts: FaceParts, values: FloatArray) -> tuple[FaceParts, FloatArray]:
+    """A face without meshes that are nearly clear, and the values of its points (n,) that are left.
+
+    :raises InputError: another number of values
+    """
+    clear = {one.name for one in parts.materials if isinstance(one.opacity, float) and one.opacity < _CLEAR}
+    seen = [
+        not ({one.material for one in mesh.material_faces} or {mesh.material or ""}) <= clear for mesh in parts.meshes
+    ]
+    kept = np.repeat(seen, [len(mesh.points) for mesh in parts.meshes])
+    if len(values) != len(kept):
+        raise InputError("heat map", f"{len(values)} values, expected one for each of {len(kept)} points")
+    meshes = tuple(mesh for mesh, there in zip(parts.meshes, seen, strict=True) if there)
+    return replace(parts, meshes=meshes, sliders=()), values[kept]
 
 
 def round_above(known: FloatArray) -> float:

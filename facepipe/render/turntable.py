@@ -11,7 +11,7 @@ import numpy.typing as npt
 from facepipe.parts import FaceParts
 from facepipe.render.camera import Frame, View, portrait
 from facepipe.render.color_scale import color_scale
-from facepipe.render.fit_sheet import scan_parts
+from facepipe.render.fit_sheet import opaque, scan_parts
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.lighting import PORTRAIT
 from facepipe.render.picture import PictureOptions, pictures
@@ -47,20 +47,22 @@ class Turntable:
 
 
 def turntable(shown: Turntable) -> Image:
-    """Rows of scan, registered face and distances, each from the left, the front and the right.
+    """Rows of scan, registered face and distances, each from the left, the front and the right; the face without
+    its clear parts, which no scan shows.
 
     :raises InputError: points or distances that don't fit, or a size out of range
     """
-    heat = HeatMap(values=shown.distances, range=(0.0, shown.largest_mm))
+    face, distances = opaque(shown.parts, shown.distances)
+    heat = HeatMap(values=distances, range=(0.0, shown.largest_mm))
     rows: list[tuple[str, FaceParts, HeatMap | None]] = [
         ("scan", scan_parts(shown.scan), None),
-        ("registered", shown.parts, None),
-        ("distance from the scan", shown.parts, heat),
+        ("registered", face, None),
+        ("distance from the scan", face, heat),
     ]
     width = len(_VIEWS) * (shown.size + _GAP) - _GAP
     parts = [heading(width, shown.title, shown.source), _notes(width, shown.notes)]
-    for name, face, colors in rows:
-        parts += [_label(width, name), beside(_views(shown, face, colors), _GAP)]
+    for name, drawn, colors in rows:
+        parts += [_label(width, name), beside(_views(shown, drawn, colors), _GAP)]
     text = "distance of the registered face from the scan"
     parts.append(color_scale(width, heat.limits, text, "no place on the scan"))
     return _framed(below(parts, _GAP))

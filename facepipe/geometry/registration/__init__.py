@@ -1,8 +1,20 @@
 """Faces fitted to scans: a model's modes, the scan's place and a smooth residual, all solved together."""
 
 from facepipe.geometry.registration.anchors import Anchors
-from facepipe.geometry.registration.register import Registered, RegistrationOptions, register
-from facepipe.geometry.registration.surface import DeformableSurface
+from facepipe.geometry.registration.options import RegistrationOptions
+from facepipe.geometry.registration.register import register, register_together
+from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import ScanTarget
+from facepipe.geometry.registration.view import Registered, View
 
-__all__ = ["Anchors", "DeformableSurface", "Registered", "RegistrationOptions", "ScanTarget", "register"]
+__all__ = [
+    "Anchors",
+    "DeformableSurface",
+    "Registered",
+    "RegistrationOptions",
+    "ScanTarget",
+    "Shown",
+    "View",
+    "register",
+    "register_together",
+]

@@ -7,19 +7,21 @@ point from the plane of its match p is linear in all of them:
 
 The residual has three unknowns a point, b and the scan's place 60 to 70 in all. For fixed b, ω, t, s the residual
 solves one sparse system; it is factored once and solved for a right-hand side of each of these (Schur complement).
+Several scans of one face share b and d; each has its own place, and weights of what else it shows: an expression.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.factor import factorise
 from facepipe.geometry.registration.anchors import Anchors
-from facepipe.geometry.registration.surface import DeformableSurface
+from facepipe.geometry.registration.membrane import Membrane
+from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import Matches
 from facepipe.geometry.similarity import Similarity
 
@@ -31,13 +33,16 @@ _OPEN = 1e-9  # share of the system's trace that keeps what nothing determines f
 
 @dataclass(frozen=True, kw_only=True)
 class Pull:
-    """What the scan says in one step."""
+    """What one scan says in one step."""
 
-    matches: Matches  # of the points `surface.seen`
+    seen: IntArray  # (m,) points of the surface that have matches
+    matches: Matches  # of those
     weights: FloatArray  # (m,) of the matches
     anchors: Anchors
     anchor_weights: FloatArray  # (l,)
     spread: Any  # (l, n) sparse: the residual's part in the anchors, taken over the points around
+    scale: bool  # whether the scan may grow
+    shown: Shown  # what it shows besides the surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,104 +51,149 @@ class Step:
 
     coefficients: FloatArray  # (k,)
     residual: FloatArray  # (n, 3)
-    move: Similarity  # of the scan
+    moves: tuple[Similarity, ...]  # of the scans
+    weights: tuple[FloatArray, ...]  # of what they show besides the surface
 
 
-def solve_step(surface: DeformableSurface, stiffness: Any, pull: Pull, *, scale: bool) -> Step:
-    """The least-squares step.
+def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[Pull]) -> Step:
+    """The least-squares step of all unknowns.
 
-    :param stiffness: (3n, 3n) sparse, of the residual, axes of a point side by side
-    :param scale: whether the scan may grow
+    :param membrane: made for the pulls' anchors
     """
-    matches, seen = pull.matches, surface.seen
-    centre = matches.places.mean(axis=0)
-    count = len(surface.base)
-    planes = np.einsum("mi,mi->m", matches.places - surface.base[seen], matches.normals)
-    planes = np.column_stack([planes, _plane_columns(surface, matches, centre, scale)])
-    fixed = _anchor_columns(surface, pull.anchors, centre, scale)  # (l, 3, 1 + q)
-    right = np.zeros((count, 3, planes.shape[1]))
-    right[seen] = matches.normals[:, :, None] * (pull.weights[:, None] * planes)[:, None, :]
-    spread = pull.spread
-    weighted = pull.anchor_weights[:, None, None] * fixed
-    right += (spread.T @ weighted.reshape(len(weighted), -1)).reshape(right.shape)
-    factor = factorise(stiffness + _data_matrix(pull, seen, spread))
-    flat = right.reshape(3 * count, -1)
-    solved = factor.solve(flat)
-    normal = planes.T @ (pull.weights[:, None] * planes) - flat.T @ solved
-    normal += np.einsum("lip,liq->pq", fixed, weighted)
-    unknown = _reduced(surface, normal)
-    residual = (solved[:, 0] - solved[:, 1:] @ unknown).reshape(count, 3)
-    modes = len(surface.expected)
-    return Step(coefficients=unknown[:modes], residual=residual, move=_similarity(unknown[modes:], centre))
+    rows = [_Rows.of(surface, pull) for pull in pulls]
+    system = _System.of(surface, rows)
+    right = np.zeros((3 * len(surface.base), 1 + system.count))
+    for pull, row, own in zip(pulls, rows, system.columns, strict=True):
+        right[:, own] += row.right(len(surface.base), pull)
+    factor = membrane.factor(pulls)
+    half = factor.half(right)
+    unknown = system.solve(half.T @ half)
+    residual = factor.back(half[:, 0] - half[:, 1:] @ unknown)
+    return system.step(unknown, residual.reshape(surface.base.shape))
 
 
-def solve_model_step(surface: DeformableSurface, pull: Pull, *, scale: bool) -> Step:
-    """The least-squares step of coefficients and place without a residual.
-
-    :param scale: whether the scan may grow
-    """
-    matches = pull.matches
-    centre = matches.places.mean(axis=0)
-    planes = np.einsum("mi,mi->m", matches.places - surface.base[surface.seen], matches.normals)
-    planes = np.column_stack([planes, _plane_columns(surface, matches, centre, scale)])
-    fixed = _anchor_columns(surface, pull.anchors, centre, scale)
-    normal = planes.T @ (pull.weights[:, None] * planes)
-    normal += np.einsum("lip,l,liq->pq", fixed, pull.anchor_weights, fixed)
-    unknown = _reduced(surface, normal)
-    modes = len(surface.expected)
-    return Step(
-        coefficients=unknown[:modes],
-        residual=np.zeros_like(surface.base),
-        move=_similarity(unknown[modes:], centre),
-    )
+def solve_model_step(surface: DeformableSurface, pulls: Sequence[Pull]) -> Step:
+    """The least-squares step of all but the residual."""
+    system = _System.of(surface, [_Rows.of(surface, pull) for pull in pulls])
+    return system.step(system.solve(0.0), np.zeros_like(surface.base))
 
 
-def _reduced(surface: DeformableSurface, normal: FloatArray) -> FloatArray:
-    """Coefficients and the scan's place, from what is left when the residual is eliminated."""
-    matrix, right = normal[1:, 1:].copy(), normal[1:, 0].copy()
-    modes = np.arange(len(surface.expected))
-    matrix[modes, modes] += surface.precision
-    right[modes] += surface.precision * surface.expected
-    place = np.arange(len(modes), len(matrix))
-    matrix[place, place] *= 1.0 + _OPEN
-    scales = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-    return np.asarray(np.linalg.solve(matrix / np.outer(scales, scales), right / scales) / scales)
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """What one scan asks of the unknowns: columns are the offset, coefficients, own weights, and the scan's place."""
+
+    planes: FloatArray  # (m, 1 + k + q)
+    fixed: FloatArray  # (l, 3, 1 + k + q) of the anchors
+    weights: FloatArray  # (m,)
+    anchor_weights: FloatArray  # (l,)
+    centre: FloatArray  # (3,) the scan turns and grows about
+    shown: Shown
+
+    @classmethod
+    def of(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
+        centre = pull.matches.places.mean(axis=0)
+        return cls(
+            planes=_plane_columns(surface, pull, centre),
+            fixed=_anchor_columns(surface, pull, centre),
+            weights=pull.weights,
+            anchor_weights=pull.anchor_weights,
+            centre=centre,
+            shown=pull.shown,
+        )
+
+    def normal(self) -> FloatArray:
+        """(1 + k + q, 1 + k + q)."""
+        found = self.planes.T @ (self.weights[:, None] * self.planes)
+        return np.asarray(found + np.einsum("lip,l,liq->pq", self.fixed, self.anchor_weights, self.fixed))
+
+    def right(self, count: int, pull: Pull) -> FloatArray:
+        """(3n, 1 + k + q) of the residual's equations."""
+        found = np.zeros((count, 3, self.planes.shape[1]))
+        weighted = self.weights[:, None] * self.planes
+        found[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
+        anchored = self.anchor_weights[:, None, None] * self.fixed
+        found += (pull.spread.T @ anchored.reshape(len(anchored), -1)).reshape(found.shape)
+        return found.reshape(3 * count, -1)
 
 
-def _plane_columns(surface: DeformableSurface, matches: Matches, centre: FloatArray, scale: bool) -> FloatArray:
-    """(m, q) what each unknown but the residual moves the points and planes apart."""
-    local, normals = matches.places - centre, matches.normals
-    modes = np.einsum("kmi,mi->mk", surface.modes[:, surface.seen], normals)
-    columns = [modes, -np.cross(local, normals), -normals]
-    if scale:
+@dataclass(frozen=True, kw_only=True)
+class _System:
+    """The unknowns of all scans in one: coefficients first, then each scan's own."""
+
+    rows: Sequence[_Rows]
+    columns: Sequence[IntArray]  # of each scan: offset, coefficients and own
+    modes: int
+    precision: FloatArray  # (u,) prior of the unknowns, 0 for places
+    expected: FloatArray  # (u,)
+
+    @classmethod
+    def of(cls, surface: DeformableSurface, rows: Sequence[_Rows]) -> _System:
+        modes, columns = len(surface.expected), []
+        precision, expected = [surface.precision], [surface.expected]
+        after = 1 + modes
+        for row in rows:
+            own = row.planes.shape[1] - 1 - modes
+            columns.append(np.concatenate([np.arange(1 + modes), np.arange(after, after + own)]))
+            place = np.zeros(own - len(row.shown.expected))
+            precision += [row.shown.precision, place]
+            expected += [row.shown.expected, place]
+            after += own
+        prior, mean = np.concatenate(precision), np.concatenate(expected)
+        return cls(rows=rows, columns=columns, modes=modes, precision=prior, expected=mean)
+
+    @property
+    def count(self) -> int:
+        """Unknowns but the residual."""
+        return len(self.expected)
+
+    def solve(self, by_residual: FloatArray | float) -> FloatArray:
+        """(u,) unknowns, where the residual takes up `by_residual` (1 + u, 1 + u) of the normal matrix."""
+        normal = np.zeros((1 + self.count, 1 + self.count))
+        for row, own in zip(self.rows, self.columns, strict=True):
+            normal[np.ix_(own, own)] += row.normal()
+        normal -= by_residual
+        matrix, right = normal[1:, 1:], normal[1:, 0] + self.precision * self.expected
+        known = np.arange(self.count)
+        matrix[known, known] += np.where(self.precision > 0.0, self.precision, _OPEN * np.diag(matrix))
+        scales = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
+        return np.asarray(np.linalg.solve(matrix / np.outer(scales, scales), right / scales) / scales)
+
+    def step(self, unknown: FloatArray, residual: FloatArray) -> Step:
+        moves, weights = [], []
+        for row, own in zip(self.rows, self.columns, strict=True):
+            mine = unknown[own[1 + self.modes :] - 1]
+            weights.append(mine[: len(row.shown.expected)])
+            moves.append(_similarity(mine[len(row.shown.expected) :], row.centre))
+        return Step(coefficients=unknown[: self.modes], residual=residual, moves=tuple(moves), weights=tuple(weights))
+
+
+def _plane_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) -> FloatArray:
+    """(m, 1 + k + q) how far the base is from the planes, and what each unknown moves points and planes apart."""
+    matches, seen, normals = pull.matches, pull.seen, pull.matches.normals
+    local = matches.places - centre
+    columns: list[FloatArray] = [np.einsum("mi,mi->m", matches.places - surface.base[seen], normals)[:, None]]
+    for modes in (surface.modes, pull.shown.modes):
+        columns.append(np.einsum("kmi,mi->mk", modes[:, seen], normals))
+    columns += [-np.cross(local, normals), -normals]
+    if pull.scale:
         columns.append(-np.einsum("mi,mi->m", local, normals)[:, None])
     return np.concatenate(columns, axis=1)
 
 
-def _anchor_columns(surface: DeformableSurface, anchors: Anchors, centre: FloatArray, scale: bool) -> FloatArray:
-    """(l, 3, 1 + q) the anchors' offsets from the base, and what each unknown moves them by."""
+def _anchor_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) -> FloatArray:
+    """(l, 3, 1 + k + q) the anchors' offsets from the base, and what each unknown moves them by."""
+    anchors = pull.anchors
     local = anchors.targets - centre
     offsets = anchors.targets - anchors.places(surface.base)
     axes = np.eye(3)
-    columns = [offsets[:, :, None], anchors.places(surface.modes.transpose(1, 2, 0))]
+    columns: list[FloatArray] = [offsets[:, :, None]]
+    for modes in (surface.modes, pull.shown.modes):
+        columns.append(anchors.places(modes.transpose(1, 2, 0)))
     columns.append(-np.stack([np.cross(axis, local) for axis in axes], axis=2))
     columns.append(-np.broadcast_to(axes, (len(local), 3, 3)))
-    if scale:
+    if pull.scale:
         columns.append(-local[:, :, None])
     return np.concatenate(columns, axis=2)
-
-
-def _data_matrix(pull: Pull, seen: IntArray, spread: Any) -> Any:
-    """(3n, 3n) sparse: what matches and anchors hold the residual with."""
-    from scipy.sparse import csr_array, diags_array, identity, kron
-
-    size = 3 * spread.shape[1]
-    own = 3 * seen[:, None] + np.arange(3)
-    rows, columns = np.repeat(own, 3, axis=1), np.tile(own, (1, 3))
-    normals = pull.matches.normals
-    values = pull.weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
-    planes = csr_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
-    return planes + kron(spread.T @ diags_array(pull.anchor_weights) @ spread, identity(3))
 
 
 def _similarity(unknown: FloatArray, centre: FloatArray) -> Similarity:

@@ -36,3 +36,17 @@ class DeformableSurface:
     def points(self, coefficients: FloatArray, residual: FloatArray | float = 0.0) -> FloatArray:
         """(n, 3)."""
         return np.asarray(self.base + np.tensordot(coefficients, self.modes, axes=1) + residual)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What a scan shows besides the surface, such as an expression: modes with weights of a Gaussian prior."""
+
+    modes: FloatArray  # (k, n, 3)
+    expected: FloatArray  # (k,)
+    precision: FloatArray  # (k,) above 0
+
+    @classmethod
+    def nothing(cls, count: int) -> Shown:
+        """The surface of `count` points as it is."""
+        return cls(modes=np.zeros((0, count, 3)), expected=np.zeros(0), precision=np.zeros(0))

@@ -28,7 +28,7 @@ class Matches:
 
     places: FloatArray  # (m, 3)
     normals: FloatArray  # (m, 3) of the scan there
-    distances: FloatArray  # (m,)
+    distances: FloatArray  # (m,) from the surface: of a cloud, from the plane through the nearest point
     kept: BoolArray  # (m,)
 
 
@@ -88,7 +88,10 @@ class ScanTarget:
         found, own, distances, ended = self._nearest(place.undo(points), roughly or not len(self.triangles))
         places, own, distances = place.apply(found), own @ place.rotation.T, place.scale * distances
         alike = np.einsum("mi,mi->m", own, normals) >= np.cos(angle)
-        return Matches(places=places, normals=own, distances=distances, kept=alike & ~ended & (distances <= reach))
+        kept = alike & ~ended & (distances <= reach)
+        if not len(self.triangles):  # gaps between points of a cloud are no distance from what they show
+            distances = np.abs(np.einsum("mi,mi->m", points - places, own))
+        return Matches(places=places, normals=own, distances=distances, kept=kept)
 
     def _nearest(self, points: FloatArray, of_points: bool) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         if of_points:

@@ -2,9 +2,16 @@
 
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.fit_neutral import FitNeutral, FitNeutralOptions, NeutralFit, NeutralReport
+from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
 from facepipe.processors.rebuild.personal_template import PersonalTemplate, PersonalTemplateOptions
 from facepipe.processors.rebuild.project import Project, ProjectScan, read_project
-from facepipe.processors.rebuild.rebuild import Readers, Rebuild, Rebuilt
+from facepipe.processors.rebuild.rebuild import Rebuild, Rebuilt
+from facepipe.processors.rebuild.refine_neutral import (
+    RefinedNeutral,
+    RefineNeutral,
+    RefineNeutralOptions,
+)
+from facepipe.processors.rebuild.refine_report import RefineReport
 from facepipe.processors.rebuild.register_scans import (
     Composite,
     CompositeReport,
@@ -22,6 +29,7 @@ from facepipe.processors.rebuild.split_expressions import (
     SplitFit,
     SplitReport,
 )
+from facepipe.processors.rebuild.stages import Readers
 from facepipe.processors.rebuild.template import Template
 
 __all__ = [
@@ -31,16 +39,22 @@ __all__ = [
     "ExpressionScan",
     "FitNeutral",
     "FitNeutralOptions",
+    "FitTogether",
     "NeutralFit",
     "NeutralReport",
     "NeutralScan",
     "PersonalTemplate",
     "PersonalTemplateOptions",
+    "PlacedExpression",
     "Project",
     "ProjectScan",
     "Readers",
     "Rebuild",
     "Rebuilt",
+    "RefineNeutral",
+    "RefineNeutralOptions",
+    "RefineReport",
+    "RefinedNeutral",
     "RegisterScans",
     "RegisterScansOptions",
     "RegisteredComposite",
@@ -51,6 +65,7 @@ __all__ = [
     "SplitFit",
     "SplitReport",
     "Template",
+    "TogetherFit",
     "read_project",
     "resolved",
 ]

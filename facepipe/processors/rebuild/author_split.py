@@ -32,7 +32,7 @@ class ActorShapes:
     """What a split found."""
 
     fit: SplitFit
-    flipped_triangles: int  # where the personal template's shapes have them upright, summed over shapes
+    flipped_triangles: int  # in some shape, where the personal template's has them upright
     warnings: tuple[str, ...]
 
 
@@ -55,11 +55,11 @@ class SplitFiles:
         composites = {one.name: one.composite for one in expressions}
         fit = self.split(template, base.points, base.deltas, composites)
         told = tuple(line for one in expressions for line in one.warnings)
-        flipped = 0
+        flipped = np.zeros(len(template.topology.triangles), bool)
         for name in seen_shapes(fit):
             before, after = (base.points + deltas[name] for deltas in (base.deltas, fit.shapes))
-            flipped += int(flipped_triangles(before, after, template.topology.triangles).sum())
-        return ActorShapes(fit=fit, flipped_triangles=flipped, warnings=(*told, *fit.report.warnings))
+            flipped |= flipped_triangles(before, after, template.topology.triangles)
+        return ActorShapes(fit=fit, flipped_triangles=int(flipped.sum()), warnings=(*told, *fit.report.warnings))
 
     def recipe(
         self,

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.errors import FitError, InputError, TopologyError
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.mirrored import mirrored
-from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
+from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.geometry.similarity import Similarity
 from facepipe.options import check_ranges
 from facepipe.processors.database import FaceDatabase, Quality
 from facepipe.processors.rebuild.scan_fit import UNITS, ScanFit, scan_fit, scan_target, unit_of
+from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
@@ -61,6 +62,13 @@ class FitNeutralOptions:
         default=4.0,
         metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
     )
+    weight_sigma: float = field(
+        default=0.05,
+        metadata={
+            "help": "how far the weight of a shape that the scan shows may be from the given one",
+            "range": (1e-3, 10.0),
+        },
+    )
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -85,6 +93,7 @@ class NeutralReport(Report):
     coefficients: tuple[float, ...]  # of the identity model, in standard deviations
     residual_mean_mm: float  # what the model could not show, over the face area
     residual_max_mm: float
+    weights: Mapping[str, float] = field(default_factory=dict)  # of shapes that the scan shows besides, as found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +101,7 @@ class NeutralFit:
     """An actor's neutral."""
 
     points: FloatArray  # (n, 3) whole points, in the template's place
+    expression: FloatArray  # (n, 3) whole delta that the scan shows besides
     place: Similarity  # from the scan's coordinates to those
     report: NeutralReport
 
@@ -114,10 +124,14 @@ class FitNeutral:
         landmarks: ScanLandmarks,
         database: FaceDatabase,
         progress: Callable[[int], None] = lambda step: None,
+        weights: Mapping[str, float] | None = None,
     ) -> NeutralFit:
         """Fit the neutral.
 
-        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, or a scan that can't be used
+        :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is
+            without them
+        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template has not, or
+            a scan that can't be used
         :raises TopologyError: a database of another topology
         :raises FitError: a scan that does not show this face
         """
@@ -125,24 +139,17 @@ class FitNeutral:
             raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
         marks = template.rows[template.landmarks]
         start, warnings = self._start(scan, landmarks, database.identity.mean[marks])
+        shapes = ShownShapes.of(template, database, weights or {}, f"{scan.name} -> weights")
         target, mended = scan_target(scan)
-        surface = _surface(template, database.identity, self.options)
-        names = tuple(f"landmark {number}" for number in range(1, 69))
-        anchors = Anchors.at_points(template.landmarks, landmarks.points, names)
-        found = register(surface, target, anchors, start, self.options.registration, progress)
-        model = database.identity.points(found.coefficients)
-        points = template.whole(model, found.points)
-        fit = scan_fit(scan.name, found, template.face, anchors.names)
-        off = np.linalg.norm(found.residual[template.face], axis=1)
-        report = NeutralReport(
-            fit=fit,
-            quality=_quality(fit, template, model, points),
-            coefficients=tuple(float(one) for one in found.coefficients),
-            residual_mean_mm=float(off.mean()) if len(off) else 0.0,
-            residual_max_mm=float(off.max(initial=0.0)),
-            warnings=(*scan.warnings, *mended, *warnings, *_said(scan.name, fit)),
-        )
-        return NeutralFit(points=points, place=found.place, report=report)
+        surface = identity_surface(template, database.identity, self.options)
+        anchors = landmark_anchors(template, landmarks)
+        shown = shapes.prior(template, self.options.weight_sigma)
+        try:
+            found = register(surface, target, anchors, start, self.options.registration, progress, shown)
+        except FitError as error:
+            raise error.under(scan.name) from None
+        said = (*scan.warnings, *mended, *warnings)
+        return neutral_fit(template, database.identity, scan.name, found, anchors.names, said, shapes)
 
     def _start(self, scan: Scan, landmarks: ScanLandmarks, reference: FloatArray) -> tuple[Similarity, tuple[str, ...]]:
         """About where the scan lies, by its landmarks."""
@@ -163,7 +170,8 @@ class FitNeutral:
         return replace(held, scale=size), ()
 
 
-def _surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
+def identity_surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
+    """The template's skin by the identity model."""
     modes = identity.components[:, template.rows] * identity.deviations[:, None, None]
     return DeformableSurface(
         base=identity.mean[template.rows],
@@ -175,6 +183,46 @@ def _surface(template: Template, identity: IdentityModel, options: FitNeutralOpt
         held=np.zeros(len(template.rows)),
         labels=template.labels,
     )
+
+
+def landmark_anchors(template: Template, landmarks: ScanLandmarks) -> Anchors:
+    """The landmarks that are known, held as they say, else as the options of a fit do; named from 0, as in files."""
+    names = tuple(f"landmark {number}" for number in range(len(landmarks.points)))
+    return Anchors.at_points(template.landmarks, landmarks.points, names, landmarks.sigma_mm)
+
+
+def neutral_fit(
+    template: Template,
+    identity: IdentityModel,
+    scan: str,
+    found: Registered,
+    names: tuple[str, ...],
+    warnings: tuple[str, ...],
+    shapes: ShownShapes | None = None,
+) -> NeutralFit:
+    """Whole points and the report of what was found on a scan.
+
+    :param names: of the anchors
+    :param warnings: from before
+    :param shapes: those that the scan shows besides
+    """
+    shapes = shapes or ShownShapes()
+    weights = dict(zip(shapes.weights, map(float, found.weights), strict=True))
+    model = identity.points(found.coefficients)
+    expression = shapes.expression(weights, len(model))
+    points = template.whole(model, found.points - expression[template.rows])
+    fit = scan_fit(scan, found, template.face, names)
+    off = np.linalg.norm(found.residual[template.face], axis=1)
+    report = NeutralReport(
+        fit=fit,
+        quality=_quality(fit, template, model, points),
+        coefficients=tuple(float(one) for one in found.coefficients),
+        residual_mean_mm=float(off.mean()) if len(off) else 0.0,
+        residual_max_mm=float(off.max(initial=0.0)),
+        weights=weights,
+        warnings=(*warnings, *_said(scan, fit)),
+    )
+    return NeutralFit(points=points, expression=expression, place=found.place, report=report)
 
 
 def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
@@ -194,8 +242,13 @@ def _said(name: str, fit: ScanFit) -> tuple[str, ...]:
     lines = []
     if fit.unit != "mm":
         size = f"1 unit is {fit.mm_per_unit:.4g} mm"
-        lines.append(f"{name}: {size}, taken as {fit.unit}" if fit.unit else f"{name}: {size}, like no usual unit")
+        lines.append(f"{name}: {size}, {_unit_text(fit) if fit.unit else 'like no usual unit'}")
     if fit.outliers:
         some = ", ".join(fit.outliers[:6]) + (" ..." if len(fit.outliers) > 6 else "")
         lines.append(f"{name}: {len(fit.outliers)} landmarks lie off and don't count: {some}")
     return tuple(lines)
+
+
+def _unit_text(fit: ScanFit) -> str:
+    held = abs(fit.mm_per_unit / UNITS[str(fit.unit)] - 1.0) < 1e-9
+    return f"taken as {fit.unit}" + ("" if held else f" by its shape (--unit {fit.unit} holds the size)")

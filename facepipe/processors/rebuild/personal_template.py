@@ -57,6 +57,25 @@ class PersonalTemplate:
         :raises InputError: neither has shapes
         :raises TopologyError: a database of another topology
         """
+        if self._from(template, database) and database is not None:
+            return predicted_shapes(database, neutral, done=done)
+        return _transferred(template, neutral, done)
+
+    def names(self, template: Template, database: FaceDatabase | None = None) -> tuple[str, ...]:
+        """Those of the shapes that come of these, without making them.
+
+        :raises InputError: neither has shapes
+        :raises TopologyError: a database of another topology
+        """
+        if self._from(template, database) and database is not None:
+            return database.shapes
+        found = tuple(dict.fromkeys(shape.name for mesh in template.parts.meshes for shape in mesh.blendshapes))
+        if not found:
+            raise InputError(template.where, "has no blendshapes, expected some to start from")
+        return found
+
+    def _from(self, template: Template, database: FaceDatabase | None) -> bool:
+        """Whether shapes come from the database."""
         source = self.options.shapes_from
         known = database is not None and database.expressions is not None
         if source == "database" or (source == "auto" and known):
@@ -64,8 +83,8 @@ class PersonalTemplate:
                 raise InputError("database", "has no expressions, expected some (or shapes from the template)")
             if database.topology.digest != template.topology.digest:
                 raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
-            return predicted_shapes(database, neutral, done=done)
-        return _transferred(template, neutral, done)
+            return True
+        return False
 
 
 def _transferred(template: Template, neutral: FloatArray, done: Callable[[], object]) -> dict[str, FloatArray]:

@@ -3,10 +3,12 @@
 template = "head.usda"                      # face stage with multipie68 landmarks
 database = "faces.fpdb"
 work = "work"                               # folder of the stages' results (default: the project's name)
+joint = true                                # the neutral is refined on all scans together (default: false)
 
 [neutral]
 scan = "scans/neutral.ply"
 landmarks = "scans/neutral.landmarks.json"  # default: beside the scan, or found on it
+weights = { eyeBlinkLeft = 1, eyeBlinkRight = 1 }  # what the scan shows besides the neutral (default: nothing)
 
 [expressions.smile]                         # one table for each other scan
 scan = "scans/smile.ply"
@@ -14,13 +16,17 @@ weights = { mouthSmileLeft = 1, mouthSmileRight = 1 }  # default: what the table
 
 [options.neutral]                           # and options.template, options.expressions, options.split
 unit = "mm"
+
+[options.refinement]                        # without this table the neutral stays as it was fitted
+regions = ["nose", "mouth"]                 # default: all may follow
+detail_mm = 8
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +35,14 @@ from facepipe.options import from_json
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
 from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
 from facepipe.processors.rebuild.personal_template import PersonalTemplateOptions
+from facepipe.processors.rebuild.refine_neutral import RefineNeutralOptions
 from facepipe.processors.rebuild.register_scans import RegisterScansOptions
 from facepipe.processors.rebuild.split_expressions import SplitExpressionsOptions
 from facepipe.reading import read_bytes
 
 _MOST_BYTES = 1 << 22
-_KEYS = ("template", "database", "work", "neutral", "expressions", "options")
-_OPTIONS = ("neutral", "template", "expressions", "split")
+_KEYS = ("template", "database", "work", "joint", "neutral", "expressions", "options")
+_OPTIONS = ("neutral", "refinement", "template", "expressions", "split")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +52,15 @@ class ProjectScan:
     name: str
     scan: Path
     landmarks: Path | None = None  # None: they are to be found on the scan
-    weights: Mapping[str, float] = field(default_factory=dict)  # of an expression, by the names that were given
+    weights: Mapping[str, float] = field(default_factory=dict)  # of shapes, by the names that were given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """Which regions of the neutral are drawn closer to its scan, and how."""
+
+    regions: tuple[str, ...] = ()  # none: all
+    options: RefineNeutralOptions = field(default_factory=RefineNeutralOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +73,9 @@ class Project:
     work: Path
     neutral: ProjectScan
     expressions: tuple[ProjectScan, ...]  # in the order of the file
+    joint: bool = False  # the neutral is refined on all scans together
     neutral_options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+    refinement: Refinement | None = None  # None: the neutral stays as it was fitted
     template_options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
     expression_options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
     split_options: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
@@ -82,12 +99,13 @@ def read_project(path: Path) -> Project:
         template=_file(where, content, "template", path.parent),
         database=_file(where, content, "database", path.parent),
         work=path.parent / _text(where, content, "work", path.stem),
-        neutral=_scan(where, "neutral", _table(where, content, "neutral"), path.parent, with_weights=False),
+        joint=_flag(where, content, "joint"),
+        neutral=_scan(where, "neutral", _table(where, content, "neutral"), path.parent),
         expressions=tuple(
-            _scan(f"{where} -> expressions", name, own, path.parent, with_weights=True)
-            for name, own in expressions.items()
+            _expression(f"{where} -> expressions", name, own, path.parent) for name, own in expressions.items()
         ),
         neutral_options=from_json(FitNeutralOptions, options.get("neutral", {}), f"{where} -> options.neutral"),
+        refinement=_refinement(where, options),
         template_options=from_json(
             PersonalTemplateOptions, options.get("template", {}), f"{where} -> options.template"
         ),
@@ -98,13 +116,25 @@ def read_project(path: Path) -> Project:
     )
 
 
-def _scan(where: str, name: str, content: object, folder: Path, *, with_weights: bool) -> ProjectScan:
+def _refinement(where: str, options: Mapping[str, Any]) -> Refinement | None:
+    if "refinement" not in options:
+        return None
+    where = f"{where} -> options.refinement"
+    values = options["refinement"]
+    regions = values.get("regions", []) if isinstance(values, dict) else []
+    if not (isinstance(regions, list) and all(isinstance(name, str) for name in regions)):
+        raise InputError(f"{where} -> regions", f"{str(regions)[:40]}, expected a list of names")
+    numbers = {key: value for key, value in values.items() if key != "regions"} if isinstance(values, dict) else values
+    return Refinement(regions=tuple(regions), options=from_json(RefineNeutralOptions, numbers, where))
+
+
+def _scan(where: str, name: str, content: object, folder: Path) -> ProjectScan:
     where = f"{where} -> {name[:60]}"
     if not (name.isascii() and name.isidentifier()):
         raise InputError(where, "expected a name of letters, digits and underscores")
     if not isinstance(content, dict):
         raise InputError(where, f"{str(content)[:40]}, expected a table with a scan")
-    _check_keys(where, content, ("scan", "landmarks", "weights") if with_weights else ("scan", "landmarks"))
+    _check_keys(where, content, ("scan", "landmarks", "weights"))
     scan = _file(where, content, "scan", folder)
     beside = scan.with_name(f"{scan.stem}.landmarks.json")
     given = _file(where, content, "landmarks", folder) if "landmarks" in content else None
@@ -112,17 +142,23 @@ def _scan(where: str, name: str, content: object, folder: Path, *, with_weights:
         name=name,
         scan=scan,
         landmarks=given or (beside if beside.is_file() else None),
-        weights=_weights(where, name, content) if with_weights else {},
+        weights=_weights(where, content["weights"]) if "weights" in content else {},
     )
 
 
-def _weights(where: str, name: str, content: Mapping[str, Any]) -> dict[str, float]:
-    if "weights" not in content:
-        if name not in DEFAULT_COMPOSITES:
-            known = ", ".join(DEFAULT_COMPOSITES)
-            raise InputError(where, f"no weights, expected some, or one of the names that have them: {known}")
-        return dict(DEFAULT_COMPOSITES[name])
-    weights = content["weights"]
+def _expression(where: str, name: str, content: object, folder: Path) -> ProjectScan:
+    found = _scan(where, name, content, folder)
+    if found.weights:
+        return found
+    if name not in DEFAULT_COMPOSITES:
+        known = ", ".join(DEFAULT_COMPOSITES)
+        raise InputError(
+            f"{where} -> {name[:60]}", f"no weights, expected some, or one of the names that have them: {known}"
+        )
+    return replace(found, weights=dict(DEFAULT_COMPOSITES[name]))
+
+
+def _weights(where: str, weights: object) -> dict[str, float]:
     if not isinstance(weights, dict) or not weights:
         raise InputError(f"{where} -> weights", f"{str(weights)[:40]}, expected a weight for each shape that it shows")
     for shape, weight in weights.items():
@@ -150,6 +186,13 @@ def _text(where: str, content: Mapping[str, Any], key: str, default: str | None 
         raise InputError(where, f"has no {key}, expected a file's name")
     if not isinstance(found, str) or not found:
         raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected a file's name")
+    return found
+
+
+def _flag(where: str, content: Mapping[str, Any], key: str) -> bool:
+    found = content.get(key, False)
+    if not isinstance(found, bool):
+        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected true or false")
     return found
 
 

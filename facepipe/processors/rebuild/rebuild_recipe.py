@@ -30,6 +30,10 @@ def rebuild_recipe(project: Project, out: str | os.PathLike[str], quality: Quali
         verb=VERB,
         sources=sources,
         digests=tuple(source_digest(folder / one) for one in sources),
-        options={"project": relative_path(os.fspath(project.path), folder), "quality": dataclasses.asdict(quality)},
+        options={
+            "project": relative_path(os.fspath(project.path), folder),
+            "joint": project.joint,
+            "quality": dataclasses.asdict(quality),
+        },
         version=__version__,
     )

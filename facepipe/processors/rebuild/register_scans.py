@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.errors import FitError, InputError
 from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.mirrored import mirrored
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.geometry.similarity import Similarity
 from facepipe.options import check_ranges
+from facepipe.processors.rebuild.fit_neutral import landmark_anchors
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
@@ -109,6 +111,12 @@ class NeutralScan:
     # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers don't count.
     place: Similarity | None = None
     landmarks: ScanLandmarks = field(default_factory=ScanLandmarks)  # markers on it are followed
+    expression: FloatArray | None = None  # (n, 3) whole delta that its scan shows besides; None: none
+
+    @property
+    def shown(self) -> FloatArray:
+        """(n, 3) whole points as its scan shows them."""
+        return self.points if self.expression is None else self.points + self.expression
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,9 +149,12 @@ class RegisterScans:
         if missing:
             raise InputError(f"{name} -> {missing[0]}", "no such shape in the personal template")
         surface = self._surface(template, neutral, shapes, expression.weights)
-        anchors = _anchors(template, neutral, expression)
+        anchors = expression_anchors(template, neutral, expression)
         if len(anchors) < _FEWEST:
             raise InputError(f"{name} -> landmarks", f"{len(anchors)} and markers, expected {_FEWEST} or more")
+        if mirrored(anchors.targets, anchors.places(surface.points(surface.expected))):
+            what = "fit a mirrored face, expected left and right as the person has them"
+            raise InputError(f"{name} -> landmarks", what)
         start, hold = _start(surface, anchors, neutral)
         target, mended = scan_target(expression.scan)
         options = RegistrationOptions(
@@ -152,7 +163,10 @@ class RegisterScans:
             reach_mm=self.options.reach_mm,
             scale=not hold,
         )
-        found = register(surface, target, anchors, start, options, progress)
+        try:
+            found = register(surface, target, anchors, start, options, progress)
+        except FitError as error:
+            raise error.under(name) from None
         weights = dict(zip(expression.weights, map(float, found.coefficients), strict=True))
         deltas = np.tensordot(found.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
         points = template.whole(neutral.points + deltas, found.points)
@@ -179,8 +193,7 @@ class RegisterScans:
     ) -> DeformableSurface:
         modes = np.stack([shapes[shape][template.rows] for shape in weights])
         expected = np.array([float(weight) for weight in weights.values()])
-        motion = np.tensordot(expected, np.linalg.norm(modes, axis=2), axes=1)
-        spread = self.options.still_mm + self.options.variation * motion
+        spread = expected_spread(modes, expected, self.options)
         return DeformableSurface(
             base=neutral.points[template.rows],
             modes=modes,
@@ -193,16 +206,21 @@ class RegisterScans:
         )
 
 
-def _anchors(template: Template, neutral: NeutralScan, expression: ExpressionScan) -> Anchors:
+def expected_spread(modes: FloatArray, weights: FloatArray, options: RegisterScansOptions) -> FloatArray:
+    """(m,) millimetres that a person's expression may be from the template's, by its shapes' deltas (k, m, 3)."""
+    motion = np.tensordot(weights, np.linalg.norm(modes, axis=2), axes=1)
+    return np.asarray(options.still_mm + options.variation * motion)
+
+
+def expression_anchors(template: Template, neutral: NeutralScan, expression: ExpressionScan) -> Anchors:
     """Landmarks, and the painted markers that the neutral's scan has too."""
-    names = tuple(f"landmark {number}" for number in range(1, 69))
-    anchors = Anchors.at_points(template.landmarks, expression.landmarks.points, names)
+    anchors = landmark_anchors(template, expression.landmarks)
     own = expression.landmarks.markers
     common = [marker for marker in own if marker in neutral.landmarks.markers]
     if neutral.place is None or not common:
         return anchors
     places = neutral.place.apply(np.array([neutral.landmarks.markers[marker] for marker in common]))
-    skin = neutral.points[template.rows]
+    skin = neutral.shown[template.rows]
     found = closest_places(places, skin, template.triangles)
     markers = Anchors(
         corners=template.triangles[found.triangles],

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.polygons import point_normals
-from facepipe.geometry.registration import RegistrationOptions
+from facepipe.geometry.registration import RegistrationOptions, ScanTarget
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
@@ -38,12 +38,18 @@ def scan_distances(
     :param reach_mm: that of a registration by default
     :raises InputError: a scan that can't be used
     """
-    options = RegistrationOptions()
-    reach = options.reach_mm if reach_mm is None else reach_mm
-    target = scan_target(scan)[0].moved(place)
-    rows, seen = points[template.rows], template.seen
-    normals = point_normals(rows, template.triangles)[seen]
-    matches = target.matches(rows[seen], normals, reach, options.angle)
-    by_row = np.full(len(rows), np.nan)
-    by_row[seen[matches.kept]] = matches.distances[matches.kept]
+    reach = RegistrationOptions().reach_mm if reach_mm is None else reach_mm
+    by_row = row_distances(template, points[template.rows], scan_target(scan)[0], place, reach)
     return np.where(template.row_of >= 0, by_row[template.row_of], np.nan)
+
+
+def row_distances(
+    template: Template, rows: FloatArray, target: ScanTarget, place: Similarity, reach_mm: float
+) -> FloatArray:
+    """(m,) the same of the skin's rows (m, 3), from a scan made ready."""
+    seen = template.seen
+    normals = point_normals(rows, template.triangles)[seen]
+    matches = target.matches(rows[seen], normals, reach_mm, RegistrationOptions().angle, place)
+    found = np.full(len(rows), np.nan)
+    found[seen[matches.kept]] = matches.distances[matches.kept]
+    return found

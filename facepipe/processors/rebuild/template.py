@@ -65,8 +65,14 @@ class Template:
 
     @cached_property
     def seen(self) -> IntArray:
-        """Rows that a scan from outside can show, ascending."""
-        return np.flatnonzero(seen_from_outside(self.points, self.topology.triangles)[self.rows])
+        """Rows that a scan from outside can show, ascending.
+
+        Depth maps are coarse: the third corner of a triangle with two seen ones is taken as seen too.
+        """
+        found = seen_from_outside(self.points, self.topology.triangles)[self.rows]
+        beside = self.triangles[found[self.triangles].sum(axis=1) >= 2]
+        found[beside.ravel()] = True
+        return np.flatnonzero(found)
 
     @cached_property
     def face(self) -> BoolArray:

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
-from facepipe.digests import digest
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 
@@ -118,8 +117,3 @@ def array_digest(*arrays: Array) -> str:
         found.update(f"{array.dtype.str}{array.shape}".encode())
         found.update(np.ascontiguousarray(array).tobytes())
     return f"sha256:{found.hexdigest()}"
-
-
-def file_digest(path: Path | None) -> str:
-    """The digest of a file; empty where there is none."""
-    return "" if path is None else digest([path])

@@ -13,6 +13,7 @@ from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
 from facepipe.geometry.small_holes import border_points
 from facepipe.processors.clean_scan import CleanScan
+from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 from facepipe.processors.scan_landmarks.look_again import Seen, look_again
 from facepipe.processors.scan_landmarks.search import Candidate, Draw, Network, axis_views, candidates, sphere_views
@@ -181,7 +182,7 @@ def _result(
         searched=searched,
         warnings=tuple(f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()),
     )
-    landmarks = ScanLandmarks(points=np.where(kept[:, None], found.places, np.nan))
+    landmarks = ScanLandmarks(points=np.where(kept[:, None], found.places, np.nan), sigma_mm=found_sigmas())
     return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from facepipe.errors import InputError
+from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.cameras_file import Cameras
 from facepipe.processors.scan_photos.cloud import make_cloud
@@ -138,7 +139,7 @@ class ScanPhotos:
             return ScanLandmarks(markers=markers), lost
         sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
         points = place_landmarks(sightings, structure.cameras, scan)
-        return ScanLandmarks(points=points, markers=markers), lost
+        return ScanLandmarks(points=points, sigma_mm=found_sigmas(), markers=markers), lost
 
     @property
     def _unit(self) -> str | None:

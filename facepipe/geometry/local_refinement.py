@@ -1,0 +1,155 @@
+"""A face drawn onto its scan where it may follow: matches and steps in turn, each triangle changed like its neighbours.
+
+Source: face-model-from-scans, S13, the first constraint: distances of landmarks and of nearest points, and differences
+between the changes of neighbouring triangles, in one sum of squares. See `triangle_changes` for the changes. Each step
+is one sparse system, the changes taken to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.change_smoothness import ChangeSmoothness
+from facepipe.geometry.polygons import point_areas
+from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
+from facepipe.geometry.registration.membrane import pairs_of
+from facepipe.geometry.registration.robust import means_around
+from facepipe.geometry.registration.step import Pull
+from facepipe.geometry.registration.view import Demand, Registered, ViewState
+from facepipe.threads import one_thread
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+
+
+class _Stage(NamedTuple):
+    """Steps of one width."""
+
+    huber: float  # factor of the options'
+    most: int  # steps
+    still: float  # mm, the RMS movement that ends it
+
+
+_LEAST = 1e-6  # a point that follows less counts as this one
+_STAGES = (_Stage(2.0, 4, 0.1), _Stage(1.0, 12, 0.005))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementOptions:
+    """What counts how much; of `matching`, the membrane has no part."""
+
+    detail_mm: float = 10.0  # of waves of this length in the scan half the height is followed
+    fade_mm: float = 8.0  # so far from what pulls at them, triangles go back to their own shape
+    drift_mm: float = 5.0  # how far points are off along the surface to begin with: standard deviation
+    matching: RegistrationOptions = field(default_factory=RegistrationOptions)
+
+    @property
+    def smooth(self) -> float:
+        """Weight of the squared gradient of changes, mm^2.
+
+        A wave along the normal counts twice: as slope of the surface, and as turn of its normal.
+        """
+        return (self.detail_mm / (2.0 * np.pi)) ** 4 / (2.0 * self.matching.surface_sigma_mm**2)
+
+    @property
+    def near(self) -> float:
+        """Weight of the squared change itself."""
+        return self.smooth / self.fade_mm**2
+
+
+def refine_locally(
+    surface: DeformableSurface,
+    view: View,
+    follow: FloatArray,
+    options: RefinementOptions | None = None,
+    progress: Callable[[int], None] = lambda step: None,
+) -> Registered:
+    """Draw a face that lies about right on a scan closer to it. The scan stays where the view says it is.
+
+    :param surface: at rest, without modes
+    :param follow: (n,) 0 to 1, the share of the way that a point may go: points of 0 stay to the bit
+    :raises FitError: hardly a point that may move finds a place on the scan
+    """
+    state = _State(surface, view, np.asarray(follow, np.float64), options or RefinementOptions())
+    with one_thread():
+        return state.run(progress)
+
+
+class _State:
+    """Where a refinement is."""
+
+    def __init__(self, surface: DeformableSurface, view: View, follow: FloatArray, options: RefinementOptions) -> None:
+        free = follow > 0.0
+        self._surface = replace(surface, seen=surface.seen[free[surface.seen]])
+        self._options, self._free = options.matching, free
+        self._stays = (options.matching.surface_sigma_mm / options.drift_mm) ** 2
+        around = means_around(surface.base, surface.triangles)
+        self._view = ViewState(view, self._surface, around, options.matching)
+        self._areas = point_areas(surface.base, surface.triangles)
+        self._spread = self._view.spread[:, np.flatnonzero(free)]
+        self._follow = follow
+        self._smoothness = ChangeSmoothness.of(
+            surface.base, surface.triangles, free, options.smooth, options.near, pairs_of(self._view.spread)
+        )
+        self._moves = np.zeros_like(surface.base)
+
+    @property
+    def points(self) -> FloatArray:
+        """(n, 3)."""
+        return np.where(self._free[:, None], self._surface.base + self._moves, self._surface.base)
+
+    def run(self, progress: Callable[[int], None]) -> Registered:
+        """All stages."""
+        steps = 0
+        for stage in _STAGES:
+            for _ in range(stage.most):
+                steps += 1
+                change = self._advance(stage.huber)
+                progress(steps)
+                if change < stage.still:
+                    break
+        return replace(self._view.registered(self._surface, np.zeros(0), self._moves, steps), points=self.points)
+
+    def _advance(self, huber: float) -> float:
+        """One step; the RMS movement of the points that move."""
+        from scipy.sparse import diags_array
+
+        points, seen, free = self.points, self._surface.seen, self._smoothness.free
+        demand = Demand(
+            reach=self._options.reach_mm,
+            huber=self._options.huber_mm * huber,
+            areas=self._areas[seen],
+            roughly=False,
+        )
+        pull = self._view.pull(self._surface, points, demand)
+        system = self._smoothness.system(points)
+        own, right = self._matched(pull, points)
+        anchored = pull.anchor_weights * pull.anchors.places(self._follow)
+        off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
+        system.own += own[free]
+        system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
+        shared = self._spread.T @ diags_array(anchored) @ self._spread
+        step = self._smoothness.factor(system, shared).solve(system.right.ravel()).reshape(-1, 3)
+        self._moves[free] += step
+        return float(np.sqrt((step**2).sum(axis=1).mean()))
+
+    def _matched(self, pull: Pull, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 3, 3) and (n, 3) of matches, and of what holds points that follow in part.
+
+        The hold is to the match as ``1 - follow`` to ``follow``: a point alone goes the share `follow` of the way.
+        """
+        normals, own = pull.matches.normals, np.zeros((len(points), 3, 3))
+        follow = np.maximum(self._follow, _LEAST)
+        areas = np.maximum(self._areas, 1e-4 * self._areas.mean())  # points without a triangle stay
+        held = (self._stays + 1.0 / follow - 1.0) * areas / self._options.surface_sigma_mm**2
+        own += held[:, None, None] * np.eye(3)
+        own[pull.seen] += pull.weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        right = -held[:, None] * self._moves
+        apart = np.einsum("mi,mi->m", pull.matches.places - points[pull.seen], normals)
+        right[pull.seen] += (pull.weights * apart)[:, None] * normals
+        return own, right

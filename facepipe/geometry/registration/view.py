@@ -1,0 +1,152 @@
+"""One scan in a registration: where it lies, what it shows, and what it asks of the next step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import FitError
+from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.registration.anchors import Anchors
+from facepipe.geometry.registration.options import RegistrationOptions
+from facepipe.geometry.registration.robust import across, anchor_trust, farthest_anchor, huber_weights, rough_trust
+from facepipe.geometry.registration.step import Pull
+from facepipe.geometry.registration.surface import DeformableSurface, Shown
+from facepipe.geometry.registration.target import Matches, ScanTarget
+from facepipe.geometry.similarity import Similarity
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+
+_FEWEST = 50  # matches
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One scan of a surface."""
+
+    scan: ScanTarget
+    anchors: Anchors  # in the scan's own coordinates
+    start: Similarity  # from those to the face's, about right
+    shown: Shown | None = None  # what it shows besides the surface
+    sigmas: FloatArray | None = None  # (n,) mm, of the points' distances; None: all alike, as the options say
+    name: str = "scan"  # what errors call it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registered:
+    """A face on a scan."""
+
+    points: FloatArray  # (n, 3) what the scan shows
+    coefficients: FloatArray  # (k,) of the surface
+    residual: FloatArray  # (n, 3) of the surface
+    weights: FloatArray  # of what the scan shows besides the surface
+    place: Similarity  # from the scan's own coordinates to the face's
+    matched: BoolArray  # (n,) points that have a match
+    distances: FloatArray  # (n,) of matched points from the scan's surface, NaN elsewhere
+    anchor_distances: FloatArray  # (l,)
+    outliers: tuple[int, ...]  # anchors that lie off
+    steps: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demand:
+    """How far matches may be, and what the points count."""
+
+    reach: float  # mm
+    huber: float  # mm
+    areas: FloatArray  # (m,) mm^2 that each seen point stands for
+    roughly: bool  # the nearest points instead of places
+
+
+class ViewState:
+    """Where a scan is between steps."""
+
+    def __init__(self, view: View, surface: DeformableSurface, around: Any, options: RegistrationOptions) -> None:
+        self._scan, self._options, self._sigmas, self._name = view.scan, options, view.sigmas, view.name
+        self._anchors, self._place = _moved(view.anchors, view.start), view.start
+        self.spread = view.anchors.matrix(len(surface.base)) @ around
+        self._shown = view.shown or Shown.nothing(len(surface.base))
+        self._weights = self._shown.expected.copy()
+
+    def points(self, points: FloatArray) -> FloatArray:
+        """(n, 3) what the scan shows of the surface's points."""
+        return np.asarray(points + np.tensordot(self._weights, self._shown.modes, axes=1))
+
+    def pull(self, surface: DeformableSurface, points: FloatArray, demand: Demand) -> Pull:
+        """What the scan asks for.
+
+        :param points: (n, 3) of the surface
+        :raises FitError: hardly a point of the face finds a place on the scan
+        """
+        points, options, seen = self.points(points), self._options, surface.seen
+        matches = self._matches(surface, points, demand.reach, roughly=demand.roughly)
+        fewest = min(_FEWEST, (len(seen) + 1) // 2)
+        if np.count_nonzero(matches.kept) < fewest:
+            what = f"{np.count_nonzero(matches.kept)} points of the face find a place on it"
+            raise FitError(self._name, f"{what}, expected {fewest} or more: does it show this face?")
+        apart = np.abs(np.einsum("mi,mi->m", points[seen] - matches.places, matches.normals))
+        sigmas = np.full(len(seen), options.surface_sigma_mm) if self._sigmas is None else self._sigmas[seen]
+        off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
+        trusted = rough_trust(off, 3.0 * demand.huber) if demand.huber > options.huber_mm else anchor_trust(off)
+        return Pull(
+            seen=seen,
+            matches=matches,
+            weights=matches.kept * demand.areas / sigmas**2 * huber_weights(apart, demand.huber),
+            anchors=self._anchors,
+            anchor_weights=trusted / self._anchors.variances(options.anchor_sigma_mm),
+            spread=self.spread,
+            scale=options.scale,
+            shown=self._shown,
+        )
+
+    def advance(self, move: Similarity, weights: FloatArray) -> None:
+        """Go where a step leads."""
+        self._anchors, self._place, self._weights = _moved(self._anchors, move), _after(self._place, move), weights
+
+    def registered(
+        self, surface: DeformableSurface, coefficients: FloatArray, residual: FloatArray, steps: int
+    ) -> Registered:
+        """How the face lies on the scan in the end."""
+        points, seen = self.points(surface.points(coefficients, residual)), surface.seen
+        matches = self._matches(surface, points, self._options.reach_mm)
+        matched, distances = np.zeros(len(points), bool), np.full(len(points), np.nan)
+        matched[seen] = matches.kept
+        distances[seen[matches.kept]] = matches.distances[matches.kept]
+        off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
+        return Registered(
+            points=points,
+            coefficients=coefficients,
+            residual=residual,
+            weights=self._weights,
+            place=self._place,
+            matched=matched,
+            distances=distances,
+            anchor_distances=off,
+            outliers=tuple(np.flatnonzero(off > farthest_anchor(off)).tolist()),
+            steps=steps,
+        )
+
+    def _matches(
+        self, surface: DeformableSurface, points: FloatArray, reach: float, *, roughly: bool = False
+    ) -> Matches:
+        seen = surface.seen
+        normals = point_normals(points, surface.triangles)[seen]
+        matches = self._scan.matches(points[seen], normals, reach, self._options.angle, self._place, roughly=roughly)
+        wrong = across(surface.labels, seen, points, surface.triangles, matches)
+        return replace(matches, kept=matches.kept & ~wrong)
+
+
+def _moved(anchors: Anchors, by: Similarity) -> Anchors:
+    return replace(anchors, targets=by.apply(anchors.targets))
+
+
+def _after(first: Similarity, then: Similarity) -> Similarity:
+    return Similarity(
+        rotation=then.rotation @ first.rotation,
+        translation=then.apply(first.translation[None])[0],
+        scale=then.scale * first.scale,
+    )

@@ -1,0 +1,189 @@
+"""The fits of a rebuild as stages: neutral, its refinement, personal template, expressions, shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.processors.database import quality_from
+from facepipe.processors.rebuild.fit_neutral import FitNeutral
+from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
+from facepipe.processors.rebuild.personal_template import PersonalTemplate
+from facepipe.processors.rebuild.project import ProjectScan, Refinement
+from facepipe.processors.rebuild.project_names import expression_weights
+from facepipe.processors.rebuild.refine_neutral import RefineNeutral
+from facepipe.processors.rebuild.region_weights import region_weights
+from facepipe.processors.rebuild.register_scans import Composite, ExpressionScan, NeutralScan, RegisterScans
+from facepipe.processors.rebuild.split_expressions import SplitExpressions
+from facepipe.processors.rebuild.stage_content import (
+    options_json,
+    place_json,
+    place_of,
+    plain,
+    shape_arrays,
+    shapes_of,
+)
+from facepipe.processors.rebuild.stages import Stages
+from facepipe.processors.rebuild.together_stage import together_stage
+from facepipe.processors.rebuild.work_folder import StageResult, array_digest
+
+FloatArray = npt.NDArray[np.floating]
+Shapes = Mapping[str, FloatArray]
+
+
+class FitStages:
+    """Each fit from the results of those before it, kept in the work folder.
+
+    :param below: folder of the results, ending in a slash; of expressions there, no more than weights and places is
+        used, and no correction
+    """
+
+    def __init__(self, stages: Stages, *, below: str = "") -> None:
+        self._stages, self._project, self._template = stages, stages.project, stages.template
+        self._below = below
+
+    def neutral(self) -> FittedNeutral:
+        """:raises FacepipeError: what can't be read, fitted or written"""
+        project, stages = self._project, self._stages
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            scan, marks = stages.read(project.neutral)
+            fit_neutral = FitNeutral(options=project.neutral_options)
+            fit = fit_neutral(self._template, scan, marks, stages.database(), weights=project.neutral.weights)
+            arrays = {"points": fit.points, "expression": fit.expression}
+            return arrays, {"report": plain(fit.report), "place": place_json(fit.place)}
+
+        inputs = stages.inputs(project.neutral, project.neutral_options, database=stages.digest(project.database))
+        inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
+        return self._neutral(stages.stage(f"{self._below}neutral", inputs, compute))
+
+    def together(
+        self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
+    ) -> FittedNeutral:
+        """The neutral refined on all scans, from fits to each alone, see `together_stage`.
+
+        :raises FacepipeError: what can't be read, fitted or written
+        """
+        return self._neutral(together_stage(self._stages, f"{self._below}neutral", first, shapes, expressions))
+
+    def _neutral(self, found: StageResult) -> FittedNeutral:
+        points = self._stages.after_correction(f"{self._below}neutral", found.arrays["points"])
+        landmarks = self._stages.landmarks(self._project.neutral)
+        place = place_of(found.content["place"])
+        expression = found.arrays["expression"] if self._project.neutral.weights else None
+        scan = NeutralScan(points=points, place=place, landmarks=landmarks, expression=expression)
+        return FittedNeutral(scan=scan, place=place, report=found.content["report"])
+
+    def refined(self, neutral: FittedNeutral, refinement: Refinement) -> FittedNeutral:
+        """The neutral drawn closer to its scan, as corrected.
+
+        :raises FacepipeError: an unknown region, or what can't be read, fitted or written
+        """
+        project, stages = self._project, self._stages
+        where = f"{project.path} -> options.refinement"
+        weights = region_weights(self._template.parts, refinement.regions, where)
+        points, flipped = neutral.scan.points, quality_from(neutral.report["quality"], "neutral").flipped_triangles
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            scan, marks = stages.read(project.neutral)
+            refine = RefineNeutral(options=refinement.options)
+            expression = neutral.scan.expression
+            found = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
+            return {"points": found.points}, {"report": plain(found.report)}
+
+        inputs = stages.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
+        inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
+        found = stages.stage("refined", inputs, compute)
+        scan = replace(neutral.scan, points=stages.after_correction("refined", found.arrays["points"]))
+        return FittedNeutral(scan=scan, place=neutral.place, report=found.content["report"])
+
+    def personal(self, neutral: FloatArray) -> dict[str, FloatArray]:
+        """The starting shapes of `neutral` (n, 3).
+
+        :raises FacepipeError: what can't be read, made or written
+        """
+        project, stages = self._project, self._stages
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            shapes = PersonalTemplate(options=project.template_options)(self._template, neutral, stages.database())
+            return shape_arrays(shapes), {"names": list(shapes)}
+
+        inputs = {
+            "neutral": array_digest(neutral),
+            "template": stages.digest(project.template),
+            "database": stages.digest(project.database),
+            "options": options_json(project.template_options),
+        }
+        found = stages.stage(f"{self._below}template", inputs, compute)
+        return shapes_of(found.arrays, found.content["names"])
+
+    def expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes) -> FittedExpression:
+        """One expression from the neutral and its shapes.
+
+        :raises FacepipeError: what can't be read, fitted or written
+        """
+        options, stages = self._project.expression_options, self._stages
+        weights = expression_weights(self._project, scan, tuple(shapes))
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            one, marks = stages.read(scan)
+            given = ExpressionScan(scan=one, landmarks=marks, weights=weights)
+            found = RegisterScans(options=options)(self._template, neutral, shapes, given)
+            content = {"report": plain(found.report), "place": place_json(found.place)}
+            return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
+
+        inputs = stages.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
+        inputs |= {"shapes": array_digest(*(shapes[shape] for shape in weights)), "markers": _markers(neutral)}
+        inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
+        inputs |= {"keeps": ["points", "matched", "report", "place"]}
+        name = f"{self._below}expressions/{scan.name}"
+        found = stages.stage(name, inputs, compute)
+        points = np.asarray(found.arrays["points"], np.float64)
+        composite = Composite(
+            points=points if self._below else stages.after_correction(name, points),
+            weights=weights,  # as asked for: what this person does more or less belongs into the shapes
+            matched=found.arrays["matched"].astype(bool),
+        )
+        place = place_of(found.content["place"])
+        return FittedExpression(composite=composite, place=place, report=found.content["report"])
+
+    def split(
+        self, neutral: FloatArray, shapes: Shapes, composites: Mapping[str, Composite]
+    ) -> tuple[dict[str, FloatArray], Mapping[str, Any]]:
+        """The actor's own shapes, and the report.
+
+        :raises FacepipeError: what can't be split or written
+        """
+        options, stages = self._project.split_options, self._stages
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            found = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
+            return shape_arrays(found.shapes), {"names": list(found.shapes), "report": plain(found.report)}
+
+        inputs = {
+            "template": stages.digest(self._project.template),
+            "neutral": array_digest(neutral),
+            "shapes": array_digest(*shapes.values()),
+            "names": list(shapes),
+            "composites": {name: array_digest(one.points, one.matched) for name, one in composites.items()},
+            "weights": {name: dict(one.weights) for name, one in composites.items()},
+            "options": options_json(options),
+        }
+        found = stages.stage("shapes", inputs, compute)
+        return shapes_of(found.arrays, found.content["names"]), found.content["report"]
+
+    def corrected_shapes(self, neutral: FloatArray, shapes: Shapes) -> dict[str, FloatArray]:
+        """A corrected shape is the mesh with the shape on it whole: ``corrections/shapes/jawOpen.usdc``."""
+        corrected = {}
+        for name, delta in shapes.items():
+            points = self._stages.after_correction(f"shapes/{name}", neutral + delta)
+            corrected[name] = points - neutral if f"shapes/{name}" in self._stages.corrected else delta
+        return corrected
+
+
+def _markers(neutral: NeutralScan) -> dict[str, list[float]]:
+    return {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()}

@@ -1,0 +1,171 @@
+"""A neutral, or regions of it, drawn onto its scan: local refinement (document S13, the first constraint)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
+from facepipe.geometry.registration import Anchors, RegistrationOptions, View
+from facepipe.geometry.similarity import Similarity
+from facepipe.options import check_ranges
+from facepipe.processors.rebuild.fit_neutral import landmark_anchors
+from facepipe.processors.rebuild.neutral_place import neutral_place, neutral_surface
+from facepipe.processors.rebuild.refine_report import BeforeAndAfter, RefineReport
+from facepipe.processors.rebuild.scan_distances import row_distances
+from facepipe.processors.rebuild.scan_fit import scan_target
+from facepipe.processors.rebuild.template import Template
+from facepipe.scans import Scan, ScanLandmarks
+
+FloatArray = npt.NDArray[np.floating]
+
+_MUCH = 0.5  # of the points that a scan can show
+_STILL = 1e-9  # mm: rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineNeutralOptions:
+    """How a neutral is refined.
+
+    :raises InputError: a number out of range
+    """
+
+    detail_mm: float = field(
+        default=10.0,
+        metadata={
+            "help": "waves of this length in the scan are followed by half, shorter ones less",
+            "unit": "mm",
+            "range": (0.1, 1e3),
+        },
+    )
+    drift_mm: float = field(
+        default=5.0,
+        metadata={
+            "help": "how far points may be off along the surface: smaller ones keep them where they are",
+            "unit": "mm",
+            "range": (1e-3, 1e3),
+        },
+    )
+    landmark_sigma_mm: float = field(
+        default=0.3,
+        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
+    )
+    reach_mm: float = field(
+        default=4.0,
+        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def refinement(self) -> RefinementOptions:
+        """The same for the solver."""
+        matching = RegistrationOptions(anchor_sigma_mm=self.landmark_sigma_mm, reach_mm=self.reach_mm)
+        return RefinementOptions(detail_mm=self.detail_mm, drift_mm=self.drift_mm, matching=matching)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinedNeutral:
+    """A neutral, closer to its scan."""
+
+    points: FloatArray  # (n, 3) whole points
+    place: Similarity  # from the scan's coordinates to those
+    report: RefineReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineNeutral:
+    """Draws a neutral that lies about right on its scan closer to it, where it may follow.
+
+    Changes of neighbouring triangles are kept alike, nearest points and landmarks pull: the document's first
+    constraint. Loose parts (eyeballs, teeth) that may follow go with the skin around them, the others stay.
+    """
+
+    options: RefineNeutralOptions = field(default_factory=RefineNeutralOptions)
+
+    def __call__(
+        self,
+        template: Template,
+        points: FloatArray,
+        scan: Scan,
+        landmarks: ScanLandmarks,
+        place: Similarity | None = None,
+        weights: FloatArray | None = None,
+        expression: FloatArray | None = None,
+        *,
+        flipped: int = 0,
+        progress: Callable[[int], None] = lambda step: None,
+    ) -> RefinedNeutral:
+        """Refine a neutral.
+
+        :param points: (n, 3) whole points of the neutral, millimetres
+        :param place: from the scan's coordinates to those; None: it is found by landmarks and the surface,
+            that of what stays if it is half of the face
+        :param weights: (n,) 0 to 1, the share of the way that each point may go; those of 0 stay to the bit. None: all
+            may go all of it
+        :param expression: (n, 3) whole delta that the scan shows besides, such as closed eyes: it stays off the result
+        :param flipped: triangles that were turned over before, for the quality
+        :raises InputError: weights of no point that a scan can show, too few landmarks to find the place by, or a scan
+            that can't be used
+        :raises FitError: a scan that does not show what may follow
+        """
+        points = np.asarray(points, np.float64)
+        shown = points if expression is None else points + expression
+        follow = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
+        rows = follow[template.rows]
+        if not rows[template.seen].any():
+            raise InputError(template.where, "a scan can show no point that may follow, expected some on the outside")
+        lies = _place(template, shown, scan, landmarks, rows) if place is None else place
+        target, mended = scan_target(scan)
+        anchors = _anchors(template, landmarks, rows)
+        view = View(scan=target, anchors=anchors, start=lies, name=f"{scan.name} -> scan")
+        surface = neutral_surface(template, shown)
+        found = refine_locally(surface, view, rows, self.options.refinement, progress)
+        result = BeforeAndAfter(
+            template=template,
+            before=shown,
+            after=_whole(template, shown, found.points, follow),
+            rows=rows,
+            matched=tuple(
+                row_distances(template, one, target, lies, self.options.reach_mm)
+                for one in (surface.base, found.points)
+            ),
+        )
+        report = result.report(scan.name, found, anchors.names, flipped, (*scan.warnings, *mended))
+        moved = result.after - shown
+        refined = np.where((moved == 0.0).all(axis=1, keepdims=True), points, points + moved)
+        return RefinedNeutral(points=refined, place=lies, report=report)
+
+
+def _place(
+    template: Template, points: FloatArray, scan: Scan, landmarks: ScanLandmarks, follow: FloatArray
+) -> Similarity:
+    """Where the scan lies, by what stays if that is much of the face: what is to be refined is not yet right."""
+    staying = template.seen[follow[template.seen] <= 0.0]
+    by = staying if len(staying) >= _MUCH * len(template.seen) else None
+    return neutral_place(template, points, scan, landmarks, by)
+
+
+def _anchors(template: Template, landmarks: ScanLandmarks, follow: FloatArray) -> Anchors:
+    """The landmarks of what may follow (m,)."""
+    places = np.array(landmarks.points, np.float64)
+    places[follow[template.landmarks] <= 0.0] = np.nan
+    return landmark_anchors(template, replace(landmarks, points=places))
+
+
+def _whole(template: Template, before: FloatArray, skin: FloatArray, follow: FloatArray) -> FloatArray:
+    """(n, 3) whole points with the skin at `skin` (m, 3); what has not moved, and loose parts not all of which may
+    follow, as they were to the bit."""
+    result = template.whole(before, skin)
+    part = template.stiff
+    loose = part >= 0
+    staying = np.zeros(int(part.max(initial=-1)) + 1, bool)
+    staying[part[loose & (follow <= 0.0)]] = True
+    kept = np.linalg.norm(result - before, axis=1) < _STILL
+    kept[loose] |= staying[part[loose]]
+    return np.where(kept[:, None], before, result)

@@ -1,0 +1,232 @@
+"""Neutrals from scans that show more than a neutral: shapes that are named are taken off again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import expression_domes
+import numpy as np
+import pytest
+import scan_domes
+from expression_domes import OWN, PERSON, SIDE
+from test_cli import run
+
+import facepipe
+from facepipe.geometry.similarity import Similarity
+from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.processors.database import save_database, whole_face, whole_points
+from facepipe.processors.rebuild import (
+    ExpressionScan,
+    Readers,
+    Rebuild,
+    Rebuilt,
+    RegisterScans,
+    Template,
+    read_project,
+)
+from facepipe.processors.rebuild.neutral_place import placed_neutral
+from facepipe.processors.rebuild.scan_distances import scan_distances
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import save_parts
+
+SHOWN = 0.8  # of the person's own brows, which the neutral's scan has up
+GIVEN = SHOWN * OWN["browUp"]  # the same by the template's shape
+DOME = SIDE**2
+PROJECT = f"""
+template = "head.usda"
+database = "faces.fpdb"
+[neutral]
+scan = "anna.ply"
+weights = {{ browUp = {GIVEN} }}
+[expressions.open]
+scan = "open.ply"
+weights = {{ jawOpen = 1 }}
+[options.neutral]
+unit = "cm"
+"""
+
+
+@pytest.fixture(scope="session")
+def drawer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("shown")
+    save_parts(expression_domes.face(), folder / "head.usda")
+    save_database(scan_domes.database(), folder / "faces.fpdb")
+    expression_domes.put(folder / "anna.ply", {"browUp": SHOWN})
+    expression_domes.put(folder / "open.ply", {"jawOpen": 1.0})
+    (folder / "anna.toml").write_text(PROJECT)
+    return folder
+
+
+def truth() -> np.ndarray:
+    return scan_domes.dome(scan_domes.grid(SIDE)[0], PERSON)
+
+
+def lifted() -> np.ndarray:
+    """(n, 3) of the person's brows as the scan shows them."""
+    return GIVEN * expression_domes.template_motion("browUp")
+
+
+def fitted(drawer: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: object) -> tuple[np.ndarray, dict]:
+    files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", out)
+    code, text, err = run(capsys, "fit-neutral", drawer / "anna.ply", *files, "--unit", "cm", "--json", *more)
+    assert code == 0, err
+    return whole_points(facepipe.open(out).parts())[:DOME], json.loads(text)
+
+
+def test_what_is_named_is_not_in_the_neutral(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    without, told = fitted(drawer, tmp_path / "without.usda", capsys)
+    assert told["weights"] == {}
+    named, told = fitted(drawer, tmp_path / "named.usda", capsys, "--weights", f"browUp={GIVEN}")
+    brows = np.linalg.norm(lifted(), axis=1) > 1.0
+    errors = [np.linalg.norm(one - truth(), axis=1)[brows].mean() for one in (named, without)]
+    assert errors[0] < 0.25 * errors[1]
+    assert told["weights"]["browUp"] == pytest.approx(GIVEN, abs=0.1)
+    recipe = facepipe.open(tmp_path / "named.usda").parts().recipe
+    assert recipe is not None
+    assert recipe.options["weights"] == {"browUp": GIVEN}
+    assert recipe.options["found"] == told["weights"]
+
+
+def test_the_picture_shows_what_the_scan_does(
+    drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[np.ndarray] = []
+
+    def draw(
+        path: Path, template: Template, points: np.ndarray, scan: Scan, place: Similarity, neutral: np.ndarray
+    ) -> None:
+        path.write_bytes(b"")
+        drawn.extend([points, neutral, scan_distances(template, points, scan, place)])
+
+    monkeypatch.setattr("facepipe.cli.fit_neutral_command.draw_fit", draw)
+    more = ("--weights", f"browUp={GIVEN}", "--picture", tmp_path / "sheet.png")
+    neutral, _ = fitted(drawer, tmp_path / "named.usda", capsys, *more)
+    points, without, distances = drawn
+    assert np.abs(without[:DOME] - neutral).max() < 1e-3
+    assert np.abs(points[:DOME] - neutral - lifted()).max() < 0.5
+    assert np.nanmean(distances) < 0.05
+
+
+def test_bad_weights_are_told_in_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", tmp_path / "out.usda")
+    for word, text in (("eyeBlink=1", "no such shape, expected some of"), ("browUp=3", "above 0, up to 2"), ("x", "x")):
+        code, out, err = run(capsys, "fit-neutral", drawer / "anna.ply", *files, "--weights", word)
+        assert (code, out, err.count("\n")) == (2, "", 1), err
+        assert text in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
+    """Markers on lifted brows would be taken for those of skin above."""
+    template = Template.of(expression_domes.face(), "head")
+    places = np.array([(x, y) for x in (-20.0, 0.0, 20.0) for y in (20.0, 26.0, 32.0)])
+    dome = scan_domes.dome(places, PERSON)
+    up = GIVEN * expression_domes.motion("browUp", places)
+    marks = read_scan_landmarks(drawer / "anna.landmarks.json").points
+    seen = {f"m{i}": one for i, one in enumerate(scan_domes.POSE.apply(dome + up))}
+    scan, known = read_scan(drawer / "anna.ply"), ScanLandmarks(points=marks, markers=seen)
+    whole = _whole(template, truth())
+    opened, landmarks = expression_domes.scan({"jawOpen": 1.0})
+    points = landmarks.points.copy()
+    points[17:27] = np.nan  # brows are told by markers alone
+    own = {f"m{i}": one for i, one in enumerate(scan_domes.POSE.apply(dome))}
+    given = ExpressionScan(scan=opened, landmarks=ScanLandmarks(points=points, markers=own), weights={"jawOpen": 1.3})
+    deltas = whole_face(expression_domes.face(), "head").deltas
+    brows, errors = np.linalg.norm(lifted(), axis=1) > 1.0, []
+    for expression in (_lift(template), None):
+        neutral = placed_neutral(template, whole, scan, known, expression)
+        found = RegisterScans()(template, neutral, deltas, given).points[:DOME]
+        errors.append(np.linalg.norm(found - truth(), axis=1)[brows].mean())
+    assert errors[0] < 0.5 * errors[1]
+
+
+def rebuilt(folder: Path) -> Rebuilt:
+    project = read_project(folder / "anna.toml")
+
+    def not_asked(scan: Scan) -> ScanLandmarks:
+        raise AssertionError(scan.name)
+
+    readers = Readers(
+        scan=read_scan,
+        landmarks=read_scan_landmarks,
+        find_landmarks=not_asked,
+        face=lambda path: facepipe.open(path).parts(),
+    )
+    return Rebuild(project, Template.of(facepipe.open(folder / "head.usda").parts(), "head.usda"), readers)()
+
+
+def test_a_project_takes_off_what_its_neutrals_scan_shows(drawer: Path, tmp_path: Path) -> None:
+    """Corrected neutrals keep what the scan shows besides."""
+    for file in drawer.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    first = rebuilt(tmp_path)
+    brows = np.linalg.norm(lifted(), axis=1) > 1.0
+    assert np.linalg.norm(first.neutral[:DOME] - truth(), axis=1)[brows].mean() < 0.2
+    assert np.linalg.norm(first.shown[:DOME] - truth() - lifted(), axis=1)[brows].mean() < 0.2
+    assert first.reports["neutral"]["weights"]["browUp"] == pytest.approx(GIVEN, abs=0.1)
+    assert rebuilt(tmp_path).reused == ("neutral", "template", "expressions/open", "shapes")
+    parts = facepipe.open(tmp_path / "anna" / "neutral.usdc").parts()
+    save_parts(parts, tmp_path / "anna" / "corrections" / "neutral.usdc")
+    again = rebuilt(tmp_path)
+    assert again.corrected == ("neutral",)
+    assert np.abs(again.shown - first.shown).max() < 1e-3
+    (tmp_path / "anna.toml").write_text(PROJECT.replace(f"browUp = {GIVEN}", "browUp = 0.5"))
+    assert "neutral" not in rebuilt(tmp_path).reused
+
+
+def test_a_refined_neutral_is_without_it_too(drawer: Path, tmp_path: Path) -> None:
+    for file in drawer.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "anna.toml").write_text(PROJECT + "[options.refinement]\n")
+    found = rebuilt(tmp_path)
+    brows = np.linalg.norm(lifted(), axis=1) > 1.0
+    assert "refined" in found.reports
+    assert np.linalg.norm(found.neutral[:DOME] - truth(), axis=1)[brows].mean() < 0.2
+    assert np.linalg.norm(found.shown[:DOME] - truth() - lifted(), axis=1)[brows].mean() < 0.2
+
+
+def test_fitted_together_and_refined_it_is_told_by_its_shapes(drawer: Path, tmp_path: Path) -> None:
+    for file in drawer.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "anna.toml").write_text("joint = true\n" + PROJECT + "[options.refinement]\n")
+    found = rebuilt(tmp_path)
+    weights = found.reports["neutral"]["weights"]
+    assert set(weights) == {"browUp"}
+    assert weights["browUp"] == pytest.approx(GIVEN, abs=0.1)
+    brows = np.linalg.norm(lifted(), axis=1) > 1.0
+    assert np.linalg.norm(found.neutral[:DOME] - truth(), axis=1)[brows].mean() < 0.2
+    assert np.linalg.norm(found.shown[:DOME] - truth() - lifted(), axis=1)[brows].mean() < 0.2
+
+
+def _whole(template: Template, dome: np.ndarray) -> np.ndarray:
+    points = template.points.copy()
+    points[:DOME] = dome
+    return points
+
+
+def _lift(template: Template) -> np.ndarray:
+    delta = np.zeros_like(template.points)
+    delta[:DOME] = lifted()
+    return delta
+
+
+def test_register_scan_takes_the_neutrals_weights(
+    drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fitted(drawer, tmp_path / "anna.usda", capsys, "--weights", f"browUp={GIVEN}")
+    personal = ("personal-template", tmp_path / "anna.usda", "--template", drawer / "head.usda")
+    assert run(capsys, *personal, "-o", tmp_path / "personal.usda")[0] == 0
+    words = ("register-scan", drawer / "open.ply", "--personal", tmp_path / "personal.usda", "--weights", "jawOpen=1")
+    shown = ("--neutral-weights", f"browUp={GIVEN}")
+    code, _, err = run(capsys, *words, "-o", tmp_path / "open.usda", *shown)
+    assert code == 2
+    assert "--neutral-weights: expected --neutral-scan beside it" in err
+    more = ("--neutral-scan", drawer / "anna.ply", *shown, "--json")
+    code, out, err = run(capsys, *words, "-o", tmp_path / "open.usda", *more)
+    assert code == 0, err
+    assert json.loads(out)["fit"]["mm_per_unit"] == pytest.approx(10.0, rel=0.01)
+    recipe = facepipe.open(tmp_path / "open.usda").parts().recipe
+    assert recipe is not None
+    assert recipe.options["neutral_weights"] == {"browUp": GIVEN}

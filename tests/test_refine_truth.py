@@ -1,0 +1,81 @@
+"""Refined neutrals against the truth: simulated scans of people that the database can't show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scan_actors import Actor, ict
+from scan_simulator import simulate
+from test_rebuild_truth import ict_database, ict_template, read
+
+from facepipe.processors.rebuild import (
+    FitNeutral,
+    FitNeutralOptions,
+    NeutralFit,
+    RefinedNeutral,
+    RefineNeutral,
+)
+
+_STIFF = FitNeutralOptions(membrane=3000.0)
+_PERSON = 101
+
+
+@dataclass
+class _Refined:
+    """A neutral as fitted and as refined, and how far its points are from where they truly are, in millimetres."""
+
+    fit: NeutralFit
+    found: RefinedNeutral
+    before: np.ndarray  # (n,)
+    after: np.ndarray  # (n,)
+
+
+def _refined(options: FitNeutralOptions, weights: np.ndarray | None = None) -> _Refined:
+    template, person = ict_template(), Actor(_PERSON)
+    simulated = simulate(person.neutral, _PERSON)
+    scan, landmarks = read("neutral", simulated)
+    fit = FitNeutral(options=options)(template, scan, landmarks, ict_database(template))
+    found = RefineNeutral()(template, fit.points, scan, landmarks, weights=weights)
+    count = len(person.neutral)
+    errors = [
+        np.linalg.norm(simulated.pose.undo(place.undo(points))[:count] - person.neutral, axis=1)
+        for points, place in ((fit.points, fit.place), (found.points, found.place))
+    ]
+    return _Refined(fit, found, *errors)
+
+
+def _nose() -> np.ndarray:
+    """(n,) 1 within 28 mm of the middle of the nose's landmarks, 0 beyond 38; loose parts stay."""
+    points = ict().neutral
+    away = np.linalg.norm(points - points[ict().landmarks[27:36]].mean(axis=0), axis=1)
+    weights = np.clip((38.0 - away) / 10.0, 0.0, 1.0)
+    weights[ict_template().loose] = 0.0
+    return np.asarray(weights)
+
+
+@pytest.mark.slow
+def test_a_region_that_was_fitted_too_stiffly_comes_to_its_scan_and_nearer_to_the_truth() -> None:
+    weights = _nose()
+    told = _refined(_STIFF, weights)
+    report, inside = told.found.report, weights > 0.9
+    print(f"surface {report.before_mean_mm:.3f} -> {report.surface_mean_mm:.3f}, moved {report.moved_mean_mm:.2f}")
+    print(f"true {told.before[inside].mean():.3f} -> {told.after[inside].mean():.3f}")
+    assert report.surface_mean_mm < 0.35 * report.before_mean_mm
+    assert told.after[inside].mean() < 0.7 * told.before[inside].mean()
+    assert np.array_equal(told.found.points[weights == 0.0], told.fit.points[weights == 0.0])
+    assert report.flipped_triangles <= 5
+
+
+@pytest.mark.slow
+def test_a_face_that_was_fitted_well_stays_as_true() -> None:
+    told = _refined(FitNeutralOptions())
+    face = slice(0, ict().full_face)
+    report = told.found.report
+    print(f"surface {report.before_mean_mm:.4f} -> {report.surface_mean_mm:.4f}, moved {report.moved_mean_mm:.3f}")
+    for name, of in (("mean", np.mean), ("p95", lambda off: np.percentile(off, 95))):
+        print(f"true {name} {of(told.before[face]):.3f} -> {of(told.after[face]):.3f}")
+        assert of(told.after[face]) < 1.01 * of(told.before[face])
+    assert report.surface_mean_mm < report.before_mean_mm
+    assert report.flipped_triangles <= 5
