@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,6 +53,7 @@ def train(
     seed: int,
     steps: int,
     patience: int,
+    done: Callable[[], object] = lambda: None,
 ) -> Trained:
     """A network of `width` hidden units for `samples`, of least squared error: linear parts by least squares.
 
@@ -60,13 +62,14 @@ def train(
 
     :param checked: other samples; training stops where their error has not fallen for `patience` steps, and the best is
         taken
+    :param done: called once for each step
     """
     with one_thread():
         linear, offset = _least_squares(_tensor(samples.inputs), _tensor(samples.outputs))
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
         left = [(x, y - x @ linear - offset) for x, y in parts]
         network = _Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed)
-        taken = _descend(network, left[0], left[1], seed, steps, patience)
+        taken = _descend(network, left[0], left[1], seed, steps, patience, done)
         x, y = parts[0]
         hidden, hidden_bias, _, _ = network.parameters
         units = network.units(x).detach()
@@ -126,6 +129,7 @@ def _descend(
     seed: int,
     steps: int,
     patience: int,
+    done: Callable[[], object],
 ) -> int:
     """Train in place; returns the steps taken. Outputs of all scales count by their squares, so scale them before."""
     x, y = samples
@@ -141,6 +145,7 @@ def _descend(
         loss.backward()
         optimiser.step()
         schedule.step()
+        done()
         if step % CHECK_EVERY == 0 or step == steps:
             with torch.no_grad():
                 error = float(((network(checked[0]) - checked[1]) / size).square().mean())

@@ -1,0 +1,23 @@
+"""Neural rig: what a rig does, learned from examples of it."""
+
+from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig, save_neural_rig
+from facepipe.processors.neural_rig.sample_motion import SampleMotion, SampleMotionOptions
+from facepipe.processors.neural_rig.train_neural_rig import (
+    NeuralRigReport,
+    TrainedNeuralRig,
+    TrainNeuralRig,
+    TrainNeuralRigOptions,
+)
+
+__all__ = [
+    "Motion",
+    "NeuralRigReport",
+    "SampleMotion",
+    "SampleMotionOptions",
+    "TrainNeuralRig",
+    "TrainNeuralRigOptions",
+    "TrainedNeuralRig",
+    "load_neural_rig",
+    "save_neural_rig",
+]
