@@ -17,12 +17,24 @@ def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, bat
 
     :param triangles: (t, 3) point indices
     """
-    corners = [nodes.gather(points, 1, triangles[:, i]) for i in range(3)]
-    areas = _cross(nodes, nodes.add("Sub", corners[1], corners[0]), nodes.add("Sub", corners[2], corners[0]))
-    summed = _sums(nodes, areas, count, triangles, batch)
-    squares = nodes.add("MatMul", nodes.add("Mul", summed, summed), nodes.constant("sum_of_axes", np.ones((3, 1))))
+    degree = np.bincount(triangles.ravel(), minlength=count)
+    pieces = []
+    if len(triangles):
+        corners = [nodes.gather(points, 1, triangles[:, i]) for i in range(3)]
+        areas = _cross(nodes, nodes.add("Sub", corners[1], corners[0]), nodes.add("Sub", corners[2], corners[0]))
+        pieces.append(_units(nodes, nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)))
+    if not degree.all():
+        up = np.tile([0.0, 1.0, 0.0], (batch, np.count_nonzero(degree == 0), 1))
+        pieces.append(nodes.constant("loose_normals", up))  # not scaled: some runtimes' roots of 1 are not 1
+    order = np.argsort(np.where(degree == 0, len(triangles) * 3 + 1, degree), kind="stable")
+    position = nodes.indices(np.argsort(order, kind="stable"))
+    return nodes.add("Gather", nodes.concat(pieces, 1), position, axis=1, name="normals")
+
+
+def _units(nodes: Nodes, vectors: str) -> str:
+    squares = nodes.add("MatMul", nodes.add("Mul", vectors, vectors), nodes.constant("sum_of_axes", np.ones((3, 1))))
     smallest = nodes.constant("smallest", np.array(_SMALLEST))
-    return nodes.add("Div", summed, nodes.add("Sqrt", nodes.add("Clip", squares, smallest)), name="normals")
+    return nodes.add("Div", vectors, nodes.add("Sqrt", nodes.add("Clip", squares, smallest)))
 
 
 def _cross(nodes: Nodes, first: str, second: str) -> str:
@@ -31,22 +43,18 @@ def _cross(nodes: Nodes, first: str, second: str) -> str:
     return nodes.add("Sub", ahead, behind)
 
 
-def _sums(nodes: Nodes, areas: str, count: int, triangles: IntArray, batch: int) -> str:
-    """[batch, points, 3] sums over the triangles at each point; points of one number of triangles at a time."""
+def _sums(nodes: Nodes, areas: str, degree: IntArray, triangles: IntArray, batch: int) -> list[str]:
+    """[batch, points, 3] sums over the triangles at each point that has some; points of one number of them at a time.
+
+    :param degree: (n,) triangles at each point
+    """
     around = np.argsort(triangles.ravel(), kind="stable") // 3  # triangles, point by point
-    degree = np.bincount(triangles.ravel(), minlength=count)
     first = np.cumsum(degree) - degree
-    pieces, order = [], []
-    for size in np.unique(degree):
+    pieces = []
+    for size in np.unique(degree[degree > 0]):
         members = np.flatnonzero(degree == size)
-        order.append(members)
-        if size == 0:
-            up = np.tile([0.0, 1.0, 0.0], (batch, len(members), 1))
-            pieces.append(nodes.constant("loose_normals", up))
-            continue
         own = nodes.gather(areas, 1, around[first[members, None] + np.arange(size)].ravel())
         grouped = nodes.reshape(own, batch, len(members), int(size), 3)
         total = nodes.add("MatMul", nodes.constant(f"sum_{size}", np.ones((1, size))), grouped)
         pieces.append(nodes.reshape(total, batch, len(members), 3))
-    position = np.argsort(np.concatenate(order), kind="stable")
-    return nodes.gather(nodes.concat(pieces, 1), 1, position)
+    return pieces
