@@ -24,7 +24,7 @@ def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, bat
         areas = _cross(nodes, nodes.add("Sub", corners[1], corners[0]), nodes.add("Sub", corners[2], corners[0]))
         pieces.append(_units(nodes, nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)))
     if not degree.all():
-        up = np.tile([0.0, 1.0, 0.0], (batch, np.count_nonzero(degree == 0), 1))
+        up = np.tile([0.0, 1.0, 0.0], (batch, int(np.count_nonzero(degree == 0)), 1))
         pieces.append(nodes.constant("loose_normals", up))  # not scaled: some runtimes' roots of 1 are not 1
     order = np.argsort(np.where(degree == 0, len(triangles) * 3 + 1, degree), kind="stable")
     position = nodes.indices(np.argsort(order, kind="stable"))
