@@ -49,6 +49,7 @@ SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetr
 SCANNED = "facepipe:scanned"  # a primvar: float per point, 1 where the scan of an expression showed it, 0 elsewhere
 LANDMARKS_PREFIX = "facepipe:landmarks:"
 SLIDER_PREFIX = "facepipe:slider:"
+CONTROL_PREFIX = "facepipe:control:"  # of rigs that facepipe doesn't know: numbers with time samples
 
 MATERIALS_SCOPE = "Materials"
 ANIMATIONS_SCOPE = "Animations"

@@ -13,6 +13,8 @@ from facepipe.rig import mesh_spaces
 
 FloatArray = npt.NDArray[np.floating]
 
+MILLIMETRES = FaceParts(name="millimetres", meters_per_unit=0.001, up_axis="Y")  # the space of whole points
+
 _SINGULAR = 1e-12  # of the product of the column lengths
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,24 @@ class CachedMesh:
     mesh: Mesh  # name and faces; points of the first sample
     points: FloatArray  # (T, n, 3) float32 mesh space
     worlds: FloatArray  # (T, 4, 4) mesh space -> world
-    has_default: bool  # points without time are authored too
+    untimed: FloatArray | None  # (n, 3) float32 points authored without time, mesh space
+    untimed_world: FloatArray  # (4, 4) mesh space -> world without time
+    authored: npt.NDArray[np.bool_]  # (T,) samples that hold points of this mesh; USD makes the others from these
+
+    @property
+    def guessed(self) -> npt.NDArray[np.bool_]:
+        """(T,) samples that are between two different ones, so that nobody knows where the points were."""
+        own, numbers = np.flatnonzero(self.authored), np.arange(len(self.points))
+        if not len(own):
+            return np.zeros(len(numbers), dtype=bool)
+        before, after = np.searchsorted(own, numbers, side="right") - 1, np.searchsorted(own, numbers)
+        inside = (before >= 0) & (after < len(own)) & (before != after)
+        return np.array(
+            [
+                here and not np.array_equal(self.points[own[one]], self.points[own[other]])
+                for here, one, other in zip(inside, before, after, strict=True)
+            ]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,15 +57,23 @@ class PointCache:
     """All meshes of a stage."""
 
     meshes: tuple[CachedMesh, ...]
-    times: npt.NDArray[np.float64] | None  # (T,) seconds; None: nothing moves, T = 1
+    codes: npt.NDArray[np.float64]  # (T,) time codes; none where nothing moves, T = 1
+    moving: npt.NDArray[np.bool_]  # (T,) samples at which points or the place of some mesh are authored
+    codes_per_second: float
     meters_per_unit: float
     up_axis: str
     has_face: bool  # the stage has a face, whose skeleton may move the points further
 
+    @property
+    def times(self) -> npt.NDArray[np.float64] | None:
+        """(T,) seconds; None: nothing moves, T = 1."""
+        return self.codes / self.codes_per_second if len(self.codes) else None
 
-def read_point_cache(path: str | os.PathLike[str]) -> PointCache:
+
+def read_point_cache(path: str | os.PathLike[str], also: Collection[float] = ()) -> PointCache:
     """The meshes of a USD file at all samples of their points and transforms; skins and blendshapes are left out.
 
+    :param also: further time codes to read them at
     :raises InputError: no such file, no readable USD, too many samples, or NaN
     :raises SchemaError: units that are no length
     :raises TopologyError: a mesh whose number of points or faces change, or whose faces don't fit its points
@@ -57,7 +82,7 @@ def read_point_cache(path: str | os.PathLike[str]) -> PointCache:
         stage = open_stage(path)
         check_units(path, stage)
         try:
-            return _read(stage)
+            return _read(stage, also)
         except (InputError, TopologyError) as error:
             raise error.under(path) from None
 
@@ -89,20 +114,22 @@ def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
     return prims_below(stage.GetPseudoRoot(), "stage")
 
 
-def _read(stage: Usd.Stage) -> PointCache:
+def _read(stage: Usd.Stage, also: Collection[float]) -> PointCache:
     prims = [prim for prim in _prims(stage) if prim.IsA(UsdGeom.Mesh)]
     names = [str(prim.GetName()) for prim in prims]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(twice, "is the name of more than one mesh, expected different names")
-    codes = sorted({code for prim in prims for code in _codes(prim)})
+    own = {code for prim in prims for code in _codes(prim)}
+    codes = sorted(own | set(also))
     if len(codes) > MOST_SAMPLES:
         raise InputError("time samples", f"{len(codes)}, expected at most {MOST_SAMPLES}")
     times = [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
-    rate = stage.GetTimeCodesPerSecond() or 24.0
     return PointCache(
         meshes=tuple(_cached(prim, times) for prim in prims),
-        times=np.array(codes) / rate if codes else None,
+        codes=np.array(codes, dtype=np.float64),
+        moving=np.array([code in own for code in codes] or [False]),
+        codes_per_second=stage.GetTimeCodesPerSecond() or 24.0,
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         has_face=any(tokens.FACE_API in prim.GetAppliedSchemas() for prim in _prims(stage)),
@@ -123,9 +150,10 @@ def _codes(prim: Usd.Prim) -> set[float]:
 def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
     mesh, where = UsdGeom.Mesh(prim), str(prim.GetPath())
     samples = [floats(mesh.GetPointsAttr().Get(time), 3) for time in times]
-    if any(len(points) != len(samples[0]) for points in samples):
-        other = next(points for points in samples if len(points) != len(samples[0]))
-        raise TopologyError(where, f"{len(other)} points at a time sample, expected {len(samples[0])} as at the first")
+    other = next((i for i, points in enumerate(samples) if len(points) != len(samples[0])), None)
+    if other is not None:
+        what = f"{len(samples[other])} points at a time sample, expected {len(samples[0])} as at the first"
+        raise TopologyError(where, f"{what} (time code {times[other].GetValue():g})")
     counts, indices = (
         _still(attribute, where) for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     )
@@ -137,12 +165,14 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
         when = "" if times[0].IsDefault() else f" at time code {times[bad[0]].GetValue():g}"
         raise InputError(where, f"points hold NaN or infinity{when}, expected finite numbers")
     own = Mesh(name=prim.GetName(), points=points[0], face_vertex_counts=counts, face_vertex_indices=indices)
-    worlds = np.stack([matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)) for time in times])
+    place, sampled = UsdGeom.Xformable(prim), set(mesh.GetPointsAttr().GetTimeSamples())
     return CachedMesh(
         mesh=turned(own) if is_left_handed(mesh) else own,
         points=points,
-        worlds=worlds,
-        has_default=bool(mesh.GetPointsAttr().Get()),
+        worlds=np.stack([matrix(place.ComputeLocalToWorldTransform(time)) for time in times]),
+        untimed=floats(mesh.GetPointsAttr().Get(), 3) if mesh.GetPointsAttr().Get() else None,
+        untimed_world=matrix(place.ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
+        authored=np.array([time.GetValue() in sampled for time in times]),
     )
 
 

@@ -12,13 +12,11 @@ import numpy.typing as npt
 from facepipe.errors import TopologyError
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import FaceParts, Mesh
-from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
+from facepipe.processors.same_topology import MILLIMETRES, check_spaces, in_order, world_to_world
 from facepipe.rig import mesh_spaces
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-_MILLIMETRES = FaceParts(name="millimetres", meters_per_unit=0.001, up_axis="Y")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,5 +157,5 @@ def _having(parts: FaceParts, shape: str) -> tuple[str, ...]:
 
 def to_millimetres(parts: FaceParts) -> list[FloatArray]:
     """(4, 4) from the space of each mesh."""
-    world = world_to_world(parts.meters_per_unit, parts.up_axis, _MILLIMETRES) @ parts.skeleton.transform
+    world = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES) @ parts.skeleton.transform
     return [np.asarray(world @ space) for space in mesh_spaces(parts)]

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts, Mesh
+from facepipe.processors.cached_points import cached_points
 from facepipe.processors.fit_bones.matching import match_meshes
 from facepipe.processors.same_topology import world_to_world
-from facepipe.rig import build, mesh_spaces, sample_transforms, sample_weights
+from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.stage import Face, open_face
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
 from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
@@ -80,19 +81,10 @@ def _neutral(parts: FaceParts, other: FaceParts, where: str, only: str = "", *, 
 
 def _cached(parts: FaceParts, cache: PointCache, path: Path) -> FilePoints:
     """Points over time; those of a face as its skeleton at rest places them."""
-    if cache.has_face and all(one.has_default for one in cache.meshes):
-        other = open_face(path).parts()
-        rig = build(other)
-        held = rig.skinning_matrices(rig.rest)
-        spaces = dict(zip((mesh.name for mesh in other.meshes), mesh_spaces(other), strict=True))
-        bound = [_transformed(one.points, spaces[one.mesh.name][None]) for one in cache.meshes]
-        points = np.stack([rig.skin(one, held) for one in np.concatenate(bound, axis=1)])
-    else:
-        points = np.concatenate(
-            [_transformed(one.points, one.worlds) for one in cache.meshes] or [np.zeros((1, 0, 3))], 1
-        )
+    found = cached_points(cache, path)
+    points = np.stack([found.sample(number) for number in range(found.count)])
     moved = _to_world(parts, points, cache.meters_per_unit, cache.up_axis)
-    return _matched(parts, [one.mesh for one in cache.meshes], moved, cache.times, str(path))
+    return _matched(parts, found.meshes, moved, cache.times, str(path))
 
 
 def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> FilePoints:

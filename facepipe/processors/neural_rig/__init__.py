@@ -1,7 +1,9 @@
 """Neural rig: what a rig does, learned from examples of it."""
 
+from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig, save_neural_rig
+from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.sample_motion import SampleMotion, SampleMotionOptions
 from facepipe.processors.neural_rig.train_neural_rig import (
     NeuralRigReport,
@@ -11,8 +13,10 @@ from facepipe.processors.neural_rig.train_neural_rig import (
 )
 
 __all__ = [
+    "FrameBlocksOptions",
     "Motion",
     "NeuralRigReport",
+    "ReadMotion",
     "SampleMotion",
     "SampleMotionOptions",
     "TrainNeuralRig",

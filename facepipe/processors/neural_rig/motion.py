@@ -34,6 +34,7 @@ class Motion:
     points: FloatArray  # (f, n, 3) millimetres
     rest: FloatArray  # (n, 3) millimetres, of all controls at their defaults
     blocks: IntArray  # (f,)
+    source: str = "rig"  # where frames are from: evaluated by facepipe's own rig, or "samples" of a stage
 
     def __post_init__(self) -> None:
         self._check_sizes()

@@ -1,0 +1,61 @@
+"""Frames of clips in blocks that can be held out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.options import check_ranges
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+_GAP = 2.5  # steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameBlocksOptions:
+    """How clips are cut.
+
+    :raises InputError: a number out of range, or margins that leave little of a block
+    """
+
+    block: int = field(
+        default=30, metadata={"help": "frames of a clip that are held out together, about", "range": (2, 1e6)}
+    )
+    margin: int = field(
+        default=2, metadata={"help": "frames left out between two blocks of a clip", "range": (0, 1000)}
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if not 2 * self.margin < self.block:
+            raise InputError("option margin", f"is {self.margin}, expected less than half of block {self.block}")
+
+
+def frame_blocks(codes: FloatArray, values: FloatArray, options: FrameBlocksOptions) -> tuple[IntArray, IntArray]:
+    """The frames to use (k,), and their blocks (k,) from 0.
+
+    A clip ends where more than two steps pass without a frame, unless the controls are held there (writers leave out
+    what does not change). A step is the shortest time between two frames, at least one time code. Longer clips than a
+    block are cut into even pieces; the first frames after a cut are left out: neighbours of what is held out are
+    nearly the same, and would tell it.
+
+    :param codes: (f,) ascending time codes
+    :param values: (f, c) of the controls
+    """
+    apart = np.diff(codes)
+    step = max(1.0, float(apart.min())) if len(apart) else 1.0
+    ends = (apart > _GAP * step) & (values[1:] != values[:-1]).any(axis=1)
+    kept = list(_pieces(np.split(np.arange(len(codes)), np.flatnonzero(ends) + 1), options))
+    return np.concatenate(kept), np.repeat(np.arange(len(kept)), [len(one) for one in kept])
+
+
+def _pieces(clips: list[IntArray], options: FrameBlocksOptions) -> Iterator[IntArray]:
+    for clip in clips:
+        for number, piece in enumerate(np.array_split(clip, max(1, round(len(clip) / options.block)))):
+            yield piece[options.margin if number else 0 :]

@@ -1,0 +1,216 @@
+"""Controls of any rig over time: numbers with time samples, as a DCC bakes them beside the points that they moved."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from facepipe import tokens
+from facepipe.errors import FacepipeError, InputError
+from facepipe.parts import Animation, Slider
+from facepipe.stage.control_track import Clip, ControlTrack
+from facepipe.stage.files import open_stage
+from facepipe.stage.guard import reads_prim, usd_errors
+from facepipe.stage.read_skeleton import read_animation
+from facepipe.stage.read_sliders import read_sliders
+from facepipe.stage.traversal import prims_below
+
+_NUMBERS = ("double", "float", "half", "int", "bool")
+_USER = "userProperties:"  # where Maya and Blender put attributes of their own
+
+
+def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tuple[ControlTrack, ...]:
+    """The controls of a stage: numbers ``facepipe:control:<name>`` of any prim; where there are none, the face's
+    sliders with time samples, and the shapes that none of these drives, of the SkelAnimation.
+
+    :param prims: paths of prims whose own numbers (custom attributes) are the controls instead
+    :raises InputError: no such file or prim, no readable USD, values that are no numbers, NaN, or several
+        SkelAnimations of which no skeleton plays one
+    :raises SchemaError, TopologyError: damaged sliders or animations
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        try:
+            found = _of_prims(stage, prims) if prims else _declared(stage)
+            if found:
+                return found
+            sliders, driven = _sliders(stage)
+            clip = _clip(_playing(stage))
+            return (*sliders, *(one for one in clip.tracks if one.name not in driven))
+        except FacepipeError as error:
+            raise error.under(path) from None
+
+
+def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
+    """All that moves controls on a stage: its declared controls, its face's sliders, each SkelAnimation with shapes.
+
+    :raises InputError, SchemaError, TopologyError: as `read_controls`
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        try:
+            clips = [Clip(name="controls", tracks=_declared(stage)), Clip(name="sliders", tracks=_sliders(stage)[0])]
+            clips += [_clip(prim) for prim in _animations(stage)]
+            return tuple(one for one in clips if one.tracks)
+        except FacepipeError as error:
+            raise error.under(path) from None
+
+
+def is_recorded(path: str | os.PathLike[str]) -> bool:
+    """Whether a stage is to be learned from its samples: it has no face, or controls and points over time.
+
+    :raises InputError: no such file, or no readable USD
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        prims = list(prims_below(stage.GetPseudoRoot(), path))
+    if not any(tokens.FACE_API in prim.GetAppliedSchemas() for prim in prims):
+        return True
+    return any(_cached(prim) for prim in prims) and any(_controlled(prim) for prim in prims)
+
+
+def _cached(prim: Usd.Prim) -> bool:
+    return bool(prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetPointsAttr().GetNumTimeSamples())
+
+
+def _controlled(prim: Usd.Prim) -> bool:
+    names = [str(one.GetName()) for one in prim.GetAuthoredAttributes() if one.GetNumTimeSamples()]
+    return any(
+        name.startswith(tokens.CONTROL_PREFIX)
+        or (name.startswith(tokens.SLIDER_PREFIX) and name.endswith(":value"))
+        or (prim.IsA(UsdSkel.Animation) and name == "blendShapeWeights")
+        for name in names
+    )
+
+
+def _declared(stage: Usd.Stage) -> tuple[ControlTrack, ...]:
+    namespace = tokens.CONTROL_PREFIX.rstrip(":")
+    return tuple(
+        _track(one)
+        for prim in prims_below(stage.GetPseudoRoot(), "stage")
+        for one in prim.GetAuthoredPropertiesInNamespace(namespace)
+        if isinstance(one, Usd.Attribute) and one.HasAuthoredValue()
+    )
+
+
+def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...]:
+    tracks = []
+    for path in paths:
+        prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) and path.startswith("/") else None
+        if not prim:
+            raise InputError(f"<{path}>", "no such prim, expected the path of one with controls")
+        own = [one for one in prim.GetAuthoredAttributes() if one.IsCustom() and one.HasAuthoredValue()]
+        own = [one for one in own if str(one.GetTypeName()) in _NUMBERS]
+        if not own:
+            raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
+        tracks += [_track(one) for one in own]
+    return tuple(tracks)
+
+
+def _track(attribute: Usd.Attribute) -> ControlTrack:
+    where, kind = str(attribute.GetPath()), str(attribute.GetTypeName())
+    if kind not in _NUMBERS:
+        raise InputError(where, f"type {kind}, expected a number: one of {', '.join(_NUMBERS)}")
+    codes = attribute.GetTimeSamples()
+    read = [(code, attribute.Get(code)) for code in codes] or [(None, attribute.Get())]
+    for code, value in read:
+        if value is None or not np.isfinite(float(value)):
+            when = "" if code is None else f" at time code {code:g}"
+            raise InputError(where, f"{'no value' if value is None else 'NaN or infinity'}{when}, expected a number")
+    low, high = _limits(attribute)
+    untimed = attribute.Get(Usd.TimeCode.Default())
+    return ControlTrack(
+        name=str(attribute.GetName()).removeprefix(tokens.CONTROL_PREFIX).removeprefix(_USER),
+        where=where,
+        codes=np.array(codes, dtype=np.float64),
+        values=np.array([float(value) for _, value in read]),
+        minimum=low,
+        maximum=high,
+        default=None if untimed is None or not np.isfinite(float(untimed)) else float(untimed),
+    )
+
+
+def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
+    """What the attribute declares: USD's limits, the hard ones first (USD 25.11 and later), or customData."""
+    kinds = (attribute.GetHardLimits(), attribute.GetSoftLimits()) if hasattr(attribute, "GetHardLimits") else ()
+    pairs = [(one.GetMinimum(), one.GetMaximum()) for one in kinds]
+    data = attribute.GetCustomData()
+    pairs.append((data.get("minimum"), data.get("maximum")))
+    low, high = (next((one for one in ends if one is not None), None) for ends in zip(*pairs, strict=True))
+    for end in (low, high):
+        if end is not None and not (isinstance(end, int | float) and np.isfinite(end)):
+            raise InputError(str(attribute.GetPath()), f"limit {end}, expected a finite number")
+    if low is not None and high is not None and not low < high:
+        raise InputError(str(attribute.GetPath()), f"from {low:g} to {high:g}, expected a range")
+    return low, high
+
+
+def _sliders(stage: Usd.Stage) -> tuple[tuple[ControlTrack, ...], set[str]]:
+    """The sliders with time samples, and the shapes that these drive."""
+    tracks, driven = [], set()
+    for prim in prims_below(stage.GetPseudoRoot(), "stage"):
+        if tokens.FACE_API in prim.GetAppliedSchemas():
+            for slider in read_sliders(prim):
+                attribute = prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider.name}:value")
+                if attribute.GetNumTimeSamples():
+                    tracks.append(_of_slider(attribute, slider))
+                    driven |= {slider.name, *(shape for shape, _ in slider.shapes)}
+    return tuple(tracks), driven
+
+
+def _of_slider(attribute: Usd.Attribute, slider: Slider) -> ControlTrack:
+    return replace(
+        _track(attribute), name=slider.name, minimum=slider.minimum, maximum=slider.maximum, default=slider.default
+    )
+
+
+def _animations(stage: Usd.Stage) -> list[Usd.Prim]:
+    return [prim for prim in prims_below(stage.GetPseudoRoot(), "stage") if prim.IsA(UsdSkel.Animation)]
+
+
+def _playing(stage: Usd.Stage) -> Usd.Prim | None:
+    """The SkelAnimation with weights over time; of several, the one that a skeleton plays."""
+    prims = [one for one in _animations(stage) if UsdSkel.Animation(one).GetBlendShapeWeightsAttr().GetNumTimeSamples()]
+    if len(prims) < 2:
+        return prims[0] if prims else None
+    skeletons = (one for one in prims_below(stage.GetPseudoRoot(), "stage") if one.IsA(UsdSkel.Skeleton))
+    played = {UsdSkel.BindingAPI(one).GetInheritedAnimationSource().GetPath() for one in skeletons}
+    chosen = [one for one in prims if one.GetPath() in played]
+    if len(chosen) != 1:
+        some = ", ".join(str(one.GetName()) for one in prims[:6])
+        raise InputError(
+            some, f"{len(prims)} SkelAnimations with weights over time, expected one that a skeleton plays"
+        )
+    return chosen[0]
+
+
+@reads_prim
+def _shape_tracks(prim: Usd.Prim) -> tuple[Animation, tuple[ControlTrack, ...]]:
+    animation, where = read_animation(prim), str(prim.GetPath())
+    codes = np.array(UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples(), dtype=np.float64)
+    if animation.shape_weights is None:
+        return animation, ()
+    rate = prim.GetStage().GetTimeCodesPerSecond() or 24.0
+    rows = np.asarray(animation.shape_weights, np.float64)
+    if len(codes):  # samples of joints alone are none of the shapes
+        assert animation.times is not None
+        rows = rows[np.isin(animation.times, codes / rate)]
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad):
+        when = f" at time code {codes[bad[0]]:g}" if len(codes) else ""
+        raise InputError(f"{where}.blendShapeWeights", f"NaN or infinity{when}, expected finite numbers")
+    return animation, tuple(
+        ControlTrack(name=shape, where=f"{where} -> {shape}", codes=codes, values=rows[:, number], default=0.0)
+        for number, shape in enumerate(animation.shapes)
+    )
+
+
+def _clip(prim: Usd.Prim | None) -> Clip:
+    if prim is None:
+        return Clip(name="", tracks=())
+    animation, tracks = _shape_tracks(prim)
+    return Clip(name=animation.name, tracks=tracks, moves_joints=bool(animation.joints))
