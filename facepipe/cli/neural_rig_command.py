@@ -7,6 +7,7 @@ over time, and a point cache (docs/neural_rig.md). It needs the extra train (tor
 examples:
   facepipe neural-rig train head.usda -o head.fpnr
   facepipe neural-rig train head.usda -o head.fpnr --spread 2000 --width 256 --json
+  facepipe neural-rig train head.usda --clip head.usda --clip talk.usdc -o head.fpnr
   facepipe neural-rig train range_of_motion.usdc --controls /Rig/Controls -o head.fpnr
 """
 
@@ -39,6 +40,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     train.add_argument("--source", choices=("auto", "rig", "samples"), default="auto", help=kinds)
     prims = "prim whose custom numbers are the controls, in place of facepipe:control:*; may be given again"
     train.add_argument("--controls", action="append", default=[], metavar="PRIM", help=prims)
+    clip = "stage whose clips the face's own rig plays too, its own stage among them; may be given again"
+    train.add_argument("--clip", type=Path, action="append", default=[], metavar="STAGE", help=clip)
     add_options(train, SampleMotionOptions, "frames of a face's own rig")
     add_options(train, FrameBlocksOptions, "frames over time")
     add_options(train, TrainNeuralRigOptions, "training")
@@ -50,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions, save_neural_rig
     from facepipe.processors.neural_rig.neural_rig_file import SUFFIX
 
-    out = output_of(arguments, [arguments.data])
+    out = output_of(arguments, [arguments.data, *arguments.clip])
     if out.suffix != SUFFIX:
         raise InputError(out, f"suffix '{out.suffix}', expected {SUFFIX}")
     options = options_from(arguments, TrainNeuralRigOptions)
@@ -65,27 +68,52 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _motion(arguments: argparse.Namespace) -> Motion:
-    import facepipe
-    from facepipe.processors.neural_rig import FrameBlocksOptions, ReadMotion, SampleMotion, SampleMotionOptions
-    from facepipe.processors.neural_rig.sample_motion import controls_of
+    from facepipe.processors.neural_rig import FrameBlocksOptions, ReadMotion
+
+    if _over_time(arguments):
+        return ReadMotion(options=options_from(arguments, FrameBlocksOptions), prims=arguments.controls)(arguments.data)
+    return _sampled(arguments)
+
+
+def _over_time(arguments: argparse.Namespace) -> bool:
+    """Whether to learn from samples on the stage.
+
+    :raises InputError: flags that don't go together
+    """
     from facepipe.stage.read_controls import is_recorded
 
-    data, blocks = arguments.data, options_from(arguments, FrameBlocksOptions)
-    if arguments.controls and arguments.source == "rig":
-        raise InputError("--controls", "given with --source rig, expected samples over time")
-    if arguments.source == "samples" or arguments.controls or (arguments.source == "auto" and is_recorded(data)):
-        return ReadMotion(options=blocks, prims=arguments.controls)(data)
-    options = options_from(arguments, SampleMotionOptions)
-    parts = facepipe.open(data).parts()
-    with progress("frames", options.count(len(controls_of(parts)))) as bar:
-        return SampleMotion(options=options)(parts, str(data), bar.update)
+    for flag, given, other, expected in (
+        ("--controls", arguments.controls, "rig", "samples over time"),
+        ("--clip", arguments.clip, "samples", "a face's own rig to play it"),
+    ):
+        if given and arguments.source == other:
+            raise InputError(flag, f"given with --source {other}, expected {expected}")
+    if arguments.controls and arguments.clip:
+        raise InputError("--clip", "given with --controls, expected one of them")
+    if arguments.source != "auto" or arguments.clip:
+        return bool(arguments.source == "samples")
+    return bool(arguments.controls) or is_recorded(arguments.data)
+
+
+def _sampled(arguments: argparse.Namespace) -> Motion:
+    import facepipe
+    from facepipe.processors.neural_rig import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
+    from facepipe.processors.neural_rig.sample_motion import controls_of
+
+    options, parts = options_from(arguments, SampleMotionOptions), facepipe.open(arguments.data).parts()
+    controls, clips = controls_of(parts), None
+    if arguments.clip:
+        clips = ReadClips(options=options_from(arguments, FrameBlocksOptions))(arguments.clip, controls)
+    with progress("frames", options.count(len(controls)) + (len(clips.values) if clips else 0)) as bar:
+        return SampleMotion(options=options)(parts, str(arguments.data), bar.update, clips)
 
 
 def _text(out: Path, report: NeuralRigReport) -> str:
     rows = [("mm, on frames held out", "mean", "largest")]
     rows += [("neural rig", f"{report.error_mean_mm:.4f}", f"{report.error_max_mm:.3f}")]
     rows += [("best blendshapes", f"{report.linear_mean_mm:.4f}", f"{report.linear_max_mm:.3f}")]
-    of = "over time" if report.source == "samples" else "of the face's own rig"
+    own = "of the face's own rig"
+    of = {"samples": "over time", "rig and clips": f"{own} and of clips"}.get(report.source, own)
     learned = f"{out}: learned from {report.frames} frames {of}, checked on {report.held_out}; {report.shapes} shapes"
     left = f"no frame moves {', '.join(report.left_out)}" if report.left_out else ""
     return "\n".join(line for line in (learned, table(rows), left) if line)

@@ -34,7 +34,8 @@ class Motion:
     points: FloatArray  # (f, n, 3) millimetres
     rest: FloatArray  # (n, 3) millimetres, of all controls at their defaults
     blocks: IntArray  # (f,)
-    source: str = "rig"  # where frames are from: evaluated by facepipe's own rig, or "samples" of a stage
+    source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
+    warnings: tuple[str, ...] = ()  # on what of them was left out
 
     def __post_init__(self) -> None:
         self._check_sizes()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from facepipe.options import check_ranges
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.recorded_clips import RecordedClips
 from facepipe.processors.same_topology import world_to_world
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.neural_rig import Control
@@ -57,23 +58,35 @@ class SampleMotion:
 
     options: SampleMotionOptions = field(default_factory=SampleMotionOptions)
 
-    def __call__(self, parts: FaceParts, where: str, done: Callable[[], object] = lambda: None) -> Motion:
+    def __call__(
+        self,
+        parts: FaceParts,
+        where: str,
+        done: Callable[[], object] = lambda: None,
+        clips: RecordedClips | None = None,
+    ) -> Motion:
         """Frames of whole points, float32.
 
+        :param clips: frames of the face's controls to evaluate too
         :param done: called once for each frame
         :raises InputError: a face without controls, or no frame asked for
         """
         controls = controls_of(parts)
         if not controls:
             raise InputError(where, "has neither sliders nor shapes, expected something to set")
-        values, blocks = _plan(controls, self.options)
+        values: FloatArray = np.zeros((0, len(controls)))
+        blocks: IntArray = np.zeros(0, dtype=int)
+        if clips is None or self.options.count(len(controls)):
+            values, blocks = _plan(controls, self.options)
+        if clips is not None:
+            values, blocks = clips.after(values, blocks)
         evaluate = _Evaluation(parts, controls)
         rest = evaluate(np.array([control.default for control in controls]))
         points = np.empty((len(values), len(rest), 3), np.float32)
         for number, row in enumerate(values):
             points[number] = evaluate(row)
             done()
-        return Motion(
+        motion = Motion(
             where=where,
             topology=Topology.of(parts),
             controls=controls,
@@ -82,6 +95,7 @@ class SampleMotion:
             rest=rest,
             blocks=blocks,
         )
+        return motion if clips is None else replace(motion, source="rig and clips", warnings=clips.warnings)
 
 
 def controls_of(parts: FaceParts) -> tuple[Control, ...]:

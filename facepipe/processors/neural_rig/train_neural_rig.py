@@ -58,7 +58,7 @@ class NeuralRigReport(Report):
     linear_mean_mm: float  # of blendshapes, one a control, that fit the same frames best
     linear_max_mm: float
     left_out: tuple[str, ...]  # controls that no frame moves
-    source: str = "rig"  # of the frames: facepipe's own rig, or "samples" of a stage
+    source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,10 +116,9 @@ class TrainNeuralRig:
             last_bias=trained.last_bias,
             topology=motion.topology.digest,
         )
-        report = _report(rig, learned, checked)
-        return TrainedNeuralRig(
-            rig=rig, report=replace(report, steps=trained.steps, left_out=still, source=motion.source)
-        )
+        report = replace(_report(rig, learned, checked), steps=trained.steps, left_out=still)
+        report = replace(report, source=motion.source, warnings=motion.warnings)
+        return TrainedNeuralRig(rig=rig, report=report)
 
 
 def _report(rig: NeuralRig, learned: Motion, checked: Motion) -> NeuralRigReport:
