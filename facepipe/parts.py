@@ -192,7 +192,7 @@ class SliderNetwork:
     shapes: tuple[str, ...] = ()  # blendshape names
     weights: tuple[FloatArray, ...]  # (out, in) of each layer
     biases: tuple[FloatArray, ...]  # (out,) of each layer
-    activation: Literal["tanh", "relu"] = "tanh"
+    activation: Literal["tanh", "relu", "silu"] = "tanh"
     info: Mapping[str, object] = field(default_factory=dict)  # how it was made: JSON values
 
 

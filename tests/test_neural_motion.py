@@ -55,10 +55,12 @@ def test_a_stage_in_other_units_and_axes_gives_the_same_frames() -> None:
 
 
 def test_the_spread_is_even_in_each_control() -> None:
-    motion = SampleMotion(options=SampleMotionOptions(spread=50, sweep=0, together=0))(face(), "head.usda")
+    motion = SampleMotion(options=SampleMotionOptions(spread=50, busy=1.0, sweep=0, together=0))(face(), "head.usda")
     for column, (low, high) in zip(motion.values.T, ((-0.5, 1.0), (0.0, 1.0)), strict=True):
         assert np.array_equal(np.sort(((column - low) / (high - low) * 50).astype(int)), np.arange(50))
-    again = SampleMotion(options=SampleMotionOptions(spread=50, sweep=0, together=0, seed=1))(face(), "head.usda")
+    again = SampleMotion(options=SampleMotionOptions(spread=50, busy=1.0, sweep=0, together=0, seed=1))(
+        face(), "head.usda"
+    )
     assert not np.array_equal(motion.values, again.values)
 
 

@@ -24,6 +24,7 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
+from facepipe.rig import CHANNELS
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
@@ -149,3 +150,53 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     assert "suffix '.onnx', expected .fpnr" in err
     code, _, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
     assert code == 2
+
+
+def test_bones_are_learned_as_bones(motion: Motion, trained: TrainedNeuralRig, tmp_path: Path) -> None:
+    """Turns are straight in coefficients, so a few shapes and units do; files keep the bones."""
+    rig = trained.rig
+    assert rig.bones is not None
+    assert sorted(map(tuple, rig.channels.tolist())) == sorted(
+        (rig.bones.joints.index(joint), CHANNELS.index(channel))
+        for joint, channel in (("head/jaw", "rx"), ("head/eye", "ry"), ("head/jaw", "sz"))
+    )
+    alone = TrainNeuralRig(options=OPTIONS)(replace(motion, bones=None, coefficients=None))
+    assert alone.rig.bones is None
+    assert trained.report.shapes < alone.report.shapes
+    assert trained.report.error_mean_mm < alone.report.error_mean_mm
+    save_neural_rig(rig, tmp_path / "one.fpnr", {})
+    bones = load_neural_rig(tmp_path / "one.fpnr").bones
+    assert bones is not None
+    assert bones.joints == rig.bones.joints
+    assert np.allclose(bones.rest, rig.bones.rest)
+
+
+def test_unskinning_is_the_way_back(motion: Motion) -> None:
+    bones, coefficients = motion.bones, motion.coefficients
+    assert bones is not None
+    assert coefficients is not None
+    matrices = bones.skinning_matrices(bones.local_transforms(coefficients[7]))
+    moved = bones.points + np.random.default_rng(0).normal(size=bones.points.shape)
+    assert np.allclose(bones.unskin(bones.skin(moved, matrices), matrices), moved)
+    flat = matrices.copy()
+    flat[:, 1] = 0.0
+    found = bones.unskin(bones.skin(bones.points, flat), flat)
+    assert np.allclose(bones.skin(found, flat), bones.skin(bones.points, flat))
+    assert np.allclose(found, bones.points)
+
+
+def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
+    """Of twenty controls two act together: with sparse units, few frames are enough to see that."""
+    from facepipe.learn.network_fit import Samples, train
+
+    random = np.random.default_rng(0)
+    inputs = random.random((900, 20)) * (random.random((900, 20)) < 0.5)
+    outputs = np.stack([inputs[:, 3] * inputs[:, 7], inputs[:, 5] ** 2], axis=1)
+    parts = [Samples(inputs=inputs[rows], outputs=outputs[rows]) for rows in (slice(300), slice(300, 600))]
+    errors = []
+    for sparsity in (0.0, 0.2):
+        found = train(*parts, width=32, activation="silu", seed=0, steps=2000, patience=2000, sparsity=sparsity)
+        units = inputs[600:] @ found.hidden.T + found.hidden_bias
+        told = inputs[600:] @ found.linear + units / (1.0 + np.exp(-units)) @ found.last.T + found.last_bias
+        errors.append(np.sqrt(np.mean((told - outputs[600:]) ** 2)))
+    assert errors[1] < 0.5 * errors[0]

@@ -20,6 +20,7 @@ from facepipe.rig import build, slide
 from facepipe.rig.slider_network import kept, network_fault
 
 TOLERANCE = 1e-5
+ACTIVE = {"tanh": np.tanh, "relu": lambda x: max(x, 0.0), "silu": lambda x: x / (1.0 + np.exp(-x))}
 JOINTS = ("root", "root/jaw", "root/jaw/lip")
 
 
@@ -29,7 +30,7 @@ def by_hand(own: SliderNetwork, values: dict[str, float]) -> np.ndarray:
     x = [min(max(values[name], ranges[name][0]), ranges[name][1]) for name in own.sliders]
     for number, (weight, bias) in enumerate(zip(own.weights, own.biases, strict=True)):
         if number:
-            x = [np.tanh(one) if own.activation == "tanh" else max(one, 0.0) for one in x]
+            x = [ACTIVE[own.activation](one) for one in x]
         x = [
             sum(float(w) * one for w, one in zip(row, x, strict=True)) + float(b)
             for row, b in zip(weight, bias, strict=True)
@@ -37,7 +38,7 @@ def by_hand(own: SliderNetwork, values: dict[str, float]) -> np.ndarray:
     return np.array(x)
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
+@pytest.mark.parametrize("activation", ["tanh", "relu", "silu"])
 @pytest.mark.parametrize("hidden", [(), (7,), (5, 9, 4)])
 def test_adds_to_what_the_sliders_do(hidden: tuple[int, ...], activation: Any) -> None:
     own = network(hidden, activation)
@@ -55,7 +56,7 @@ def test_adds_to_what_the_sliders_do(hidden: tuple[int, ...], activation: Any) -
             assert weights[shape] - alone_weights.get(shape, 0.0) == pytest.approx(amount)
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
+@pytest.mark.parametrize("activation", ["tanh", "relu", "silu"])
 @pytest.mark.parametrize("hidden", [(), (7,), (5, 9, 4)])
 def test_the_graph_is_the_rig(hidden: tuple[int, ...], activation: Any, tmp_path: Path) -> None:
     parts = networked(network(hidden, activation))

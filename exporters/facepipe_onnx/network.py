@@ -16,7 +16,7 @@ from facepipe_onnx.ramps import Ramps
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
-_OPERATORS = {"tanh": "Tanh", "relu": "Relu"}
+_OPERATORS = {"tanh": "Tanh", "relu": "Relu", "silu": "Sigmoid"}
 
 
 def network_nodes(
@@ -37,8 +37,13 @@ def network_nodes(
         units = nodes.gather(risen, 1, inputs)
     for matrix, offset in layers[:-1]:
         constants = [nodes.constant("network_weight", matrix.T), nodes.constant("network_bias", offset)]
-        units = nodes.add(_OPERATORS[network.activation], nodes.add("Gemm", units, *constants))
+        units = _active(nodes, network.activation, nodes.add("Gemm", units, *constants))
     return _with_rows(rig, network, ramps, *layers[-1]), nodes.concat([risen, units], 1)
+
+
+def _active(nodes: Nodes, activation: str, values: str) -> str:
+    found = nodes.add(_OPERATORS[activation], values)
+    return nodes.add("Mul", values, found) if activation == "silu" else found
 
 
 def _first_layer(

@@ -111,6 +111,7 @@ def _sampled(arguments: argparse.Namespace) -> Motion:
 def _text(out: Path, report: NeuralRigReport) -> str:
     rows = [("mm, on frames held out", "mean", "largest")]
     rows += [("neural rig", f"{report.error_mean_mm:.4f}", f"{report.error_max_mm:.3f}")]
+    rows += [("ridge regression", f"{report.ridge_mean_mm:.4f}", f"{report.ridge_max_mm:.3f}")]
     rows += [("best blendshapes", f"{report.linear_mean_mm:.4f}", f"{report.linear_max_mm:.3f}")]
     own = "of the face's own rig"
     of = {"samples": "over time", "rig and clips": f"{own} and of clips"}.get(report.source, own)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
+
+_COLUMNS = 1 << 13
 
 
 def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[FloatArray, FloatArray]:
@@ -19,12 +23,18 @@ def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[Float
     """
     frames, points = len(deltas), deltas.shape[1]
     flat = np.asarray(deltas).reshape(frames, -1)
-    values, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
+    values, vectors = np.linalg.eigh(sum((piece @ piece.T for piece in _pieces(flat)), np.zeros((frames, frames))))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     left = np.append(np.cumsum(values[::-1])[::-1], 0.0)  # squares that the first r leave
     enough = int(np.argmax(left <= tolerance**2 * frames * points))
     solid = int(np.count_nonzero(values > 1e-10 * values[0])) if frames else 0
     count = max(1, min(enough, most, solid))
     sizes = np.sqrt(np.maximum(values[:count], np.finfo(np.float64).tiny))
-    shapes = ((vectors[:, :count] / sizes).T @ flat).reshape(count, points, 3)
-    return shapes, vectors[:, :count] * sizes
+    shapes = np.concatenate([(vectors[:, :count] / sizes).T @ piece for piece in _pieces(flat)], axis=1)
+    return shapes.reshape(count, points, 3), vectors[:, :count] * sizes
+
+
+def _pieces(flat: FloatArray) -> Iterator[FloatArray]:
+    """(f, some) columns as float64: all at once may be too much memory."""
+    for start in range(0, flat.shape[1], _COLUMNS):
+        yield flat[:, start : start + _COLUMNS].astype(np.float64)

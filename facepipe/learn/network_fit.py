@@ -21,7 +21,7 @@ FIRST_RATE, LAST_RATE = 1e-2, 1e-5
 CHECK_EVERY = 100  # steps
 RIDGE = 1e-9  # of the mean square of the features
 
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu}
+_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +49,11 @@ def train(
     checked: Samples,
     *,
     width: int,
-    activation: Literal["tanh", "relu"],
+    activation: Literal["tanh", "relu", "silu"],
     seed: int,
     steps: int,
     patience: int,
+    sparsity: float = 0.0,
     done: Callable[[], object] = lambda: None,
 ) -> Trained:
     """A network of `width` hidden units for `samples`, of least squared error: linear parts by least squares.
@@ -62,6 +63,8 @@ def train(
 
     :param checked: other samples; training stops where their error has not fallen for `patience` steps, and the best is
         taken
+    :param sparsity: how strongly weights of the hidden layer are drawn to 0, so that a unit takes few inputs and what
+        few of them do together is not mistaken for the others' doing; of the rate of Adam (proximal L1)
     :param done: called once for each step
     """
     with one_thread():
@@ -69,7 +72,7 @@ def train(
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
         left = [(x, y - x @ linear - offset) for x, y in parts]
         network = _Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed)
-        taken = _descend(network, left[0], left[1], seed, steps, patience, done)
+        taken = _descend(network, left[0], left[1], seed, steps, patience, sparsity, done)
         x, y = parts[0]
         hidden, hidden_bias, _, _ = network.parameters
         units = network.units(x).detach()
@@ -111,6 +114,12 @@ class _Network:
         _, _, last, last_bias = self.parameters
         return self.units(x) @ last.T + last_bias
 
+    def shrink(self, amount: float) -> None:
+        """Draw the weights of the hidden layer to 0."""
+        if amount > 0.0:
+            with torch.no_grad():
+                self.parameters[0].copy_(torch.nn.functional.softshrink(self.parameters[0], amount))
+
     def copied(self) -> list[Tensor]:
         """The parameters as they are now."""
         return [one.detach().clone() for one in self.parameters]
@@ -129,6 +138,7 @@ def _descend(
     seed: int,
     steps: int,
     patience: int,
+    sparsity: float,
     done: Callable[[], object],
 ) -> int:
     """Train in place; returns the steps taken. Outputs of all scales count by their squares, so scale them before."""
@@ -144,6 +154,7 @@ def _descend(
         loss = ((network(x[rows]) - y[rows]) / size).square().mean()
         loss.backward()
         optimiser.step()
+        network.shrink(sparsity * schedule.get_last_lr()[0])
         schedule.step()
         done()
         if step % CHECK_EVERY == 0 or step == steps:

@@ -13,7 +13,7 @@ from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS
 from facepipe.rig.slider_network import check_network
 
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu}
+_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 
 
 class DifferentiableNetwork:

@@ -21,6 +21,8 @@ from facepipe.rig.bone_coefficients import coefficient_matrices
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_FLAT = 1e-9  # of a volume: less, and there is no way back
+
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
@@ -117,6 +119,22 @@ class Rig:
         """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
         blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3])
+
+    def unskin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
+        """(n, 3) morphed points of (n, 3) world points under (j + 1, 4, 4) skinning matrices: the inverse of `skin`.
+
+        Where the matrices flatten a point's surroundings it is the one nearest to its place at bind time.
+        """
+        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        linear, off = blended[:, :, :3], points - blended[:, :, 3]
+        crossed = np.stack([np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)], axis=1)
+        volume = np.einsum("ni,ni->n", linear[:, 0], crossed[:, 0])
+        flat = np.abs(volume) < _FLAT
+        solved = np.einsum("nij,ni->nj", crossed, off) / np.where(flat, 1.0, volume)[:, None]  # Cramer's rule
+        for point in np.flatnonzero(flat):
+            rest = self.points[point]
+            solved[point] = rest + np.linalg.pinv(linear[point], rcond=_FLAT) @ (off[point] - linear[point] @ rest)
+        return np.asarray(solved)
 
     def evaluate(
         self,

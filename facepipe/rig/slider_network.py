@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit
 
 from facepipe.errors import InputError
 from facepipe.parts import Slider, SliderNetwork
@@ -18,6 +19,7 @@ FloatArray = npt.NDArray[np.floating]
 ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
+    "silu": lambda values: values * expit(values),
 }
 
 

@@ -3,9 +3,10 @@
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig, save_neural_rig
+from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
 from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
-from facepipe.processors.neural_rig.sample_motion import SampleMotion, SampleMotionOptions
+from facepipe.processors.neural_rig.sample_motion import SampleMotion
 from facepipe.processors.neural_rig.train_neural_rig import (
     NeuralRigReport,
     TrainedNeuralRig,

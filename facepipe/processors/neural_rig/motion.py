@@ -11,6 +11,7 @@ import numpy.typing as npt
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.processors.database import Topology
+from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control
 
 FloatArray = npt.NDArray[np.floating]
@@ -34,6 +35,8 @@ class Motion:
     points: FloatArray  # (f, n, 3) millimetres
     rest: FloatArray  # (n, 3) millimetres, of all controls at their defaults
     blocks: IntArray  # (f,)
+    bones: Rig | None = None  # in millimetres, without shapes; None: nothing is known of joints
+    coefficients: FloatArray | None = None  # (f, j, 9) of the bones, translations in millimetres
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
     warnings: tuple[str, ...] = ()  # on what of them was left out
 
@@ -45,6 +48,8 @@ class Motion:
             raise InputError(f"{self.where} -> {twice}", "two controls of this name, expected one")
         for values, what in ((self.values, "controls"), (self.points, "points"), (self.rest, "rest")):
             require_finite(values, self.where, what)
+        if self.coefficients is not None:
+            require_finite(self.coefficients, self.where, "bone coefficients")
         for number, control in enumerate(self.controls):
             _check_range(self.where, control, self.values[:, number])
 
@@ -57,9 +62,23 @@ class Motion:
             ("points", self.points, (frames, count, 3)),
             ("rest", self.rest, (count, 3)),
             ("blocks", self.blocks, (frames,)),
+            *self._bone_sizes(frames),
         ):
-            if np.shape(values) != shape:
-                raise TopologyError(f"{self.where} -> {what}", f"shape {np.shape(values)}, expected {shape}")
+            if values is None or values.shape != shape:
+                found = None if values is None else values.shape
+                raise TopologyError(f"{self.where} -> {what}", f"shape {found}, expected {shape}")
+
+    def _bone_sizes(self, frames: int) -> list[tuple[str, FloatArray | None, tuple[int, ...]]]:
+        joints = () if self.bones is None else (frames, len(self.bones.joints), 9)
+        return [("bone coefficients", self.coefficients, joints)] if joints or self.coefficients is not None else []
+
+    def morphed(self, frame: int) -> FloatArray:
+        """(n, 3) points of a frame before its bones moved them; those of the frame itself where there are none."""
+        points = np.asarray(self.points[frame], dtype=np.float64)
+        if self.bones is None or self.coefficients is None:
+            return points
+        local = self.bones.local_transforms(self.coefficients[frame])
+        return self.bones.unskin(points, self.bones.skinning_matrices(local))
 
     @property
     def constant(self) -> tuple[str, ...]:
@@ -74,7 +93,14 @@ class Motion:
 
     def frames(self, chosen: IntArray) -> Motion:
         """Some of the frames."""
-        return replace(self, values=self.values[chosen], points=self.points[chosen], blocks=self.blocks[chosen])
+        coefficients = None if self.coefficients is None else self.coefficients[chosen]
+        return replace(
+            self,
+            values=self.values[chosen],
+            points=self.points[chosen],
+            blocks=self.blocks[chosen],
+            coefficients=coefficients,
+        )
 
     def split(self, held_out: float, seed: int) -> tuple[Motion, Motion]:
         """Frames to learn from, and about a share `held_out` of them to check on: whole blocks, drawn by `seed`.

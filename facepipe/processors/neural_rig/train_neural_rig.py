@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.geometry.motion_basis import motion_basis
 from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.output_basis import OutputBasis
+from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
 from facepipe.reports import Report
-from facepipe.rig.neural_rig import NeuralRig, inputs
+from facepipe.rig.neural_rig import NeuralRig, from_default
+
+if TYPE_CHECKING:
+    from facepipe.learn.network_fit import Samples, Trained
 
 FloatArray = npt.NDArray[np.floating]
+
+_WATCHED = 0.1  # of the frames to learn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +32,7 @@ class TrainNeuralRigOptions:
     :raises InputError: a number out of range
     """
 
-    width: int = field(default=128, metadata={"help": "units of the hidden layer", "range": (1, 4096)})
+    width: int = field(default=256, metadata={"help": "units of the hidden layer", "range": (1, 4096)})
     shapes: int = field(default=128, metadata={"help": "most shapes that motion is a sum of", "range": (1, 2048)})
     tolerance_mm: float = field(
         default=0.01,
@@ -35,6 +42,10 @@ class TrainNeuralRigOptions:
         default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
     )
     steps: int = field(default=6000, metadata={"help": "most steps of training", "range": (1, 1e7)})
+    sparsity: float = field(
+        default=0.2,
+        metadata={"help": "how strongly a unit of the hidden layer is held to few controls", "range": (0.0, 10.0)},
+    )
     patience: int = field(
         default=1000, metadata={"help": "steps without a better check that end it", "range": (1, 1e7)}
     )
@@ -51,12 +62,15 @@ class NeuralRigReport(Report):
     frames: int
     held_out: int
     shapes: int
+    channels: int  # of bones that move
     steps: int
     motion_mean_mm: float  # of the held-out frames, from rest
     error_mean_mm: float
     error_max_mm: float
     linear_mean_mm: float  # of blendshapes, one a control, that fit the same frames best
     linear_max_mm: float
+    ridge_mean_mm: float  # of ridge regression to principal components
+    ridge_max_mm: float
     left_out: tuple[str, ...]  # controls that no frame moves
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
 
@@ -71,10 +85,11 @@ class TrainedNeuralRig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainNeuralRig:
-    """Principal shapes of the motion, and their activations by a linear map with a layer of tanh beside it.
+    """Bones as they are known, principal shapes of what they leave of the motion, and coefficients and activations by a
+    linear map with a layer of sparse units beside it.
 
-    Source: neural-face-rig, the first submodel's forward direction (S101, S301); the low rank and the exact linear part
-    are ours.
+    Source: neural-face-rig, the first submodel's forward direction (S101, S301); bones, low rank, the exact linear part
+    and sparse units are ours.
     """
 
     options: TrainNeuralRigOptions = field(default_factory=TrainNeuralRigOptions)
@@ -85,70 +100,80 @@ class TrainNeuralRig:
         :param done: called once for each step
         :raises InputError: no control that moves, or a single block of frames
         """
-        from facepipe.learn.network_fit import Samples, train
+        from facepipe.learn.network_fit import train
 
         options, still = self.options, motion.constant
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
-        motion = motion.without(still)
-        learned, checked = motion.split(options.held_out, options.seed)
-        shapes, activations = motion_basis(learned.points - motion.rest, options.tolerance_mm, options.shapes)
-        flat = shapes.reshape(len(shapes), -1)
-        of_checked = (checked.points - motion.rest).reshape(len(checked.values), -1) @ flat.T
+        learned, checked = motion.without(still).split(options.held_out, options.seed)
+        taught, watched = _watched(learned, options)
+        basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes)
         trained = train(
-            Samples(inputs=inputs(motion.controls, learned.values), outputs=activations),
-            Samples(inputs=inputs(motion.controls, checked.values), outputs=of_checked),
+            _samples(taught, basis),
+            _samples(watched, basis),
             width=options.width,
-            activation="tanh",
+            activation="silu",
             seed=options.seed,
             steps=options.steps,
             patience=options.patience,
+            sparsity=options.sparsity,
             done=done,
         )
-        rig = NeuralRig(
-            controls=motion.controls,
-            rest=motion.rest,
-            shapes=shapes,
-            linear=trained.linear,
-            hidden=trained.hidden,
-            hidden_bias=trained.hidden_bias,
-            last=trained.last,
-            last_bias=trained.last_bias,
-            topology=motion.topology.digest,
-        )
-        report = replace(_report(rig, learned, checked), steps=trained.steps, left_out=still)
+        rig = _assembled(learned, basis, trained)
+        report = replace(_report(rig, learned, checked, options), steps=trained.steps, left_out=still)
         report = replace(report, source=motion.source, warnings=motion.warnings)
         return TrainedNeuralRig(rig=rig, report=report)
 
 
-def _report(rig: NeuralRig, learned: Motion, checked: Motion) -> NeuralRigReport:
-    off, linear_off, moved = [], [], []
-    linear = _linear(learned)
-    x = _with_one(inputs(checked.controls, checked.values))
-    for row, values, points in zip(x, checked.values, checked.points, strict=True):
-        off.append(np.linalg.norm(rig.points(values) - points, axis=1))
-        linear_off.append(np.linalg.norm(rig.rest + (row @ linear).reshape(-1, 3) - points, axis=1))
-        moved.append(np.linalg.norm(points - rig.rest, axis=1))
+def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, Motion]:
+    """Frames to learn, and some whose error says when to stop, which are not those that the report is on."""
+    if len(np.unique(learned.blocks)) < 2:
+        return learned, learned
+    return learned.split(_WATCHED, options.seed)
+
+
+def _samples(motion: Motion, basis: OutputBasis) -> Samples:
+    from facepipe.learn.network_fit import Samples
+
+    return Samples(inputs=from_default(motion.controls, motion.values), outputs=basis.outputs(motion))
+
+
+def _assembled(motion: Motion, basis: OutputBasis, trained: Trained) -> NeuralRig:
+    return NeuralRig(
+        controls=motion.controls,
+        rest=basis.rest,
+        shapes=basis.shapes,
+        linear=trained.linear / basis.sizes,
+        hidden=trained.hidden,
+        hidden_bias=trained.hidden_bias,
+        last=trained.last / basis.sizes[:, None],
+        last_bias=trained.last_bias / basis.sizes,
+        topology=motion.topology.digest,
+        bones=motion.bones,
+        channels=basis.channels,
+    )
+
+
+def _report(rig: NeuralRig, learned: Motion, checked: Motion, options: TrainNeuralRigOptions) -> NeuralRigReport:
+    models: list[NeuralRig | Straight] = [rig, best_blendshapes(learned)]
+    models.append(ridge(learned, options.tolerance_mm, options.shapes))
+    off: list[list[FloatArray]] = [[], [], []]
+    for values, points in zip(checked.values, checked.points, strict=True):
+        for own, one in zip(off, models, strict=True):
+            own.append(np.linalg.norm(one.points(values) - points, axis=1))
+    mean, largest = ([float(measure(one)) for one in off] for measure in (np.mean, np.max))
     return NeuralRigReport(
         frames=len(learned.values),
         held_out=len(checked.values),
         shapes=len(rig.shapes),
+        channels=len(rig.channels),
         steps=0,
-        motion_mean_mm=float(np.mean(moved)),
-        error_mean_mm=float(np.mean(off)),
-        error_max_mm=float(np.max(off)),
-        linear_mean_mm=float(np.mean(linear_off)),
-        linear_max_mm=float(np.max(linear_off)),
+        motion_mean_mm=float(np.linalg.norm(checked.points - checked.rest, axis=2).mean()),
+        error_mean_mm=mean[0],
+        error_max_mm=largest[0],
+        linear_mean_mm=mean[1],
+        linear_max_mm=largest[1],
+        ridge_mean_mm=mean[2],
+        ridge_max_mm=largest[2],
         left_out=(),
     )
-
-
-def _linear(motion: Motion) -> FloatArray:
-    """(c + 1, 3n) least-squares blendshapes of the controls, and an offset."""
-    x = _with_one(inputs(motion.controls, motion.values))
-    deltas = (motion.points - motion.rest).reshape(len(x), -1)
-    return np.asarray(np.linalg.lstsq(x, deltas, rcond=None)[0])
-
-
-def _with_one(x: FloatArray) -> FloatArray:
-    return np.concatenate([x, np.ones((len(x), 1))], axis=1)
