@@ -24,7 +24,10 @@ CHANNELS = (("root/jaw", "rx"), ("root/jaw", "tz"), ("root/jaw/lip", "sy"))
 
 
 def network(
-    hidden: Sequence[int] = (16,), activation: Literal["tanh", "relu", "silu"] = "tanh", seed: int = 0, size: float = 0.1
+    hidden: Sequence[int] = (16,),
+    activation: Literal["tanh", "relu", "silu"] = "tanh",
+    seed: int = 0,
+    size: float = 0.1,
 ) -> SliderNetwork:
     """A random network over four sliders of `SLIDERS`, one of a single value, that adds to bones and shapes."""
     random = np.random.default_rng(seed)

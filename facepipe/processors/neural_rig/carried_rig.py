@@ -1,0 +1,98 @@
+"""A neural rig carried to another face of its topology, by deformation transfer of its shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import TopologyError
+from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.parts import FaceParts
+from facepipe.processors.database import Topology, whole_points
+from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.rig import Rig, build
+from facepipe.rig.bone_coefficients import CHANNELS
+from facepipe.rig.bones import bones_in
+from facepipe.rig.neural_rig import NeuralRig
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """A face that has no rig of its own yet."""
+
+    where: str
+    topology: Topology
+    rest: FloatArray  # (n, 3) millimetres, Y up
+    bones: Rig | None  # of its skeleton, in millimetres; None without joints
+
+    @classmethod
+    def of(cls, parts: FaceParts, where: str) -> Subject:
+        """The subject of a face stage."""
+        own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+        bones = bones_in(own, to) if own.joints else None
+        return cls(where=where, topology=Topology.of(parts), rest=whole_points(parts), bones=bones)
+
+    def checked(self, rig: NeuralRig) -> Subject:
+        """The same.
+
+        :raises TopologyError: other meshes or joints than those of the rig
+        """
+        if self.topology.digest != rig.topology:
+            raise TopologyError(self.where, "other meshes than those of the neural rig, expected its topology")
+        own = () if self.bones is None else self.bones.joints
+        if rig.bones is not None and own != rig.bones.joints:
+            expected = f"expected the rig's {len(rig.bones.joints)} (facepipe skin --from gives a face another's)"
+            raise TopologyError(self.where, f"{len(own)} joints that are not those of the neural rig, {expected}")
+        return self
+
+
+def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
+    """The rig on the subject: its own rest and bones, and shapes that take over the deformation; not orthonormal.
+
+    Translations of bones are brought to the subject's size.
+
+    :raises TopologyError: other meshes or joints than those of the rig
+    """
+    subject.checked(rig)
+    bones = subject.bones if rig.bones is not None else None
+    rest = subject.rest if bones is None else bones.points
+    transfer = Transfer(rest, subject.topology.triangles, np.zeros(len(rest), bool))
+    sizes = reach(rig)[: len(rig.shapes)]
+    shapes = np.empty_like(rig.shapes)
+    for number, (shape, size) in enumerate(zip(rig.shapes, sizes, strict=True)):
+        there = rig.rest + size * shape
+        shapes[number] = (transfer.solve(rig.rest[None], there[None]) - rest) / size
+    scale = np.ones(len(rig.shapes) + len(rig.channels))
+    moves = rig.channels[:, 1] < CHANNELS.index("rx")
+    scale[len(rig.shapes) :][moves] = _size(rest) / _size(rig.rest)
+    return replace(
+        rig,
+        rest=rest,
+        bones=bones,
+        shapes=shapes,
+        linear=rig.linear * scale,
+        last=rig.last * scale[:, None],
+        last_bias=rig.last_bias * scale,
+    )
+
+
+def reach(rig: NeuralRig) -> FloatArray:
+    """(r + m,) how far each output goes as controls go to their limits one by one, and all at random."""
+    low, high, rest = (
+        np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")
+    )
+    random = np.random.default_rng(0).random((256, len(rest)))
+    alone = np.repeat(rest[None], 2 * len(rest), axis=0)
+    each = np.arange(len(rest))
+    alone[each, each], alone[len(rest) + each, each] = low, high
+    found = np.abs(rig.outputs(np.concatenate([alone, low + random * (high - low)]))).max(axis=0)
+    return np.asarray(np.maximum(found, np.finfo(np.float32).eps))
+
+
+def _size(points: FloatArray) -> float:
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -1,0 +1,126 @@
+"""Neural rigs carried to other subjects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_neural_rig import OPTIONS, SAMPLES, turning_face
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.geometry.point_ridge import Examples
+from facepipe.parts import FaceParts
+from facepipe.processors.neural_rig import Motion, SampleMotion, SampleMotionOptions, TrainNeuralRig
+from facepipe.processors.neural_rig.carried_rig import Subject, carried
+from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, RetargetOptions, frames_of_first
+from facepipe.rig.neural_rig import NeuralRig
+
+pytest.importorskip("torch")
+FRAMES = SampleMotionOptions(spread=60, sweep=0, together=0, seed=3)
+OTHERS = replace(FRAMES, seed=4)
+
+
+_OWN = {"smile": 1.6 * np.eye(3), "jawOpen": np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [0.0, 0.0, 1.0]])}
+
+
+def second_face() -> FaceParts:
+    """Another person, whose smile is stronger, and whose mouth opens to one side."""
+    parts = turning_face()
+    meshes = []
+    for mesh in parts.meshes:
+        wide = mesh.points * np.array([1.15, 0.95, 1.05])
+        shapes = tuple(replace(one, offsets=one.offsets @ _OWN[one.name]) for one in mesh.blendshapes)
+        meshes.append(replace(mesh, points=wide, blendshapes=shapes))
+    return replace(parts, meshes=tuple(meshes))
+
+
+@pytest.fixture(scope="module")
+def rig() -> NeuralRig:
+    return TrainNeuralRig(options=OPTIONS)(SampleMotion(options=SAMPLES)(turning_face(), "head.usda")).rig
+
+
+def motion(options: SampleMotionOptions) -> Motion:
+    return SampleMotion(options=options)(second_face(), "second.usda")
+
+
+def off(rig: NeuralRig, frames: Motion) -> float:
+    return float(np.linalg.norm(rig.points(frames.values) - frames.points, axis=2).mean())
+
+
+def test_carried_to_its_own_face_a_rig_is_as_it_was(rig: NeuralRig) -> None:
+    same = carried(rig, Subject.of(turning_face(), "head.usda"))
+    values = motion(FRAMES).values[:5]
+    assert np.allclose(same.points(values), rig.points(values), atol=1e-3)
+
+
+def test_a_larger_face_in_other_units_moves_as_much_more(rig: NeuralRig) -> None:
+    """What is twice as large moves twice as far, bones too."""
+    parts = turning_face()
+    large = carried(rig, Subject.of(replace(parts, meters_per_unit=2.0 * parts.meters_per_unit), "large.usda"))
+    values = motion(FRAMES).values[:5]
+    assert np.allclose(large.points(values), 2.0 * rig.points(values), atol=2e-3)
+
+
+def test_frames_of_the_subject_bring_what_is_its_own(rig: NeuralRig) -> None:
+    subject, unseen = Subject.of(second_face(), "second.usda"), motion(OTHERS)
+    seen = motion(FRAMES)
+    found = RetargetNeuralRig()(rig, subject, seen.values, seen.points)
+    print(found.report)
+    assert off(found.rig, unseen) < 0.5 * off(carried(rig, subject), unseen)
+    assert found.report.error_mean_mm < 0.7 * min(found.report.transfer_mean_mm, found.report.copy_mean_mm)
+    assert (found.report.frames, found.report.held_out) == (51, 9)
+    flat = found.rig.shapes.reshape(len(found.rig.shapes), -1)
+    assert np.allclose(flat @ flat.T, np.eye(len(flat)), atol=1e-8)
+
+
+def test_where_frames_are_silent_the_deformation_is_transferred(rig: NeuralRig) -> None:
+    """Frames that never smile leave the smile as it was carried over."""
+    subject, seen = Subject.of(second_face(), "second.usda"), motion(FRAMES)
+    smile = [one.name for one in rig.controls].index("smile")
+    silent = seen.values.copy()
+    silent[:, smile] = 0.0
+    base = carried(rig, subject)
+    points = base.points(silent)
+    found = RetargetNeuralRig(options=RetargetOptions(noise_mm=0.1))(rig, subject, silent, points).rig
+    assert np.allclose(found.points(seen.values), base.points(seen.values), atol=0.05)
+
+
+def test_noise_keeps_chance_out() -> None:
+    """Of thirty inputs two move a point; twenty noisy examples don't make the others move it as much."""
+    random = np.random.default_rng(0)
+    inputs = random.random((20, 30))
+    strengths = np.full((30, 6), 0.02)
+    strengths[:2] = 1.0
+    true = np.zeros((30, 6, 3))
+    true[:2] = random.normal(size=(2, 6, 3))
+    moved = np.tensordot(inputs, true, axes=1) + 0.05 * random.normal(size=(20, 6, 3))
+    examples = Examples(inputs=inputs, own=np.zeros((20, 6, 3)), strengths=strengths, moved=moved)
+    others = random.random((200, 30))
+    errors = [
+        np.abs(examples.maps(noise)(others, np.zeros((200, 6, 3))) - np.tensordot(others, true, axes=1)).mean()
+        for noise in (1e-6, examples.best_noise(10.0 ** np.arange(-3.0, 1.0, 0.5)))
+    ]
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_frames_come_back_to_the_first_subject(rig: NeuralRig) -> None:
+    """The same person in both places: transferred frames are the frames."""
+    subject = Subject.of(turning_face(), "head.usda")
+    frames = rig.points(motion(FRAMES).values[:4])
+    assert np.allclose(frames_of_first(rig, subject, subject, frames), frames, atol=1e-6)
+
+
+def test_what_does_not_fit_is_told(rig: NeuralRig) -> None:
+    subject, seen = Subject.of(second_face(), "second.usda"), motion(FRAMES)
+    retarget = RetargetNeuralRig()
+    with pytest.raises(InputError, match=r"second\.usda: 1 frames, expected two or more"):
+        retarget(rig, subject, seen.values[:1], seen.points[:1])
+    with pytest.raises(TopologyError, match=r"second\.usda -> controls: shape .* expected"):
+        retarget(rig, subject, seen.values[:5], seen.points)
+    with pytest.raises(InputError, match="NaN"):
+        retarget(rig, subject, seen.values, np.where(seen.points == seen.points.max(), np.nan, seen.points))
+    with pytest.raises(TopologyError, match="other meshes than those of the neural rig"):
+        retarget(replace(rig, topology="else"), subject, seen.values, seen.points)
+    with pytest.raises(TopologyError, match="joints that are not those of the neural rig"):
+        retarget(rig, replace(subject, bones=None), seen.values, seen.points)
