@@ -1,11 +1,13 @@
 """ONNX: the rig of a face, or its sliders, as one graph that game engines evaluate, and the reference runtime.
 
-`export` writes a graph and its sidecar; `Deformer` runs it with onnxruntime; `validate` checks a file.
+`export` writes a graph and its sidecar, `export_encoder` those of a neural rig's encoder; `Deformer` runs a graph with
+onnxruntime; `validate` checks a file.
 """
 
+from facepipe_onnx.encoder_writer import export_encoder
 from facepipe_onnx.options import Options
 from facepipe_onnx.runtime import Deformer
 from facepipe_onnx.verify import validate
 from facepipe_onnx.writer import export, export_parts, outputs
 
-__all__ = ["Deformer", "Options", "export", "export_parts", "outputs", "validate"]
+__all__ = ["Deformer", "Options", "export", "export_encoder", "export_parts", "outputs", "validate"]

@@ -31,4 +31,10 @@ SLIDERS = Kind(
     frozenset({"coefficients", "skinning_matrices", "morph_weights", "points", "normals"}),
     (frozenset({"sliders", "coefficients", "skinning_matrices"}), frozenset({"sliders", "morph_weights"})),
 )
-KINDS = (DEFORMER, SLIDERS)
+ENCODER = Kind(
+    "facepipe encoder",
+    frozenset({"points"}),
+    frozenset({"controls"}),
+    (frozenset({"points", "controls"}),),
+)
+KINDS = (DEFORMER, SLIDERS, ENCODER)

@@ -10,4 +10,4 @@ PER_FRAME = frozenset(
     {"Clip", "Gemm", "MatMul", "Add", "Sub", "Mul", "Relu", "Tanh", "Sigmoid", "Sin", "Cos"}
     | {"Concat", "Slice", "Reshape", "Transpose", "Gather"}
 )
-FURTHER = frozenset({"Div", "Sqrt"})  # normals only; declared in the sidecar where a graph uses them
+FURTHER = frozenset({"Div", "Softmax", "Sqrt"})  # normals and encoders; declared in the sidecar where a graph uses them

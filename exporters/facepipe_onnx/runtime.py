@@ -35,7 +35,7 @@ class Deformer:
         jointed = self._inputs.get("coefficients", self._inputs.get("joint_transforms", given.get("coefficients", {})))
         self.joints: tuple[str, ...] = tuple(jointed.get("joints", ()))
         self.outputs: tuple[str, ...] = tuple(given)
-        self._defaults = {name: self._default(name) for name in self._inputs}
+        self._defaults = {name: self._default(name) for name, one in self._inputs.items() if not one.get("required")}
         self._session = self._start(model.SerializeToString(), threads)
 
     def evaluate(
@@ -76,11 +76,14 @@ class Deformer:
         """All outputs by name, with batch axis.
 
         :param feeds: inputs by name, with or without batch axis; those not given have their defaults
-        :raises InputError: unknown inputs, wrong shapes, or numbers that are not finite in float32
+        :raises InputError: unknown inputs, missing ones, wrong shapes, or numbers that are not finite in float32
         """
         full = dict(self._defaults)
         for name, values in feeds.items():
             full[name] = self._fed(name, values)
+        for name in sorted(self._inputs.keys() - full.keys()):
+            shape = tuple(self._inputs[name]["shape"][1:])
+            raise InputError(f"{self.path} -> {name}", f"not given, expected numbers of shape {shape}")
         try:
             results = self._session.run(list(self.outputs), full)
         except Exception as error:  # onnxruntime's errors share no other base

@@ -63,7 +63,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         model = build(whole, options, triangles=triangles)
     network = slider_graph.select_network(whole, parts.slider_network, names)
     metadata = describe(parts, rig, options, operators(model), sliders, network)
-    data = _serialised(model, metadata, parts.name)
+    data = serialised(model, metadata, parts.name)
     with replacing(target) as graph_file, replacing(beside) as text_file:
         graph_file.write_bytes(data)
         text_file.write_text(sidecar.to_text(metadata), encoding="utf-8", newline="\n")
@@ -88,7 +88,11 @@ def outputs(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     return target, sidecar.path_of(target)
 
 
-def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
+def serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
+    """The bytes of a model with its metadata.
+
+    :raises ExportError: more than a file holds, or anything that `problems` finds
+    """
     for key, value in sidecar.to_properties(metadata).items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value

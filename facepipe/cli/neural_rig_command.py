@@ -23,12 +23,17 @@ from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion, NeuralRigReport
+    from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments of each action."""
-    from facepipe.processors.neural_rig import FrameBlocksOptions, SampleMotionOptions, TrainNeuralRigOptions
+    from facepipe.processors.neural_rig import (
+        FrameBlocksOptions,
+        SampleMotionOptions,
+        TrainEncoderOptions,
+        TrainNeuralRigOptions,
+    )
 
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser)
     example = "example: facepipe neural-rig train head.usda -o head.fpnr"
@@ -45,6 +50,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add_options(train, SampleMotionOptions, "frames of a face's own rig")
     add_options(train, FrameBlocksOptions, "frames over time")
     add_options(train, TrainNeuralRigOptions, "training")
+    add_options(train, TrainEncoderOptions, "encoder")
+    train.add_argument("--no-encoder", action="store_true", help="train no encoder, from points back to controls")
     train.add_argument("--json", action="store_true", help="print the report as JSON")
 
 
@@ -60,11 +67,24 @@ def run(arguments: argparse.Namespace) -> int:
     motion = _motion(arguments)
     with progress("train", options.steps) as bar:
         trained = TrainNeuralRig(options=options)(motion, bar.update)
+    encoded = _encoder(arguments, motion)
     report = json.loads(trained.report.to_json())
-    save_neural_rig(trained.rig, out, report)
+    report["encoder"] = json.loads(encoded.report.to_json()) if encoded else None
+    save_neural_rig(trained.rig, out, report, encoded.encoder if encoded else None)
     warn(trained.report.warnings)
-    emit({"path": str(out), **report}, _text(out, trained.report), as_json=arguments.json)
+    text = [_text(out, trained.report), *([_encoder_text(encoded.report)] if encoded else [])]
+    emit({"path": str(out), **report}, "\n".join(text), as_json=arguments.json)
     return 0
+
+
+def _encoder(arguments: argparse.Namespace, motion: Motion) -> TrainedEncoder | None:
+    from facepipe.processors.neural_rig import TrainEncoder, TrainEncoderOptions
+
+    if arguments.no_encoder:
+        return None
+    options = options_from(arguments, TrainEncoderOptions)
+    with progress("encoder", options.encoder_steps) as bar:
+        return TrainEncoder(options=options)(motion, bar.update)
 
 
 def _motion(arguments: argparse.Namespace) -> Motion:
@@ -118,3 +138,13 @@ def _text(out: Path, report: NeuralRigReport) -> str:
     learned = f"{out}: learned from {report.frames} frames {of}, checked on {report.held_out}; {report.shapes} shapes"
     left = f"no frame moves {', '.join(report.left_out)}" if report.left_out else ""
     return "\n".join(line for line in (learned, table(rows), left) if line)
+
+
+def _encoder_text(report: EncoderReport) -> str:
+    rows = [("controls off, % of their range", "mean", "median control")]
+    for name, mean, median in (
+        ("encoder", report.error_mean, report.error_median),
+        ("ridge regression", report.ridge_mean, report.ridge_median),
+    ):
+        rows.append((name, f"{100 * mean:.2f}", f"{100 * median:.2f}"))
+    return table(rows)

@@ -2,11 +2,17 @@
 
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
-from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig, save_neural_rig
+from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
 from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
 from facepipe.processors.neural_rig.sample_motion import SampleMotion
+from facepipe.processors.neural_rig.train_encoder import (
+    EncoderReport,
+    TrainedEncoder,
+    TrainEncoder,
+    TrainEncoderOptions,
+)
 from facepipe.processors.neural_rig.train_neural_rig import (
     NeuralRigReport,
     TrainedNeuralRig,
@@ -15,6 +21,7 @@ from facepipe.processors.neural_rig.train_neural_rig import (
 )
 
 __all__ = [
+    "EncoderReport",
     "FrameBlocksOptions",
     "Motion",
     "NeuralRigReport",
@@ -23,9 +30,13 @@ __all__ = [
     "RecordedClips",
     "SampleMotion",
     "SampleMotionOptions",
+    "TrainEncoder",
+    "TrainEncoderOptions",
     "TrainNeuralRig",
     "TrainNeuralRigOptions",
+    "TrainedEncoder",
     "TrainedNeuralRig",
+    "load_encoder",
     "load_neural_rig",
     "save_neural_rig",
 ]

@@ -12,7 +12,9 @@ from scipy import sparse
 
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
+from facepipe.processors.neural_rig import encoder_arrays
 from facepipe.rig import Rig
+from facepipe.rig.neural_encoder import NeuralEncoder
 from facepipe.rig.neural_rig import Control, NeuralRig
 
 KIND = "facepipe neural rig 1"
@@ -23,15 +25,19 @@ _BONE_TEXTS = ("name", "mesh_names", "joints")
 _SPARSE = ("data", "indices", "indptr")
 
 
-def save_neural_rig(rig: NeuralRig, path: Path, report: Mapping[str, Any]) -> None:
+def save_neural_rig(
+    rig: NeuralRig, path: Path, report: Mapping[str, Any], encoder: NeuralEncoder | None = None
+) -> None:
     """Write atomically; float32.
 
     :param report: JSON of its training
-    :raises InputError: another suffix than .fpnr, or a file that can't be written
+    :param encoder: from points back to the controls, if there is one
+    :raises InputError: another suffix than .fpnr, an encoder of other controls, or a file that can't be written
+    :raises TopologyError: an encoder of another topology
     """
     if path.suffix != SUFFIX:
         raise InputError(path, f"suffix '{path.suffix}', expected {SUFFIX}")
-    content = {
+    content: dict[str, Any] = {
         "controls": [dataclasses.asdict(control) for control in rig.controls],
         "topology": rig.topology,
         "report": dict(report),
@@ -42,6 +48,10 @@ def save_neural_rig(rig: NeuralRig, path: Path, report: Mapping[str, Any]) -> No
         arrays |= {f"bones.{name}": np.asarray(getattr(rig.bones, name)) for name in _BONE_ARRAYS}
         arrays |= {f"bones.weights.{name}": np.asarray(getattr(rig.bones.influences, name)) for name in _SPARSE}
         arrays["channels"] = rig.channels
+    if encoder is not None:
+        _check_encoder(path, rig, encoder)
+        content[encoder_arrays.KEY], more = encoder_arrays.to_arrays(encoder)
+        arrays |= more
     write_arrays(path, KIND, content, arrays)
 
 
@@ -59,6 +69,20 @@ def load_neural_rig(path: Path) -> NeuralRig:
         raise InputError(path, f"lacks {error}, expected a neural rig") from None
     _check_sizes(path, rig)
     return rig
+
+
+def load_encoder(path: Path) -> NeuralEncoder:
+    """The encoder in the file of a neural rig.
+
+    :raises InputError: not readable, damaged, not such a file, or one without an encoder
+    """
+    return encoder_arrays.from_arrays(path, read_arrays(path, KIND))
+
+
+def _check_encoder(path: Path, rig: NeuralRig, encoder: NeuralEncoder) -> None:
+    encoder.check(rig.topology, f"{path} -> encoder")
+    if encoder.controls != rig.controls:
+        raise InputError(f"{path} -> encoder", "other controls than the rig's, expected the same in the same order")
 
 
 def _bones(path: Path, rig: NeuralRig, found: Content) -> Rig:

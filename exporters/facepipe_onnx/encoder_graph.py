@@ -1,0 +1,84 @@
+"""The encoder of a neural rig as a graph: points to the controls that bring them there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from facepipe.rig.neural_encoder import EPSILON, EncoderLayer, NeuralEncoder
+from facepipe_onnx.model import make_model
+from facepipe_onnx.nodes import Nodes
+
+
+def build(encoder: NeuralEncoder, name: str = "face") -> Any:
+    """The `onnx.ModelProto`, without metadata: ``points`` [1, n, 3] to ``controls`` [1, c], clamped to their limits.
+
+    :param name: of the face, for messages
+    :raises ExportError: numbers beyond float32
+    """
+    nodes = Nodes()
+    count, tokens = len(encoder.chosen), len(encoder.places)
+    chosen = nodes.gather("points", 1, encoder.chosen)
+    offsets = nodes.add("Sub", chosen, nodes.constant("rest", encoder.rest))
+    hidden = _affine(nodes, offsets, "point", encoder.point / encoder.scale, encoder.point_bias)
+    features = _affine(nodes, nodes.add("Tanh", hidden), "feature", encoder.feature, encoder.feature_bias)
+    rows = nodes.reshape(features, tokens, len(encoder.token))
+    value = _affine(nodes, rows, "token", encoder.token, encoder.places)
+    norm = _Norm(nodes, encoder.token.shape[1])
+    for layer in encoder.layers:
+        value = nodes.add("Add", value, _attention(nodes, norm(value), layer, encoder.heads))
+        wide = nodes.add("Relu", _affine(nodes, norm(value), "widen", layer.widen, layer.widen_bias))
+        value = nodes.add("Add", value, _affine(nodes, wide, "narrow", layer.narrow, layer.narrow_bias))
+    flat = nodes.reshape(value, 1, len(encoder.reduce))
+    reduced = nodes.add("Tanh", _affine(nodes, flat, "reduce", encoder.reduce, encoder.reduce_bias))
+    bent = nodes.add("MatMul", reduced, nodes.constant("last", encoder.last))
+    straight = _affine(nodes, nodes.reshape(offsets, 1, 3 * count), "straight", encoder.straight, encoder.offset)
+    _in_own_units(nodes, encoder, nodes.add("Add", bent, straight))
+    inputs = {"points": (1, encoder.point_count, 3)}
+    return make_model(nodes, "facepipe_encoder", name, inputs, {"controls": (1, len(encoder.controls))})
+
+
+def _affine(nodes: Nodes, value: str, name: str, matrix: Any, bias: Any) -> str:
+    product = nodes.add("MatMul", value, nodes.constant(name, matrix))
+    return nodes.add("Add", product, nodes.constant(f"{name}_bias", bias))
+
+
+class _Norm:
+    """Adds the nodes of tokens less their mean, over the root of their variance."""
+
+    def __init__(self, nodes: Nodes, width: int) -> None:
+        self._nodes = nodes
+        self._mean = nodes.constant("mean", np.full((width, 1), 1.0 / width))
+        self._epsilon = nodes.constant("epsilon", np.array(EPSILON))
+
+    def __call__(self, tokens: str) -> str:
+        add = self._nodes.add
+        centred = add("Sub", tokens, add("MatMul", tokens, self._mean))
+        variance = add("MatMul", add("Mul", centred, centred), self._mean)
+        return add("Div", centred, add("Sqrt", add("Add", variance, self._epsilon)))
+
+
+def _attention(nodes: Nodes, tokens: str, layer: EncoderLayer, heads: int) -> str:
+    """[k, d] of tokens [k, d]."""
+    width = len(layer.join)
+    own = width // heads
+    matrix, bias = np.array(layer.attend, np.float64), np.array(layer.attend_bias, np.float64)
+    matrix[:, :width] /= np.sqrt(own)  # what scores are divided by
+    bias[:width] /= np.sqrt(own)
+    found = _affine(nodes, tokens, "attend", matrix, bias)
+    pieces = [nodes.reshape(nodes.slice(found, 1, i * width, (i + 1) * width), -1, heads, own) for i in range(3)]
+    queries, values = (nodes.add("Transpose", pieces[i], perm=[1, 0, 2]) for i in (0, 2))
+    keys = nodes.add("Transpose", pieces[1], perm=[1, 2, 0])
+    shares = nodes.add("Softmax", nodes.add("MatMul", queries, keys), axis=-1)
+    joined = nodes.add("Transpose", nodes.add("MatMul", shares, values), perm=[1, 0, 2])
+    return _affine(nodes, nodes.reshape(joined, -1, width), "join", layer.join, layer.join_bias)
+
+
+def _in_own_units(nodes: Nodes, encoder: NeuralEncoder, value: str) -> None:
+    """`controls` of values that are clamped to -1..1."""
+    low, high = (np.array([getattr(one, key) for one in encoder.controls]) for key in ("minimum", "maximum"))
+    ends = [nodes.constant(name, np.array(end)) for name, end in (("lowest", -1.0), ("highest", 1.0))]
+    clamped = nodes.add("Clip", value, *ends)
+    scaled = nodes.add("Mul", clamped, nodes.constant("half_range", (high - low) / 2.0))
+    nodes.add("Add", scaled, nodes.constant("middle", (high + low) / 2.0), name="controls")
