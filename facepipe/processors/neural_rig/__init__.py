@@ -1,5 +1,6 @@
 """Neural rig: what a rig does, learned from examples of it."""
 
+from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
@@ -21,6 +22,9 @@ from facepipe.processors.neural_rig.train_neural_rig import (
 )
 
 __all__ = [
+    "AttachNeuralRig",
+    "AttachOptions",
+    "AttachedNeuralRig",
     "EncoderReport",
     "FrameBlocksOptions",
     "Motion",
@@ -39,4 +43,5 @@ __all__ = [
     "load_encoder",
     "load_neural_rig",
     "save_neural_rig",
+    "with_neural_rig",
 ]

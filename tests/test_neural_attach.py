@@ -1,0 +1,120 @@
+"""Neural rigs on faces: sliders, network and shapes that do what the neural rig does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+from neural_faces import CONTROLS, face, neural_rig, random_values
+
+from facepipe.errors import TopologyError
+from facepipe.parts import Animation, FaceParts
+from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions, with_neural_rig
+from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.rig import build, slide
+from facepipe.rig.neural_rig import NeuralRig
+
+PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
+
+
+def millimetres(parts: FaceParts, rig: NeuralRig, values: np.ndarray) -> np.ndarray:
+    """What the face's own rig makes of values of the controls."""
+    own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    names = [one.name for one in rig.controls]
+    found = []
+    for row in values:
+        coefficients, weights = slide(
+            parts.sliders, own.joints, dict(zip(names, row.tolist(), strict=True)), parts.slider_network
+        )
+        found.append(own.evaluate(weights, coefficients=coefficients) @ to[:3, :3].T)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])
+@pytest.mark.parametrize(("up_axis", "unit"), PLACES)
+def test_the_face_does_what_the_neural_rig_does(up_axis: Literal["Y", "Z"], unit: float, kind: str) -> None:
+    parts = face(up_axis, unit, joints=kind != "points without joints")
+    rig = neural_rig(parts, bones=kind == "bones")
+    values = random_values(rig, 20)
+    expected = rig.points(values)
+    assert np.ptp(expected, axis=0).max() > 0.02 * np.ptp(rig.rest)
+    attached = AttachNeuralRig()(parts, rig, "face")
+    off = np.abs(millimetres(attached.parts, rig, values) - expected).max()
+    assert off < 1e-4 + 2.0 * attached.dropped_mm
+    assert off < 1e-4
+    largest = np.abs(
+        [
+            slide(
+                attached.parts.sliders,
+                attached.parts.skeleton.joints,
+                {one.name: value for one, value in zip(rig.controls, row, strict=True)},
+                attached.parts.slider_network,
+            )[1]["neural_000"]
+            for row in values
+        ]
+    ).max()
+    assert 0.1 < largest < 1.5
+
+
+@pytest.mark.parametrize("bones", [True, False])
+def test_points_left_out_of_shapes_are_told(bones: bool) -> None:
+    parts = face()
+    rig = neural_rig(parts, bones=bones)
+    values = random_values(rig, 30)
+    whole = AttachNeuralRig(options=AttachOptions(offset_tolerance_mm=0.0))(parts, rig, "face")
+    some = AttachNeuralRig(options=AttachOptions(offset_tolerance_mm=1.0))(parts, rig, "face")
+    assert (whole.dropped_mm, whole.offsets) == (0.0, rig.shapes.shape[0] * rig.shapes.shape[1])
+    assert some.offsets < whole.offsets
+    off = np.linalg.norm(millimetres(some.parts, rig, values) - rig.points(values), axis=2).max()
+    assert 0.0 < off < 3.0 * some.dropped_mm  # bones scale what is left out
+
+
+def test_what_the_face_has_stays() -> None:
+    parts = face()
+    rig = neural_rig(parts, bones=True)
+    found = with_neural_rig(parts, rig, "face")
+    assert found.skeleton == parts.skeleton
+    for before, after in zip(parts.meshes, found.meshes, strict=True):
+        assert after.points is before.points
+        assert (after.skin, after.regions, after.uv_sets) == (before.skin, before.regions, before.uv_sets)
+    assert [(one.name, one.minimum, one.maximum, one.default) for one in found.sliders] == [
+        (one.name, one.minimum, one.maximum, one.default) for one in CONTROLS
+    ]
+    lip = found.sliders[1]
+    assert (lip.group, lip.value) == ("mouth", 0.5)
+
+
+def test_shapes_that_move_nothing_are_no_shapes() -> None:
+    parts = face()
+    rig = neural_rig(parts, bones=True)
+    still = replace(rig, shapes=rig.shapes * np.array([1.0, 0.0, 1.0, 1.0])[:, None, None])
+    found = with_neural_rig(parts, still, "face")
+    assert {shape.name for shape in found.meshes[0].blendshapes} == {"neural_000", "neural_001", "neural_002"}
+    values = random_values(still, 5)
+    assert np.abs(millimetres(found, still, values) - still.points(values)).max() < 1e-4
+
+
+def test_animations_of_the_rig_before_are_left_out_and_named() -> None:
+    parts = replace(face(), animations=(Animation(name="Talk"),))
+    found = AttachNeuralRig()(parts, neural_rig(parts, bones=True), "face")
+    assert found.parts.animations == ()
+    assert found.warnings == ("animations are of the rig that is replaced, left out: Talk",)
+
+
+def test_faces_of_other_meshes_joints_or_skin_are_refused() -> None:
+    parts = face()
+    rig = neural_rig(parts, bones=True)
+    with pytest.raises(TopologyError, match=r"head\.usda: other meshes than the neural rig was learned on, expected"):
+        with_neural_rig(replace(parts, meshes=parts.meshes[:1]), rig, "head.usda")
+    with pytest.raises(TopologyError, match="0 joints that differ, expected the 3 that the neural rig moves"):
+        with_neural_rig(face(joints=False), rig, "head.usda")
+    skeleton = replace(parts.skeleton, rest_transforms=parts.skeleton.rest_transforms @ np.diag([1.1, 1, 1, 1]))
+    with pytest.raises(TopologyError, match="rest transforms of the skeleton differ"):
+        with_neural_rig(replace(parts, skeleton=skeleton), rig, "head.usda")
+    head = parts.meshes[0]
+    assert head.skin is not None
+    other = replace(head, skin=replace(head.skin, joint_weights=np.roll(head.skin.joint_weights, 1, axis=1)))
+    with pytest.raises(TopologyError, match="skin weights differ"):
+        with_neural_rig(replace(parts, meshes=(other, *parts.meshes[1:])), rig, "head.usda")
