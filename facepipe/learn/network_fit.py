@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.learn.network_descent import Descent, Network, Schedule
 from facepipe.learn.one_thread import one_thread
 
+Array = npt.NDArray[Any]
 FloatArray = npt.NDArray[np.floating]
 
-BATCH = 256
-FIRST_RATE, LAST_RATE = 1e-2, 1e-5
-CHECK_EVERY = 100  # steps
 RIDGE = 1e-9  # of the mean square of the features
-
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +38,7 @@ class Trained:
     last: FloatArray  # (o, h)
     last_bias: FloatArray  # (o,)
     steps: int
+    curve: FloatArray  # (checks, 3): step, what is left of the learned and of the checked samples, RMS in shares of all
 
 
 def train(
@@ -54,7 +51,10 @@ def train(
     steps: int,
     patience: int,
     sparsity: float = 0.0,
+    device: str = "cpu",
     done: Callable[[], object] = lambda: None,
+    state: Mapping[str, Array] | None = None,
+    keep: Callable[[Mapping[str, Array]], object] = lambda _: None,
 ) -> Trained:
     """A network of `width` hidden units for `samples`, of least squared error: linear parts by least squares.
 
@@ -65,107 +65,39 @@ def train(
         taken
     :param sparsity: how strongly weights of the hidden layer are drawn to 0, so that a unit takes few inputs and what
         few of them do together is not mistaken for the others' doing; of the rate of Adam (proximal L1)
+    :param device: torch's, that the steps are taken on
     :param done: called once for each step
+    :param state: what `keep` was given in a training that was ended: it goes on from there
+    :param keep: called with the state now and then
+    :raises KeyError, RuntimeError, ValueError: a state of another training
     """
     with one_thread():
         linear, offset = _least_squares(_tensor(samples.inputs), _tensor(samples.outputs))
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
-        left = [(x, y - x @ linear - offset) for x, y in parts]
-        network = _Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed)
-        taken = _descend(network, left[0], left[1], seed, steps, patience, sparsity, done)
-        x, y = parts[0]
-        hidden, hidden_bias, _, _ = network.parameters
-        units = network.units(x).detach()
-        solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)
-        inputs = x.shape[1]
-        return Trained(
-            linear=solved[:inputs].numpy(),
-            hidden=hidden.detach().numpy(),
-            hidden_bias=hidden_bias.detach().numpy(),
-            last=solved[inputs:].T.numpy(),
-            last_bias=last_bias.numpy(),
-            steps=taken,
-        )
+        left = [(x.to(device), (y - x @ linear - offset).to(device)) for x, y in parts]
+        network = Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed, device)
+        schedule = Schedule(steps=steps, patience=patience, seed=seed, sparsity=sparsity)
+        descent = Descent(network, left[0], left[1], schedule)
+        if state is not None:
+            descent.go_on(state)
+        descent.run(done, keep)
+        return _solved(network, *parts[0], descent)
 
 
-class _Network:
-    """(n, i) -> (n, o)."""
-
-    def __init__(self, inputs: int, outputs: int, width: int, activation: str, seed: int) -> None:
-        random = torch.Generator().manual_seed(seed)
-        hidden = torch.randn(width, inputs, generator=random, dtype=torch.float64) / math.sqrt(inputs)
-        # every other unit starts at one input: most of what sliders do is a function of one of them
-        alone = torch.arange(0, width, 2)
-        hidden[alone] = 0.0
-        hidden[alone, torch.arange(len(alone)) % inputs] = 2.0
-        bias = torch.rand(width, generator=random, dtype=torch.float64) * 2 - 1
-        last = torch.zeros(outputs, width, dtype=torch.float64)
-        last_bias = torch.zeros(outputs, dtype=torch.float64)
-        self.parameters = [one.requires_grad_() for one in (hidden, bias, last, last_bias)]
-        self._activation = _ACTIVATIONS[activation]
-
-    def units(self, x: Tensor) -> Tensor:
-        """(n, h) values of the hidden layer."""
-        hidden, bias, _, _ = self.parameters
-        return self._activation(x @ hidden.T + bias)
-
-    def __call__(self, x: Tensor) -> Tensor:
-        """(n, o)."""
-        _, _, last, last_bias = self.parameters
-        return self.units(x) @ last.T + last_bias
-
-    def shrink(self, amount: float) -> None:
-        """Draw the weights of the hidden layer to 0."""
-        if amount > 0.0:
-            with torch.no_grad():
-                self.parameters[0].copy_(torch.nn.functional.softshrink(self.parameters[0], amount))
-
-    def copied(self) -> list[Tensor]:
-        """The parameters as they are now."""
-        return [one.detach().clone() for one in self.parameters]
-
-    def restore(self, copies: list[Tensor]) -> None:
-        """Set the parameters to what they were."""
-        with torch.no_grad():
-            for one, copy in zip(self.parameters, copies, strict=True):
-                one.copy_(copy)
-
-
-def _descend(
-    network: _Network,
-    samples: tuple[Tensor, Tensor],
-    checked: tuple[Tensor, Tensor],
-    seed: int,
-    steps: int,
-    patience: int,
-    sparsity: float,
-    done: Callable[[], object],
-) -> int:
-    """Train in place; returns the steps taken. Outputs of all scales count by their squares, so scale them before."""
-    x, y = samples
-    size = y.square().mean().sqrt().clamp_min(1e-30)
-    optimiser = torch.optim.Adam(network.parameters, lr=FIRST_RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, LAST_RATE)
-    random = torch.Generator().manual_seed(seed)
-    best, best_step, kept = math.inf, 0, network.copied()
-    for step in range(1, steps + 1):
-        rows = torch.randint(len(x), (BATCH,), generator=random)
-        optimiser.zero_grad()
-        loss = ((network(x[rows]) - y[rows]) / size).square().mean()
-        loss.backward()
-        optimiser.step()
-        network.shrink(sparsity * schedule.get_last_lr()[0])
-        schedule.step()
-        done()
-        if step % CHECK_EVERY == 0 or step == steps:
-            with torch.no_grad():
-                error = float(((network(checked[0]) - checked[1]) / size).square().mean())
-            if error < best:
-                best, best_step, kept = error, step, network.copied()
-            elif step - best_step >= patience:
-                break
-    network.restore(kept)
-    return step
+def _solved(network: Network, x: Tensor, y: Tensor, descent: Descent) -> Trained:
+    hidden, hidden_bias, _, _ = (one.detach().cpu() for one in network.parameters)
+    units = network.units(x.to(network.parameters[0].device)).detach().cpu()
+    solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)
+    inputs = x.shape[1]
+    return Trained(
+        linear=solved[:inputs].numpy(),
+        hidden=hidden.numpy(),
+        hidden_bias=hidden_bias.numpy(),
+        last=solved[inputs:].T.numpy(),
+        last_bias=last_bias.numpy(),
+        steps=descent.steps,
+        curve=descent.curve,
+    )
 
 
 def _least_squares(features: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:

@@ -33,7 +33,7 @@ class RetargetOptions:
     noise_mm: float = field(
         default=-1.0,
         metadata={
-            "help": "noise on what the rig says, under which the subject is learned; -1: what does best on frames left out",
+            "help": "noise on what the rig says while the subject is learned; -1: what does best on frames left out",
             "unit": "mm",
             "range": (-1.0, 100.0),
         },
