@@ -137,9 +137,25 @@ def test_a_basis_leaves_no_more_than_it_is_told() -> None:
 def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     face = tmp_path / "head.usda"
     save_parts(turning_face(), face)
+    drawn = ("--plot", tmp_path / "curve.png", "--checkpoint", tmp_path / "head.training")
     few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 200)
-    code, out, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", "--json", *few)
+    code, out, err = run(
+        capsys,
+        "neural-rig",
+        "train",
+        face,
+        "-o",
+        tmp_path / "head.fpnr",
+        "--json",
+        "--plot",
+        tmp_path / "curve.png",
+        "--checkpoint",
+        tmp_path / "head.training",
+        *few,
+    )
     assert code == 0, err
+    assert (tmp_path / "curve.png").exists()
+    assert not (tmp_path / "head.training").exists()
     told = json.loads(out)
     assert told["frames"] + told["held_out"] == 60 + 5 * 4 + 20
     assert told["error_mean_mm"] < told["linear_mean_mm"]
@@ -150,6 +166,10 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     assert "suffix '.onnx', expected .fpnr" in err
     code, _, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
     assert code == 2
+    same = ("-o", tmp_path / "new.fpnr", "--checkpoint", tmp_path / "new.fpnr")
+    code, _, err = run(capsys, "neural-rig", "train", face, *same, *few)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "two outputs of one name" in err
 
 
 def test_bones_are_learned_as_bones(motion: Motion, trained: TrainedNeuralRig, tmp_path: Path) -> None:
@@ -200,3 +220,41 @@ def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
         told = inputs[600:] @ found.linear + units / (1.0 + np.exp(-units)) @ found.last.T + found.last_bias
         errors.append(np.sqrt(np.mean((told - outputs[600:]) ** 2)))
     assert errors[1] < 0.5 * errors[0]
+
+
+class KilledError(Exception):
+    pass
+
+
+def test_a_killed_training_goes_on_to_the_same_end(motion: Motion, trained: TrainedNeuralRig, tmp_path: Path) -> None:
+    kept, steps = tmp_path / "head.training", iter(range(1, 1101))
+
+    def kill() -> None:
+        if next(steps) == 1100:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        TrainNeuralRig(options=OPTIONS)(motion, kill, kept)
+    assert kept.exists()
+    with pytest.raises(InputError, match="a training of other frames or options"):
+        TrainNeuralRig(options=replace(OPTIONS, seed=1))(motion, checkpoint=kept)
+    counted: list[int] = []
+    found = TrainNeuralRig(options=OPTIONS)(motion, lambda: counted.append(0), kept)
+    assert len(counted) == found.report.steps == 1500  # those of before are told at once
+    assert np.array_equal(found.curve, trained.curve)
+    assert found.report == trained.report
+    for name in ("linear", "hidden", "last"):
+        assert np.array_equal(getattr(found.rig, name), getattr(trained.rig, name))
+    assert not kept.exists()
+
+
+def test_the_curve_is_of_frames_learned_and_watched_and_drawn(trained: TrainedNeuralRig, tmp_path: Path) -> None:
+    from PIL import Image
+
+    from facepipe.render.training_curve import draw_training_curve
+
+    assert np.array_equal(trained.curve[:, 0], np.arange(100, 1501, 100))
+    assert (trained.curve[-1, 1:] < 0.5 * trained.curve[0, 1:]).all()
+    draw_training_curve(trained.curve, tmp_path / "curve.png")
+    with Image.open(tmp_path / "curve.png") as picture:
+        assert np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0).shape[0] > 20

@@ -23,7 +23,7 @@ from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder
+    from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder, TrainedNeuralRig
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -52,6 +52,9 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add_options(train, TrainNeuralRigOptions, "training")
     add_options(train, TrainEncoderOptions, "encoder")
     train.add_argument("--no-encoder", action="store_true", help="train no encoder, from points back to controls")
+    file = "file that keeps where the training stands: killed, the same command goes on from there"
+    train.add_argument("--checkpoint", type=Path, metavar="FILE", help=file)
+    train.add_argument("--plot", type=Path, metavar="PNG", help="picture of what is left of the motion, step by step")
     train.add_argument("--json", action="store_true", help="print the report as JSON")
 
 
@@ -63,10 +66,12 @@ def run(arguments: argparse.Namespace) -> int:
     out = output_of(arguments, [arguments.data, *arguments.clip])
     if out.suffix != SUFFIX:
         raise InputError(out, f"suffix '{out.suffix}', expected {SUFFIX}")
+    _check_files(arguments, out)
     options = options_from(arguments, TrainNeuralRigOptions)
     motion = _motion(arguments)
     with progress("train", options.steps) as bar:
-        trained = TrainNeuralRig(options=options)(motion, bar.update)
+        trained = TrainNeuralRig(options=options)(motion, bar.update, arguments.checkpoint)
+    _draw(arguments.plot, trained)
     encoded = _encoder(arguments, motion)
     report = json.loads(trained.report.to_json())
     report["encoder"] = json.loads(encoded.report.to_json()) if encoded else None
@@ -75,6 +80,23 @@ def run(arguments: argparse.Namespace) -> int:
     text = [_text(out, trained.report), *([_encoder_text(encoded.report)] if encoded else [])]
     emit({"path": str(out), **report}, "\n".join(text), as_json=arguments.json)
     return 0
+
+
+def _check_files(arguments: argparse.Namespace, out: Path) -> None:
+    """:raises InputError: two files of one name, or a picture that is there already"""
+    others = [one for one in (arguments.plot, arguments.checkpoint) if one is not None]
+    if len({one.resolve() for one in (out, *others)}) != 1 + len(others):
+        raise InputError(out, "two outputs of one name, expected a file each")
+    if arguments.plot is not None and arguments.plot.exists() and not arguments.force:
+        raise InputError(arguments.plot, "exists, expected a new file (or --force)")
+
+
+def _draw(path: Path | None, trained: TrainedNeuralRig) -> None:
+    if path is None:
+        return
+    from facepipe.render.training_curve import draw_training_curve
+
+    draw_training_curve(trained.curve, path)
 
 
 def _encoder(arguments: argparse.Namespace, motion: Motion) -> TrainedEncoder | None:

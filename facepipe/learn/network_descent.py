@@ -176,10 +176,10 @@ class Descent:
         """
         step, best, best_step, summed = (float(one) for one in state["numbers"])
         curve = np.asarray(state["curve"]).reshape(-1, 3).tolist()
-        self._network.restore([torch.as_tensor(state[f"now.{number}"]) for number in range(4)])
-        self._kept = [torch.as_tensor(state[f"best.{number}"]).to(one) for number, one in enumerate(self._kept)]
+        self._network.restore([torch.tensor(state[f"now.{number}"]) for number in range(4)])
+        self._kept = [torch.tensor(state[f"best.{number}"]).to(one) for number, one in enumerate(self._kept)]
         for number, one in enumerate(self._network.parameters):
-            moments = {name: torch.as_tensor(state[f"{name}.{number}"]).to(one).reshape(one.shape) for name in _STATE}
+            moments = {name: torch.tensor(state[f"{name}.{number}"]).to(one).reshape(one.shape) for name in _STATE}
             self._optimiser.state[one] = {"step": torch.tensor(step, dtype=torch.float32), **moments}
         self._random.set_state(torch.as_tensor(np.asarray(state["random"]).astype(np.uint8)))
         self._now = _Progress(
@@ -187,5 +187,5 @@ class Descent:
             best=best,
             best_step=int(best_step),
             summed=summed,
-            curve=np.asarray(state["curve"]).tolist(),
+            curve=curve,
         )

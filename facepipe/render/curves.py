@@ -77,11 +77,17 @@ class Axes:
         return [(value, f"{value:.3g}") for value in values if low * 0.999 <= value <= high * 1.001]
 
 
-def loss_curves(history: Sequence[Mapping[str, float]], width: int, stages: Sequence[tuple[int, str]] = ()) -> Image:
+def loss_curves(
+    history: Sequence[Mapping[str, float]],
+    width: int,
+    stages: Sequence[tuple[int, str]] = (),
+    note: str = "weighted terms, by step",
+) -> Image:
     """A curve for every term, the total the boldest; NaN and infinity leave gaps.
 
     :param history: by step, term -> weighted loss
     :param stages: steps at which a part of the fit began, and its name
+    :param note: what is drawn
     """
     terms = _terms(history)
     if not terms:
@@ -95,7 +101,7 @@ def loss_curves(history: Sequence[Mapping[str, float]], width: int, stages: Sequ
     for name in reversed(terms):
         _curve(image, axes, terms[name], _color(name, terms), 4.0 if name == TOTAL else 2.6)
     _names(image, axes, terms)
-    note = "weighted terms, by step" + (", logarithmic" if axes.logarithmic else "")
+    note += ", logarithmic" if axes.logarithmic else ""
     return below([heading(width, "Losses", note), image], 8)
 
 

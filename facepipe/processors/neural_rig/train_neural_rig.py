@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.options import check_ranges
+from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
@@ -81,6 +83,7 @@ class TrainedNeuralRig:
 
     rig: NeuralRig
     report: NeuralRigReport
+    curve: FloatArray  # (checks, 3): step, and what is left of learned and of watched frames, RMS in shares of all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,18 +97,24 @@ class TrainNeuralRig:
 
     options: TrainNeuralRigOptions = field(default_factory=TrainNeuralRigOptions)
 
-    def __call__(self, motion: Motion, done: Callable[[], object] = lambda: None) -> TrainedNeuralRig:
-        """Train on some blocks of frames, and measure on the others.
+    def __call__(
+        self, motion: Motion, done: Callable[[], object] = lambda: None, checkpoint: Path | None = None
+    ) -> TrainedNeuralRig:
+        """Train on some blocks of frames, and measure on the others; on a GPU where torch has one.
 
         :param done: called once for each step
-        :raises InputError: no control that moves, or a single block of frames
+        :param checkpoint: a file that tells now and then where the training stands; it goes on from there if it is
+            there, and gives the same. In the end the file is removed
+        :raises InputError: no control that moves, a single block of frames, or a checkpoint of another training
         """
+        from facepipe.learn.devices import best_device
         from facepipe.learn.network_fit import train
 
         options, still = self.options, motion.constant
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
         learned, checked = motion.without(still).split(options.held_out, options.seed)
+        kept = Checkpoint.of(checkpoint, motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
         basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes)
         trained = train(
@@ -117,12 +126,17 @@ class TrainNeuralRig:
             steps=options.steps,
             patience=options.patience,
             sparsity=options.sparsity,
+            device=best_device(),
             done=done,
+            state=kept.state() if kept else None,
+            keep=kept.keep if kept else lambda _: None,
         )
         rig = _assembled(learned, basis, trained)
         report = replace(_report(rig, learned, checked, options), steps=trained.steps, left_out=still)
         report = replace(report, source=motion.source, warnings=motion.warnings)
-        return TrainedNeuralRig(rig=rig, report=report)
+        if kept:
+            kept.done()
+        return TrainedNeuralRig(rig=rig, report=report, curve=trained.curve)
 
 
 def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, Motion]:
