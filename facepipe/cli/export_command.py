@@ -7,6 +7,8 @@ examples:
   facepipe export head.usda -o head.onnx
   facepipe export head.usda --sliders -o sliders.onnx
   facepipe export head.usda --sliders --distil -o learned.onnx
+  facepipe export head.usda --neural head.fpnr -o rig.onnx
+  facepipe export head.usda --neural head.fpnr -o rig.glb
 """
 
 from __future__ import annotations
@@ -16,12 +18,13 @@ from pathlib import Path
 
 from facepipe import registry
 from facepipe.cli.export_distil import (
-    DistilledFace,
+    HeldFace,
     add_distil_options,
     distilled,
     distilled_text,
     with_distilled,
 )
+from facepipe.cli.export_neural import add_neural_option, neural_face, neural_options, neural_text, with_neural
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
@@ -39,6 +42,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     known = suffix.lower().removeprefix(".") in registry.suffixes()
     for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
         add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
+    add_neural_option(parser)
     add_distil_options(parser)
 
 
@@ -46,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Open, export, report."""
     import facepipe
 
-    out = output_of(arguments, [arguments.face])
+    out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
     exporter = registry.exporter(out)
     beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
     if beside and not arguments.force:
@@ -54,12 +58,17 @@ def run(arguments: argparse.Namespace) -> int:
     with progress("export", 3 if arguments.distil else 2) as bar:
         face = facepipe.open(arguments.face)
         bar.update()
-        learned = distilled(arguments, face)
+        neural, learned = neural_face(arguments, face), distilled(arguments, face)
         bar.update(learned is not None)
-        held = face if learned is None else DistilledFace(learned[0])
-        report: ExportReport = exporter.export(held, out, options_from(arguments, exporter.Options))
+        options = neural_options(options_from(arguments, exporter.Options), neural)
+        held = face if learned is None else HeldFace(learned[0])
+        held = held if neural is None else HeldFace(neural.parts)
+        report: ExportReport = exporter.export(held, out, options)
         bar.update()
     text = [as_text(report)]
+    if neural is not None:
+        report = with_neural(report, neural)
+        text.append(neural_text(neural))
     if learned is not None:
         report = with_distilled(report, learned[1])
         text += distilled_text(learned[1])

@@ -26,7 +26,7 @@ class DistilledExportReport(ExportReport):
 
 
 @dataclass(frozen=True)
-class DistilledFace:
+class HeldFace:
     """What an exporter needs of a face."""
 
     held: FaceParts

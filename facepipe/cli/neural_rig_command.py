@@ -4,11 +4,15 @@ train samples the controls of a face (its sliders, and the shapes that none of t
 face's rig, and learns from the frames; or it learns from a stage with what another program baked of its rig: controls
 over time, and a point cache (docs/neural_rig.md). It needs the extra train (torch).
 
+apply puts a neural rig on a face of the meshes that it was learned on, in place of its sliders and shapes: an override
+layer that links the rig. `facepipe export --neural` writes what an engine loads.
+
 examples:
   facepipe neural-rig train head.usda -o head.fpnr
   facepipe neural-rig train head.usda -o head.fpnr --spread 2000 --width 256 --json
   facepipe neural-rig train head.usda --clip head.usda --clip talk.usdc -o head.fpnr
   facepipe neural-rig train range_of_motion.usdc --controls /Rig/Controls -o head.fpnr
+  facepipe neural-rig apply head.usda head.fpnr -o neural.usda
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from facepipe.cli.neural_rig_apply import add_apply, apply
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
@@ -56,10 +61,15 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     train.add_argument("--checkpoint", type=Path, metavar="FILE", help=file)
     train.add_argument("--plot", type=Path, metavar="PNG", help="picture of what is left of the motion, step by step")
     train.add_argument("--json", action="store_true", help="print the report as JSON")
+    add_apply(actions)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Sample, train, write."""
+    """Train or apply."""
+    return apply(arguments) if arguments.action == "apply" else _train(arguments)
+
+
+def _train(arguments: argparse.Namespace) -> int:
     from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions, save_neural_rig
     from facepipe.processors.neural_rig.neural_rig_file import SUFFIX
 

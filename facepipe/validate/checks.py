@@ -15,6 +15,7 @@ from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.validate import control_checks as control
 from facepipe.validate import layout_checks as layout
 from facepipe.validate import network_checks as networks
+from facepipe.validate import neural_rig_checks as neural
 from facepipe.validate import photo_checks as photos
 from facepipe.validate import point_checks as points
 from facepipe.validate import shape_checks as shapes
@@ -102,6 +103,9 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderCurves", control.slider_curves),
     Check("SliderMirrors", control.slider_mirrors),
     Check("SliderNetwork", networks.slider_network),
+    Check("NeuralRigFile", neural.neural_rig_file),
+    Check("NeuralRigDigest", neural.neural_rig_digest),
+    Check("NeuralRigTopology", neural.neural_rig_topology),
     Check("PhotoCameras", photos.photo_cameras),
     Check("PhotoLight", photos.photo_light),
     Check("PhotoKeyLight", photos.photo_key),

@@ -1,5 +1,6 @@
 """Neural rig: what a rig does, learned from examples of it."""
 
+from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport, neural_rig_recipe
 from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
@@ -22,6 +23,8 @@ from facepipe.processors.neural_rig.train_neural_rig import (
 )
 
 __all__ = [
+    "ApplyNeuralRig",
+    "ApplyNeuralRigReport",
     "AttachNeuralRig",
     "AttachOptions",
     "AttachedNeuralRig",
@@ -42,6 +45,7 @@ __all__ = [
     "TrainedNeuralRig",
     "load_encoder",
     "load_neural_rig",
+    "neural_rig_recipe",
     "save_neural_rig",
     "with_neural_rig",
 ]

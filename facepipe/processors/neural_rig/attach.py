@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import TopologyError
+from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name
@@ -61,10 +62,12 @@ class AttachNeuralRig:
     options: AttachOptions = field(default_factory=AttachOptions)
 
     def __call__(self, parts: FaceParts, rig: NeuralRig, where: str) -> AttachedNeuralRig:
-        """The face in the rig's stead.
+        """The face that the rig moves.
 
+        :raises InputError: an option out of range
         :raises TopologyError: other meshes, joints or skin than the rig was learned on, or a singular space
         """
+        check_ranges(self.options)
         check_neural_rig(parts, rig, where)
         whole = rig
         rig, scales, moved = _kept(whole, self.options.offset_tolerance_mm)

@@ -1,0 +1,61 @@
+"""`facepipe export --neural`: a face that a neural rig moves."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.errors import InputError
+from facepipe.reports import ExportReport
+
+if TYPE_CHECKING:
+    from facepipe.processors.neural_rig import AttachedNeuralRig
+    from facepipe.stage import Face
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeuralExportReport(ExportReport):
+    """What was written, and what shapes leave out."""
+
+    dropped_mm: float  # by which points can be off for offsets that are left out
+
+
+def add_neural_option(parser: argparse.ArgumentParser) -> None:
+    """`--neural`."""
+    text = "neural rig (.fpnr) in place of the sliders and shapes of FACE; a .onnx is the graph of its controls"
+    parser.add_argument("--neural", type=Path, metavar="RIG", help=text)
+
+
+def neural_face(arguments: argparse.Namespace, face: Face) -> AttachedNeuralRig | None:
+    """The face with its neural rig; None without `--neural`.
+
+    :raises InputError: flags that don't go together, or a damaged file
+    :raises TopologyError: other meshes, joints or skin than the rig was learned on
+    """
+    if arguments.neural is None:
+        return None
+    if arguments.distil:
+        raise InputError("--neural", "given with --distil, expected one of them")
+    from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
+
+    return AttachNeuralRig()(face.parts(), load_neural_rig(arguments.neural), str(arguments.face))
+
+
+def neural_options(options: Any, neural: AttachedNeuralRig | None) -> Any:
+    """The options of an exporter: a graph is that of the controls."""
+    return dataclasses.replace(options, sliders=True) if neural is not None and hasattr(options, "sliders") else options
+
+
+def with_neural(report: ExportReport, neural: AttachedNeuralRig) -> NeuralExportReport:
+    """The report of an export of a neural rig."""
+    own = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
+    own["warnings"] = (*report.warnings, *neural.warnings)
+    return NeuralExportReport(**own, dropped_mm=neural.dropped_mm)
+
+
+def neural_text(neural: AttachedNeuralRig) -> str:
+    """The report for people."""
+    return f"neural rig: points are off by at most {neural.dropped_mm:.4f} mm for offsets that its shapes leave out"

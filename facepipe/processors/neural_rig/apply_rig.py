@@ -1,0 +1,90 @@
+"""A neural rig authored on a face stage, with a link to its file and the recipe."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from facepipe import __version__
+from facepipe.digests import digest
+from facepipe.options import to_json
+from facepipe.parts import Recipe
+from facepipe.processors.neural_rig.attach import AttachNeuralRig, AttachOptions
+from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig
+from facepipe.reports import Report
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.stage.files import relative_path
+from facepipe.stage.neural_rig_link import author_neural_rig_link
+from facepipe.stage.recipes import source_digest
+
+VERB = "neural-rig"
+_NO_LINK = ("a .usdz can't hold a neural rig: it has no link to the file",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApplyNeuralRigReport(Report):
+    """What was authored."""
+
+    controls: int
+    channels: int  # of bones that move
+    shapes: int
+    units: int  # of the hidden layer
+    offsets: int  # of all shapes and meshes
+    dropped_mm: float  # by which points can be off for offsets that are left out
+    authored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApplyNeuralRig:
+    """A neural rig on a face in place of its sliders and shapes (`AttachNeuralRig`)."""
+
+    file: Path
+    options: AttachOptions = field(default_factory=AttachOptions)
+
+    def __call__(
+        self, face: Face, out: str | os.PathLike[str], *, recipe: Recipe | None = None
+    ) -> ApplyNeuralRigReport:
+        """Author it.
+
+        :param out: where the stage of `face` will be saved
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: a damaged file of a rig, or controls with names that USD can't hold
+        :raises TopologyError: other meshes, joints or skin than the rig was learned on
+        """
+        rig, parts = load_neural_rig(self.file), face.parts()
+        attached = AttachNeuralRig(options=self.options)(parts, rig, face.where)
+        authored = author_changes(face, replace(attached.parts, recipe=recipe or parts.recipe))
+        packed = Path(out).suffix.lower() == ".usdz"
+        if not packed:
+            file = relative_path(str(self.file), Path(out).absolute().parent)
+            author_neural_rig_link(face.prim, file, digest([self.file]), rig.topology)
+        network = attached.parts.slider_network
+        return ApplyNeuralRigReport(
+            controls=len(rig.controls),
+            channels=len(rig.channels),
+            shapes=len(network.shapes) if network else 0,
+            units=len(rig.hidden),
+            offsets=attached.offsets,
+            dropped_mm=attached.dropped_mm,
+            authored=authored,
+            warnings=(*attached.warnings, *(_NO_LINK if packed else ())),
+        )
+
+
+def neural_rig_recipe(
+    face: str | os.PathLike[str], rig: Path, out: str | os.PathLike[str], options: AttachOptions
+) -> Recipe:
+    """The recipe to author on the face of a path, saved as `out`: its sources are the face and the rig.
+
+    :raises InputError: a source can't be read
+    """
+    files, folder = (os.fspath(face), os.fspath(rig)), Path(out).absolute().parent
+    return Recipe(
+        verb=VERB,
+        sources=tuple(relative_path(one, folder) for one in files),
+        digests=tuple(source_digest(Path(one)) for one in files),
+        options=to_json(options),
+        version=__version__,
+    )

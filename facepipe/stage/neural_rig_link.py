@@ -1,0 +1,43 @@
+"""The neural rig that a face was given, by reference to its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from pxr import Sdf, Usd
+
+from facepipe import tokens
+from facepipe.stage.guard import reads_prim
+from facepipe.stage.opinions import put
+
+
+class NeuralRigLink(NamedTuple):
+    """What a face says of its neural rig."""
+
+    file: str  # as authored
+    path: Path | None  # of that file; None where there is none
+    digest: str  # "sha256:..." of the file when it was put on the face
+    topology: str  # digest of the meshes that it was learned on
+
+
+@reads_prim
+def read_neural_rig_link(prim: Usd.Prim) -> NeuralRigLink | None:
+    """The link on a face prim; None where there is none."""
+    if tokens.NEURAL_RIG_API not in prim.GetAppliedSchemas():
+        return None
+    file = prim.GetAttribute(tokens.NEURAL_RIG_FILE).Get() or Sdf.AssetPath()
+    resolved = Path(str(file.resolvedPath)) if file.resolvedPath else None
+    texts = [str(prim.GetAttribute(one).Get() or "") for one in (tokens.NEURAL_RIG_DIGEST, tokens.NEURAL_RIG_TOPOLOGY)]
+    return NeuralRigLink(str(file.path), resolved if resolved and resolved.is_file() else None, *texts)
+
+
+def author_neural_rig_link(prim: Usd.Prim, file: str, digest: str, topology: str) -> None:
+    """Author the link on a face prim.
+
+    :param file: path, relative to the layer where it can be
+    """
+    prim.ApplyAPI(tokens.NEURAL_RIG_API)
+    put(prim.GetAttribute(tokens.NEURAL_RIG_FILE), Sdf.AssetPath(file))
+    put(prim.GetAttribute(tokens.NEURAL_RIG_DIGEST), digest)
+    put(prim.GetAttribute(tokens.NEURAL_RIG_TOPOLOGY), topology)

@@ -1,0 +1,141 @@
+"""`facepipe neural-rig apply`: a face stage that a neural rig moves, and that links it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from neural_faces import face, neural_rig, random_values
+from oracle import bake_all
+from pxr import Sdf, Usd
+from test_cli import run
+from test_neural_attach import millimetres
+
+import facepipe
+from facepipe import tokens
+from facepipe.parts import FaceParts
+from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
+from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.rig import slide
+from facepipe.rig.neural_rig import NeuralRig
+from facepipe.stage import Face, save_parts
+from facepipe.stage.neural_rig_link import read_neural_rig_link
+from facepipe.stage.recipes import recipe_of
+from facepipe.validate import validate_stage
+
+
+def saved(folder: Path, parts: FaceParts, *, bones: bool) -> NeuralRig:
+    """The rig of head.fpnr, beside the face head.usda."""
+    save_parts(parts, folder / "head.usda")
+    save_neural_rig(neural_rig(facepipe.open(folder / "head.usda").parts(), bones=bones), folder / "head.fpnr", {})
+    return load_neural_rig(folder / "head.fpnr")
+
+
+def applied(folder: Path, capsys: pytest.CaptureFixture[str], *words: object) -> Face:
+    code, out, err = run(capsys, "neural-rig", "apply", folder / "head.usda", folder / "head.fpnr", *words, "--json")
+    assert code == 0, err
+    return facepipe.open(json.loads(out)["path"])
+
+
+@pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])
+def test_the_stage_does_what_the_neural_rig_does(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = saved(tmp_path, face("Z", 1.0, joints=kind != "points without joints"), bones=kind == "bones")
+    found = applied(tmp_path, capsys, "-o", tmp_path / "neural.usda")
+    values = random_values(rig, 10)
+    expected, height = rig.points(values), np.ptp(rig.rest[:, 1])
+    assert np.abs(millimetres(found.parts(), rig, values) - expected).max() < 1e-5 * height
+    assert [one for one in validate_stage(tmp_path / "neural.usda") if one.severity == "error"] == []
+    poses = []
+    for row in values:
+        parts, set_to = found.parts(), {one.name: v for one, v in zip(rig.controls, row.tolist(), strict=True)}
+        coefficients, weights = slide(parts.sliders, parts.skeleton.joints, set_to, parts.slider_network)
+        poses.append((weights, found.rig().local_transforms(coefficients)))
+    to = world_to_world(1.0, "Z", MILLIMETRES)
+    off = np.linalg.norm(bake_all(found, poses) @ to[:3, :3].T - expected, axis=2)
+    assert off.max() < 2e-3 * height  # SkelAnimation rounds scales to half
+
+
+def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved(tmp_path, face(), bones=True)
+    (tmp_path / "out").mkdir()
+    found = applied(tmp_path, capsys, "-o", tmp_path / "out" / "neural.usda", "--offset-tolerance-mm", 0.01)
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out" / "neural.usda"))
+    assert list(layer.subLayerPaths) == ["../head.usda"]
+    head = layer.GetPrimAtPath(found.mesh_prim("Head").GetPath())
+    assert "points" not in head.attributes
+    assert "primvars:skel:jointIndices" not in head.attributes
+    link = read_neural_rig_link(found.prim)
+    assert link is not None
+    assert (link.file, link.path) == ("../head.fpnr", tmp_path / "head.fpnr")
+    recipe, _ = recipe_of(tmp_path / "out" / "neural.usda", "neural-rig")
+    assert recipe.sources == ("../head.usda", "../head.fpnr")
+    assert recipe.options == {"offset_tolerance_mm": 0.01}
+    assert recipe.digests[1] == link.digest
+
+
+def test_standalone_files_link_it_too_packages_can_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved(tmp_path, face(), bones=False)
+    flat = applied(tmp_path, capsys, "-o", tmp_path / "flat.usda", "--flatten")
+    packed = applied(tmp_path, capsys, "-o", tmp_path / "packed.usdz")
+    for one in (flat, packed):
+        assert [
+            found for found in validate_stage(str(one.stage.GetRootLayer().realPath)) if found.severity == "error"
+        ] == []
+    link = read_neural_rig_link(flat.prim)
+    assert link is not None
+    assert link.path == tmp_path / "head.fpnr"
+    assert read_neural_rig_link(packed.prim) is None
+
+
+def checks(path: Path) -> dict[str, str]:
+    return {one.check: one.message for one in validate_stage(path) if one.check.startswith("facepipe:NeuralRig")}
+
+
+def test_what_is_wrong_with_a_link_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = saved(tmp_path, face(), bones=True)
+    neural = tmp_path / "neural.usda"
+    applied(tmp_path, capsys, "-o", neural)
+    assert checks(neural) == {}
+    save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
+    assert checks(neural).keys() == {"facepipe:NeuralRigDigest"}
+    assert "has changed, expected the file of sha256:" in checks(neural)["facepipe:NeuralRigDigest"]
+    (tmp_path / "head.fpnr").write_bytes(b"junk")
+    assert checks(neural).keys() == {"facepipe:NeuralRigDigest", "facepipe:NeuralRigFile"}
+    (tmp_path / "head.fpnr").unlink()
+    assert checks(neural) == {"facepipe:NeuralRigFile": "@./head.fpnr@ can't be found, expected a neural rig (.fpnr)"}
+    save_neural_rig(rig, tmp_path / "head.fpnr", {})
+    stage = Usd.Stage.Open(str(neural))
+    stage.GetDefaultPrim().GetAttribute(tokens.NEURAL_RIG_TOPOLOGY).Set("other")
+    stage.Save()
+    assert checks(neural).keys() == {"facepipe:NeuralRigFile", "facepipe:NeuralRigTopology"}
+
+
+def test_a_rig_of_other_meshes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = saved(tmp_path, face(), bones=True)
+    save_neural_rig(replace(rig, topology="other"), tmp_path / "head.fpnr", {})
+    words: tuple[object, ...]
+    for words in (
+        ("neural-rig", "apply", tmp_path / "head.usda", tmp_path / "head.fpnr", "-o", tmp_path / "out.usda"),
+        ("export", tmp_path / "head.usda", "--neural", tmp_path / "head.fpnr", "-o", tmp_path / "out.onnx"),
+    ):
+        code, _, err = run(capsys, *words)
+        assert (code, err.count("\n")) == (2, 1)
+        assert "head.usda" in err
+        assert "other meshes than the neural rig was learned on" in err
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_applied_faces_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved(tmp_path, face(), bones=True)
+    applied(tmp_path, capsys, "-o", tmp_path / "neural.usda")
+    pictures = []
+    for value in (0.0, 1.0):
+        picture = tmp_path / f"{value}.png"
+        words = ("render", tmp_path / "neural.usda", "-o", picture, "--slider", f"jaw={value}", "--size", 64)
+        code, _, err = run(capsys, *words)
+        assert code == 0, err
+        pictures.append(picture.read_bytes())
+    assert pictures[0] != pictures[1]
