@@ -3,6 +3,9 @@
 from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport, neural_rig_recipe
 from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
+from facepipe.processors.neural_rig.inverse_report import ControlReport, InverseReport
+from facepipe.processors.neural_rig.invert import InvertedMotion, InvertNeuralRig
+from facepipe.processors.neural_rig.invert_options import InvertNeuralRigOptions
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
@@ -28,8 +31,13 @@ __all__ = [
     "AttachNeuralRig",
     "AttachOptions",
     "AttachedNeuralRig",
+    "ControlReport",
     "EncoderReport",
     "FrameBlocksOptions",
+    "InverseReport",
+    "InvertNeuralRig",
+    "InvertNeuralRigOptions",
+    "InvertedMotion",
     "Motion",
     "NeuralRigReport",
     "ReadClips",

@@ -1,0 +1,163 @@
+"""Controls found for points: the inverse of neural rigs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scan_domes
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.parts import FaceParts, Slider
+from facepipe.processors.database import whole_points
+from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions
+from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
+from facepipe.rig import Rig, build
+from facepipe.rig.bones import bones_in
+from facepipe.rig.control_shares import share_limits, values_of
+from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
+from facepipe.rig.neural_rig import Control, NeuralRig, from_default
+
+FRAMES = 24
+
+
+def turning_face() -> FaceParts:
+    """A jaw that turns, an eye, and shapes without a slider."""
+    jaw = Slider(name="open", minimum=-0.2, channels=(("head/jaw", "rx", 1.0),))
+    eye = Slider(name="look", minimum=-1.0, channels=(("head/eye", "ry", 0.6), ("head/jaw", "sz", 0.3)))
+    return replace(scan_domes.face(), sliders=(jaw, eye), animations=())
+
+
+def made(bones: Rig | None, seed: int = 0) -> NeuralRig:
+    """A rig of five controls and bent outputs that no training made: ten shapes, three coefficients where bones are."""
+    random = np.random.default_rng(seed)
+    controls = (
+        Control(name="open", minimum=-0.2),
+        Control(name="look", minimum=-1.0),
+        *(Control(name=name) for name in ("smile", "pucker", "blink")),
+    )
+    rest = whole_points(turning_face()) if bones is None else bones.points
+    shapes = np.linalg.qr(random.normal(size=(3 * len(rest), 10)))[0].T.reshape(10, -1, 3)
+    channels = np.array([[1, 3], [1, 8], [2, 4]]) if bones is not None else np.zeros((0, 2), np.int64)
+    sizes = np.concatenate([np.full(10, 100.0), np.full(len(channels), 0.3)])
+    last = 0.3 * random.normal(size=(len(sizes), 6)) * sizes[:, None]
+    hidden, bias = random.normal(size=(6, 5)), random.normal(size=6)
+    return NeuralRig(
+        controls=controls,
+        rest=rest,
+        shapes=shapes,
+        linear=random.normal(size=(5, len(sizes))) * sizes,
+        hidden=hidden,
+        hidden_bias=bias,
+        last=last,
+        last_bias=-last @ (bias / (1.0 + np.exp(-bias))),
+        topology="made",
+        bones=bones,
+        channels=channels,
+    )
+
+
+def bones() -> Rig:
+    """Of the face, in millimetres."""
+    rig = build(turning_face())
+    return bones_in(rig, np.diag([10.0, 10.0, 10.0, 1.0]))
+
+
+@pytest.fixture(scope="module", params=["points", "bones"])
+def rig(request: pytest.FixtureRequest) -> NeuralRig:
+    return made(bones() if request.param == "bones" else None)
+
+
+def frames(rig: NeuralRig, seed: int = 1) -> np.ndarray:
+    """Values all over the ranges, half of them at rest."""
+    random = np.random.default_rng(seed)
+    low, high = share_limits(rig.controls)
+    shape = (FRAMES, len(low))
+    return values_of(rig.controls, random.uniform(low, high, shape) * (random.random(shape) < 0.5))
+
+
+def test_derivatives_are_finite_differences(rig: NeuralRig) -> None:
+    random = np.random.default_rng(2)
+    x = from_default(rig.controls, frames(rig)[:3])
+    outputs, by_control = output_derivatives(rig, x)
+    assert np.allclose(outputs, rig.outputs(frames(rig)[:3]))
+    way, step = random.normal(size=x.shape[1]), 1e-6
+    ahead, behind = (output_derivatives(rig, x + sign * step * way)[0] for sign in (1.0, -1.0))
+    assert np.allclose((ahead - behind) / (2 * step), by_control @ way, atol=1e-4)
+    if rig.bones is None:
+        return
+    skinned = SkinnedPoints(rig, rig.bones)
+    by_output = skinned.derivatives(outputs[0])
+    for number, size in enumerate([1.0] * len(rig.shapes) + [1e-3] * len(rig.channels)):
+        turn = np.zeros(len(outputs[0]))
+        turn[number] = 1e-3 * size
+        found = (rig.deformed(outputs[0] + turn) - rig.deformed(outputs[0] - turn)) / (2e-3 * size)
+        assert np.allclose(found.T, by_output[number], atol=1e-3)
+    pull = random.normal(size=rig.rest.shape)
+    assert np.allclose(skinned.gradient(outputs[0], pull), np.einsum("oin,ni->o", by_output, pull))
+
+
+def test_slopes_are_those_of_the_cost(rig: NeuralRig) -> None:
+    targets = rig.points(frames(rig)[:4])
+    data = SkinnedData(rig, targets, 40) if rig.bones else ShapeData.of(rig, targets)
+    x, numbers = from_default(rig.controls, frames(rig, 5)[:4]), np.arange(4)
+    slope, curved = data.normal(x, numbers)
+    assert np.allclose(data.cost(from_default(rig.controls, frames(rig)[:4]), numbers), 0.0, atol=1e-12)
+    for control in range(x.shape[1]):
+        way = np.eye(x.shape[1])[control] * 1e-5
+        found = (data.cost(x + way, numbers) - data.cost(x - way, numbers)) / 2e-5
+        assert np.allclose(found, slope[:, control], rtol=1e-4, atol=1e-4)
+    assert (np.linalg.eigvalsh(curved) > -1e-9).all()
+
+
+def test_some_points_stand_for_all() -> None:
+    """Second derivatives of a tenth of the points are near those of all."""
+    rig = made(bones())
+    targets = rig.points(frames(rig)[:1])
+    x = from_default(rig.controls, frames(rig, 5)[:1])
+    some, everything = (SkinnedData(rig, targets, count).normal(x, np.array([0]))[1][0] for count in (100, 10**6))
+    assert len(rig.rest) > 900
+    shares = np.linalg.eigvals(np.linalg.solve(everything, some)).real
+    assert shares.min() > 0.6
+    assert shares.max() < 1.6
+
+
+def test_own_frames_are_found_again(rig: NeuralRig) -> None:
+    values = frames(rig)
+    found = InvertNeuralRig()(rig, rig.points(values))
+    print(found.report)
+    assert np.abs(found.values - values).max() < 1e-3
+    assert found.report.error_max_mm < 0.01
+    assert found.report.not_identifiable == ()
+
+
+def test_limits_hold_whatever_the_targets_are(rig: NeuralRig) -> None:
+    far = rig.rest + 3.0 * (rig.points(frames(rig)) - rig.rest)
+    found = InvertNeuralRig()(rig, far, start=10.0 * frames(rig)).values
+    assert np.isfinite(found).all()
+    for column, control in zip(found.T, rig.controls, strict=True):
+        assert column.min() >= control.minimum
+        assert column.max() <= control.maximum
+    ends = [(control.minimum, control.maximum) for control in rig.controls]
+    assert any(end in column for column, pair in zip(found.T, ends, strict=True) for end in pair)
+
+
+def test_bad_targets_are_told_in_one_line() -> None:
+    rig = made(None)
+    good = rig.points(frames(rig))
+    bad = good.copy()
+    bad[3, 7, 1] = np.nan
+    for points, start, error, what in (
+        (good[:, :-1], None, TopologyError, r"target points: shape .*, expected \(frames, \d+, 3\) as the rig has"),
+        (good[0], None, TopologyError, "target points: shape"),
+        (good[:0], None, InputError, "target points: no frames"),
+        (bad, None, InputError, "target points -> frame 3: NaN or infinity"),
+        (good, frames(rig)[:2], InputError, r"start: shape \(2, 5\), expected \(24, 5\)"),
+    ):
+        with pytest.raises(error, match=what):
+            InvertNeuralRig()(rig, points, start=start)
+    with pytest.raises(InputError, match=r"blocks: shape \(2,\), expected \(24,\)"):
+        InvertNeuralRig()(rig, good, blocks=np.zeros(2, int))
+    with pytest.raises(InputError, match="option starts"):
+        InvertNeuralRigOptions(starts=0)
