@@ -52,7 +52,7 @@ def describe(
             "format": DEFORMER.format,
             "inputs": [_input(name, shape, parts, rig) for name, shape in inputs.items()],
             "outputs": [_output(name, shape, rig) for name, shape in outputs.items()],
-            "sliders": [describe_sliders.record(one) for one in parts.sliders],
+            "sliders": describe_sliders.records(parts.sliders),
         }
     inputs, outputs = slider_signature(rig, sliders, options)
     first, *others = inputs.items()
@@ -69,7 +69,7 @@ def describe(
             for name, shape in outputs.items()
         ],
         "slider_network": None if network is None else describe_sliders.network_record(network),
-        "sliders": [describe_sliders.record(one) for one in sliders],
+        "sliders": describe_sliders.records(sliders),
     }
 
 

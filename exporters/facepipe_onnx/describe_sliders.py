@@ -13,10 +13,14 @@ from facepipe.rig.activation import curves
 
 Json = dict[str, Any]
 
+_MOST_ENTRIES = 8192
+_ENTRIES = ("channel_curves", "channels", "shape_curves", "shapes")
+
 CONVENTIONS = {
     "sliders": "clamped to their ranges; what each adds to channels and shapes is gain * (value - default), or "
     "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond; a "
-    "slider_network, whose weights the graph holds, adds to channels and shapes from the clamped values of its sliders",
+    "slider_network, whose weights the graph holds, adds to channels and shapes from the clamped values of its sliders"
+    f"; channels and shapes of more than {_MOST_ENTRIES:,} entries in all are null: the graph holds them too",
     "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
     "skinning_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
     "For vertices of the face's GLB, not quantised: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
@@ -24,6 +28,12 @@ CONVENTIONS = {
     "mesh in the order of its GLB targets",
 }
 _Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def records(sliders: Sequence[Slider]) -> list[Json]:
+    """The sliders of the face; of very many channels and shapes only the graph tells."""
+    short = sum(len(one.channels) + len(one.shapes) for one in sliders) > _MOST_ENTRIES
+    return [record(one) | (dict.fromkeys(_ENTRIES) if short else {}) for one in sliders]
 
 
 def record(slider: Slider) -> Json:

@@ -17,7 +17,7 @@ import numpy as np
 
 from facepipe.errors import ExportError
 from facepipe.names import select
-from facepipe.parts import IntArray, Slider, SliderNetwork
+from facepipe.parts import FloatArray, IntArray, Slider, SliderNetwork
 from facepipe.rig import Rig, rest_coefficients, slide
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
@@ -32,6 +32,8 @@ from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
 from facepipe_onnx.ramps import Ramps, ramp_nodes, ramps_of
 from facepipe_onnx.skin import Ends
+
+_LARGE = 1 << 14  # numbers: a matrix that is worth two more nodes to make smaller
 
 
 def select_sliders(rig: Rig, sliders: Sequence[Slider], names: tuple[str, ...]) -> tuple[Slider, ...]:
@@ -116,11 +118,23 @@ def _coefficients(nodes: Nodes, ramps: Ramps, chains: Chains, risen: str, batch:
     rows, count = len(chains.joints), len(ramps.gains)
     joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
     joint_base = np.concatenate([ramps.base.reshape(-1, 9), rest_coefficients(1)])
-    gains = nodes.constant("gains", joint_gains[:, chains.joints].reshape(count, -1))
-    flat = nodes.add("Gemm", risen, gains, nodes.constant("base", joint_base[chains.joints].ravel()))
-    coefficients = nodes.reshape(flat, batch, rows, 9)
+    gains, base = joint_gains[:, chains.joints].reshape(count, -1), joint_base[chains.joints].ravel()
+    coefficients = nodes.reshape(_product(nodes, risen, gains, base, batch), batch, rows, 9)
     nodes.add("Gather", coefficients, nodes.indices(chains.rows), axis=1, name="coefficients")
     return coefficients
+
+
+def _product(nodes: Nodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:
+    """[batch, columns] ``base + risen @ gains``; of large gains without the columns that are 0, where they are many."""
+    moved = gains.any(axis=0)
+    if gains.size < _LARGE or 2 * moved.sum() > len(base):
+        return nodes.add("Gemm", risen, nodes.constant("gains", gains), nodes.constant("base", base))
+    columns, (still, numbers) = np.flatnonzero(moved), np.unique(base[~moved], return_inverse=True)
+    place = np.empty(len(base), dtype=np.int64)
+    place[columns], place[~moved] = np.arange(len(columns)), len(columns) + numbers
+    own = nodes.add("Gemm", risen, nodes.constant("gains", gains[:, columns]), nodes.constant("base", base[columns]))
+    both = nodes.concat([own, nodes.constant("still", np.tile(still, (batch, 1)))], 1)
+    return nodes.gather(both, 1, place)
 
 
 def _weights(nodes: Nodes, ramps: Ramps, risen: str) -> str:
