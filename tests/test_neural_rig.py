@@ -12,6 +12,7 @@ import scan_domes
 from test_cli import run
 
 from facepipe.errors import InputError
+from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import FaceParts, Slider
 from facepipe.processors.neural_rig import (
@@ -245,3 +246,20 @@ def test_the_curve_is_of_frames_learned_and_watched_and_drawn(trained: TrainedNe
     draw_training_curve(trained.curve, tmp_path / "curve.png")
     with Image.open(tmp_path / "curve.png") as picture:
         assert np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0).shape[0] > 20
+
+
+def test_a_local_basis_is_the_same_space_in_fewer_places() -> None:
+    """Three shapes of five points each, mixed: turned back, each is where it was."""
+    random = np.random.default_rng(0)
+    true = np.zeros((3, 30, 3))
+    for number in range(3):
+        true[number, 10 * number : 10 * number + 5] = random.normal(size=(5, 3))
+    true /= np.linalg.norm(true, axis=(1, 2))[:, None, None]
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    mixed = np.tensordot(turn, true, axes=1)
+    found = local_basis(mixed)
+    assert np.allclose(np.abs(np.einsum("rni,sni->rs", found, true)).max(axis=1), 1.0, atol=1e-3)
+    assert np.allclose(np.einsum("rni,sni->rs", found, found), np.eye(3), atol=1e-12)
+    whole = np.full((2, 4, 3), np.sqrt(1.0 / 12.0))
+    whole[1, 2:] *= -1.0
+    assert np.linalg.norm(local_basis(whole), axis=2).sum() <= np.linalg.norm(whole, axis=2).sum()

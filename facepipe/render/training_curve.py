@@ -22,7 +22,7 @@ def draw_training_curve(curve: FloatArray, path: Path) -> None:
     :param curve: (checks, 3) step, learned, watched
     :raises InputError: a file that can't be written
     """
-    steps = np.arange(int(curve[0, 0]), int(curve[-1, 0]) + 1) if len(curve) else np.zeros(0)
+    steps = np.arange(int(curve[-1, 0]) + 1) if len(curve) else np.zeros(0)
     learned, watched = (np.interp(steps, curve[:, 0], curve[:, column]) for column in (1, 2))
     history = [{"learned": float(one), "watched": float(other)} for one, other in zip(learned, watched, strict=True)]
     save_png(loss_curves(history, WIDTH, note=NOTE), path)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.rig import Rig, rest_coefficients
@@ -36,7 +37,7 @@ class OutputBasis:
         """
         bones = motion.bones
         rest = motion.rest if bones is None else bones.points
-        shapes, _ = motion_basis(_morphs(motion, rest), tolerance, most)
+        shapes = local_basis(motion_basis(_morphs(motion, rest), tolerance, most)[0])
         channels = np.zeros((0, 2), np.int64)
         sizes = np.ones(len(shapes))
         if bones is not None and motion.coefficients is not None:
