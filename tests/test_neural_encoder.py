@@ -14,6 +14,7 @@ from test_neural_rig import turning_face
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.halving import halved
+from facepipe.geometry.ridge import ridge
 from facepipe.geometry.telling_points import farthest_points, telling_points, well_placed
 from facepipe.processors.neural_rig import (
     Motion,
@@ -73,6 +74,15 @@ def test_frames_that_nobody_drew_come_back_too(motion: Motion, trained: TrainedE
     values = trained.encoder.values(other.points)
     span = np.array([control.maximum - control.minimum for control in motion.controls])
     assert np.abs((values - other.values) / span).mean() == pytest.approx(off)
+
+
+def test_what_is_straight_is_not_bent(motion: Motion) -> None:
+    random = np.random.default_rng(6)
+    moves = random.normal(size=(len(motion.controls), *motion.rest.shape))
+    points = motion.rest + np.tensordot(motion.values, moves, axes=1)
+    report = TrainEncoder(options=FEW)(replace(motion, points=points)).report
+    assert report.ridge_mean < 1e-3 * report.constant_mean
+    assert report.error_mean < 1e-3 * report.constant_mean
 
 
 def test_noise_that_it_learned_with_does_it_less_harm(motion: Motion, trained: TrainedEncoder) -> None:
@@ -220,6 +230,17 @@ def test_small_faces_give_all_their_points(motion: Motion) -> None:
     assert set(found.chosen) < set(few.tolist())
     assert found.places.shape == (2, 32)
     assert len(TrainEncoder(options=FEW)(replace(motion, points=points)).encoder.places) == 1
+
+
+def test_ridge_is_least_squares_over_rows_with_all_noise() -> None:
+    random = np.random.default_rng(8)
+    seen, told, noise = random.normal(size=(30, 4)) + 2.0, random.normal(size=(30, 2)), np.array([0.1, 0.5, 1.0, 3.0])
+    matrix, offset = ridge(seen, told, noise)
+    either = [seen + sign * np.sqrt(4.0) * noise * unit for unit in np.eye(4) for sign in (-1.0, 1.0)]
+    rows = np.concatenate([np.concatenate(either), np.ones((240, 1))], axis=1)
+    expected = np.linalg.lstsq(rows, np.tile(told, (8, 1)), rcond=None)[0]
+    assert np.allclose(matrix, expected[:4])
+    assert np.allclose(offset, expected[4])
 
 
 def test_the_points_chosen_tell_more_than_points_drawn() -> None:

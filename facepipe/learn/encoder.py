@@ -15,11 +15,8 @@ LAYER = ("attend", "attend_bias", "join", "join_bias", "widen", "widen_bias", "n
 assert set(LAYER) == set(EncoderLayer.__dataclass_fields__)
 
 
-def evaluate(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
-    """(b, c) from about -1 to 1, not clamped, of offsets from rest (b, p, 3) in millimetres.
-
-    :param weights: by the names of `NeuralEncoder`; those of layer i are called ``i.attend`` ...; ``scale`` is one too
-    """
+def reduced(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
+    """(b, r) from -1 to 1: what a face is reduced to before its controls are told; as `evaluate`."""
     batch, count = len(offsets), len(weights["places"])
     hidden = torch.tanh(offsets / weights["scale"] @ weights["point"] + weights["point_bias"])
     features = hidden @ weights["feature"] + weights["feature_bias"]
@@ -31,8 +28,16 @@ def evaluate(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
         wide = torch.relu(_norm(tokens) @ layer["widen"] + layer["widen_bias"])
         tokens = tokens + wide @ layer["narrow"] + layer["narrow_bias"]
         number += 1
-    reduced = torch.tanh(tokens.reshape(batch, -1) @ weights["reduce"] + weights["reduce_bias"])
-    return reduced @ weights["last"] + offsets.reshape(batch, -1) @ weights["straight"] + weights["offset"]
+    return torch.tanh(tokens.reshape(batch, -1) @ weights["reduce"] + weights["reduce_bias"])
+
+
+def evaluate(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
+    """(b, c) from about -1 to 1, not clamped, of offsets from rest (b, p, 3) in millimetres.
+
+    :param weights: by the names of `NeuralEncoder`; those of layer i are called ``i.attend`` ...; ``scale`` is one too
+    """
+    flat = offsets.reshape(len(offsets), -1)
+    return reduced(weights, offsets, heads) @ weights["last"] + flat @ weights["straight"] + weights["offset"]
 
 
 def _norm(tokens: Tensor) -> Tensor:

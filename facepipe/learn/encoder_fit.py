@@ -11,7 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.learn.encoder import Weights, evaluate
+from facepipe.learn.encoder import Weights, evaluate, reduced
+from facepipe.learn.encoder_last import last_layer
 from facepipe.learn.one_thread import one_thread
 
 FloatArray = npt.NDArray[np.floating]
@@ -19,6 +20,7 @@ FloatArray = npt.NDArray[np.floating]
 BATCH = 64
 FIRST_RATE, LAST_RATE = 5e-4, 1e-6
 DECAY = 1.0  # of weights, a step and rate: the network bends no more than the frames ask for
+LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 can tell
 WARM = 100  # steps over which the rate rises
 CHECK_EVERY = 50  # steps
 _POINT_UNITS, _FEATURES = 32, 8
@@ -75,7 +77,8 @@ def train_encoder(
     """A network of least squared error beside a straight map, which it begins as.
 
     Adam with decoupled decay (Loshchilov and Hutter 2019) from a seed, on one thread: the same samples give the same
-    network. It sees every frame with other noise each time.
+    network. It sees every frame with other noise each time. After it the straight map and the last layer are solved
+    for once more, as the least squares of the features found.
 
     :param checked: other samples; training stops where their error has not fallen for some steps, and the best is
         taken
@@ -91,6 +94,11 @@ def train_encoder(
         network = _Network(_begin(learned[0], places, straight, size, random), places, size.heads)
         taken = _descend(network, learned, seen, noise, random, limits, done)
         found = {name: one.detach().numpy() for name, one in network.evaluated().items()}
+        frames = [(x, network.reduced(x), y) for x, y in (learned, seen)]
+        solved = zip(
+            ("straight", "last", "offset"), last_layer(frames[0], frames[1], max(noise, LEAST_NOISE)), strict=True
+        )
+        found |= {name: one.astype(np.float32) for name, one in solved}
         return FittedEncoder(weights=found, steps=taken)
 
 
@@ -109,6 +117,12 @@ class _Network:
 
     def __call__(self, offsets: Tensor) -> Tensor:
         return evaluate(self.evaluated(), offsets, self._heads)
+
+    def reduced(self, offsets: Tensor) -> Tensor:
+        """(f, r) without gradients, a few frames at a time."""
+        weights = self.evaluated()
+        with torch.no_grad():
+            return torch.cat([reduced(weights, some, self._heads) for some in offsets.split(4 * BATCH)])
 
     def copied(self) -> list[Tensor]:
         """The parameters as they are now."""

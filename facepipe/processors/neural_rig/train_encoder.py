@@ -28,7 +28,7 @@ HEADS = 4
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
 _CANDIDATES = 2048  # points that those of the encoder are chosen from
 _SEEN_WITH = 0.3  # mm of noise that points are chosen for: much less, and those of one place would tell all
-_LEAST_NOISE = 1e-3  # mm: the straight map stays within what float32 can tell
+_CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
 _STILL = 1e-6  # mm: a point that moves no further does not move
 
 
@@ -146,9 +146,8 @@ def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, Enc
     count = min(options.points, len(moving))
     per_token = min(options.per_token, count)
     count -= count % per_token
-    x = np.concatenate([inputs(motion.controls, motion.values), np.ones((len(motion.values), 1))], axis=1)
-    deltas = (motion.points[:, moving] - motion.rest[moving]).reshape(len(x), -1)
-    straight = np.linalg.lstsq(x, deltas, rcond=None)[0][:-1]
+    x = inputs(motion.controls, motion.values)
+    straight, _ = ridge(x, motion.points[:, moving].reshape(len(x), -1), _CONTROL_NOISE)
     moves = straight.reshape(-1, len(moving), 3).transpose(1, 2, 0)
     chosen = moving[well_placed(motion.rest[moving], moves, _SEEN_WITH, count, max(_CANDIDATES, count))]
     size = EncoderSize(
@@ -190,8 +189,10 @@ def _encoder(motion: Motion, chosen: IntArray, weights: Mapping[str, FloatArray]
 
 def _straight(samples: EncoderSamples, options: TrainEncoderOptions) -> tuple[FloatArray, FloatArray]:
     """(3 p, c) and (c,) of least squared error."""
+    from facepipe.learn.encoder_fit import LEAST_NOISE
+
     flat = samples.offsets.reshape(len(samples.offsets), -1).astype(np.float64)
-    return ridge(flat, samples.controls, max(options.noise_mm, _LEAST_NOISE))
+    return ridge(flat, samples.controls, max(options.noise_mm, LEAST_NOISE))
 
 
 def _report(
