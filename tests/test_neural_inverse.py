@@ -161,3 +161,115 @@ def test_bad_targets_are_told_in_one_line() -> None:
         InvertNeuralRig()(rig, good, blocks=np.zeros(2, int))
     with pytest.raises(InputError, match="option starts"):
         InvertNeuralRigOptions(starts=0)
+
+
+def moving(rig: NeuralRig, count: int = 60) -> np.ndarray:
+    """(count, c) values that swing slowly within the ranges."""
+    low, high = share_limits(rig.controls)
+    turns = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * (1.0 + 0.3 * np.arange(len(low)))
+    return values_of(rig.controls, (low + high) / 2.0 + 0.4 * np.sin(turns + np.arange(len(low))))
+
+
+def test_smoothness_calms_what_noise_shakes_and_leaves_the_motion(rig: NeuralRig) -> None:
+    values = moving(rig)
+    noise = np.random.default_rng(3).normal(size=(len(values), *rig.rest.shape))
+    jerks, errors = [], []
+    for smoothness in (0.0, 10.0):
+        found = InvertNeuralRig(options=InvertNeuralRigOptions(smoothness=smoothness))
+        clip = np.zeros(len(values), int)
+        shaken = found(rig, rig.points(values) + 2.0 * noise, blocks=clip).values
+        jerks.append(np.abs(np.diff(shaken - values, 3, axis=0)).mean())
+        errors.append(np.abs(shaken - values).mean())
+        assert np.abs(found(rig, rig.points(values), blocks=clip).values - values).max() < 0.01
+    print(jerks, errors)
+    assert jerks[1] < 0.4 * jerks[0]
+    assert errors[1] < errors[0]
+
+
+def test_clips_are_smooth_within_and_not_across(rig: NeuralRig) -> None:
+    """Two clips solved at once are the same as each alone, and longer ones than a window have no seam."""
+    strong = InvertNeuralRig(options=InvertNeuralRigOptions(smoothness=10.0))
+    points = rig.points(np.concatenate([moving(rig, 20), frames(rig)[:6]]))
+    both = strong(rig, points, blocks=np.repeat([0, 1], [20, 6])).values
+    for rows in (slice(20), slice(20, 26)):
+        alone = strong(rig, points[rows], blocks=np.zeros(len(points[rows]), int)).values
+        assert np.allclose(both[rows], alone, atol=1e-4)
+    long = moving(rig, 130)  # frames; windows are of 120
+    shaken = rig.points(long) + 2.0 * np.random.default_rng(4).normal(size=(130, *rig.rest.shape))
+    found = InvertNeuralRig(options=InvertNeuralRigOptions(smoothness=1.0))(rig, shaken, blocks=np.zeros(130, int))
+    bent = np.abs(np.diff(found.values - long, 2, axis=0)).max(axis=1)
+    assert bent[116:122].max() < 2.0 * np.sort(bent)[-20]
+
+
+def test_a_price_on_controls_leaves_those_that_do_nothing_at_rest(rig: NeuralRig) -> None:
+    idle = replace(
+        rig,
+        controls=(*rig.controls, Control(name="idle", minimum=-1.0)),
+        linear=np.concatenate([rig.linear, np.zeros((1, rig.linear.shape[1]))]),
+        hidden=np.concatenate([rig.hidden, np.zeros((len(rig.hidden), 1))], axis=1),
+    )
+    values = np.concatenate([frames(rig), np.zeros((FRAMES, 1))], axis=1)
+    start = np.where(np.arange(6) == 5, 0.7, values)
+    found = InvertNeuralRig()(idle, idle.points(values), start=start)
+    assert np.array_equal(found.values[:, 5], np.zeros(FRAMES))
+    assert found.report.not_identifiable == ("idle",)
+    free = InvertNeuralRig(options=InvertNeuralRigOptions(l1=0.0))(idle, idle.points(values), start=start)
+    assert np.allclose(free.values[:, 5], 0.7)
+
+
+def test_two_controls_that_do_the_same_are_found_out(rig: NeuralRig) -> None:
+    twin = replace(
+        rig,
+        controls=(*rig.controls, Control(name="twin")),
+        linear=np.concatenate([rig.linear, rig.linear[2:3]]),
+        hidden=np.concatenate([rig.hidden, rig.hidden[:, 2:3]], axis=1),
+    )
+    values = np.concatenate([0.5 * frames(rig), np.full((FRAMES, 1), 0.2)], axis=1)
+    report = InvertNeuralRig()(twin, twin.points(values)).report
+    assert report.error_max_mm < 0.01
+    assert set(report.not_identifiable) == {"smile", "twin"}
+    assert report.controls["twin"].own_share < 1e-3
+    assert report.controls["twin"].std > 0.28
+    assert report.controls["look"].own_share > 0.1
+
+
+def test_what_is_told_of_controls_is_least_squares() -> None:
+    """Under even noise on all that a straight rig can do, controls are off by their standard errors."""
+    rig = made(None)
+    rig = replace(rig, hidden=rig.hidden * 1e-9, linear=rig.linear * np.linspace(0.2, 1.0, 5)[:, None])
+    random, values = np.random.default_rng(6), np.full((400, 5), 0.4)
+    shaken = rig.points(values) + np.tensordot(3.0 * random.normal(size=(400, 10)), rig.shapes, axes=1)
+    found = InvertNeuralRig(options=InvertNeuralRigOptions(l1=0.0))(rig, shaken)
+    off = (found.values - values).std(axis=0) / [control.maximum - control.minimum for control in rig.controls]
+    told = np.array([one.std for one in found.report.controls.values()])
+    print(off, told)
+    assert np.allclose(told, off, rtol=0.25)
+
+
+def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig) -> None:
+    pytest.importorskip("torch")
+    values = frames(rig)[:8]
+    points = rig.points(values)
+    adam = InvertNeuralRig(options=InvertNeuralRigOptions(mode="adam", adam_steps=300))
+    first, again = adam(rig, points), adam(rig, points)
+    assert np.array_equal(first.values, again.values)
+    assert np.median(np.abs(first.values - values).max(axis=1)) < 0.02
+    own = InvertNeuralRig(options=InvertNeuralRigOptions(steps=20, starts=1))(rig, points).report
+    assert own.error_mean_mm <= first.report.error_mean_mm
+    assert own.steps < 0.1 * first.report.steps
+
+
+def test_frames_in_a_poor_valley_are_started_again() -> None:
+    """From a start at the far ends some frames are stuck; further starts bring them home."""
+    rig = made(None, seed=2)
+    rig = replace(rig, last=4.0 * rig.last, hidden=3.0 * rig.hidden)
+    values = frames(rig)
+    low, high = share_limits(rig.controls)
+    far = values_of(rig.controls, np.where(from_default(rig.controls, values) < (low + high) / 2.0, high, low))
+    costs = [
+        InvertNeuralRig(options=InvertNeuralRigOptions(starts=starts))(rig, rig.points(values), start=far).report
+        for starts in (1, 6)
+    ]
+    print([one.worst_frame_mm for one in costs])
+    assert costs[0].worst_frame_mm > 0.05
+    assert costs[1].worst_frame_mm < 0.01

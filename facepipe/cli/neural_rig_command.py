@@ -7,12 +7,15 @@ over time, and a point cache (docs/neural_rig.md). It needs the extra train (tor
 apply puts a neural rig on a face of the meshes that it was learned on, in place of its sliders and shapes: an override
 layer that links the rig. `facepipe export --neural` writes what an engine loads.
 
+invert finds the controls of points, of a pose or of a point cache over time, on the meshes that the rig was learned on.
+
 examples:
   facepipe neural-rig train head.usda -o head.fpnr
   facepipe neural-rig train head.usda -o head.fpnr --spread 2000 --width 256 --json
   facepipe neural-rig train head.usda --clip head.usda --clip talk.usdc -o head.fpnr
   facepipe neural-rig train range_of_motion.usdc --controls /Rig/Controls -o head.fpnr
   facepipe neural-rig apply head.usda head.fpnr -o neural.usda
+  facepipe neural-rig invert head.fpnr talk.usdc -o controls.usda --threshold-mm 0.5
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.neural_rig_apply import add_apply, apply
+from facepipe.cli.neural_rig_invert import add_invert, invert
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
@@ -62,11 +66,12 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     train.add_argument("--plot", type=Path, metavar="PNG", help="picture of what is left of the motion, step by step")
     train.add_argument("--json", action="store_true", help="print the report as JSON")
     add_apply(actions)
+    add_invert(actions)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train or apply."""
-    return apply(arguments) if arguments.action == "apply" else _train(arguments)
+    """The action."""
+    return {"train": _train, "apply": apply, "invert": invert}[arguments.action](arguments)
 
 
 def _train(arguments: argparse.Namespace) -> int:

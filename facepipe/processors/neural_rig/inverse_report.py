@@ -67,6 +67,6 @@ def told(names: list[str], matrices: FloatArray, off: FloatArray, outputs: int) 
     shares = own / np.maximum(sizes, 1e-30)
     rows = zip(*(np.median(one, axis=0).tolist() for one in (sizes, shares, std)), strict=True)
     return {
-        name: ControlReport(moves_mm=moves, own_share=share, std=error, identifiable=error < 0.99 * ANYWHERE)
+        name: ControlReport(moves_mm=moves, own_share=share, std=error, identifiable=bool(error < 0.99 * ANYWHERE))
         for name, (moves, share, error) in zip(names, rows, strict=True)
     }

@@ -28,7 +28,7 @@ class InvertNeuralRigOptions:
         },
     )
     smoothness: float = field(
-        default=1e-4,
+        default=1e-3,
         metadata={
             "help": "price of a change of speed by the range a frame, squared, in clips",
             "unit": "mm2",

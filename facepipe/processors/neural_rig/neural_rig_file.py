@@ -71,6 +71,14 @@ def load_neural_rig(path: Path) -> NeuralRig:
     return rig
 
 
+def has_encoder(path: Path) -> bool:
+    """Whether the file of a neural rig holds an encoder too.
+
+    :raises InputError: not readable, damaged, or not such a file
+    """
+    return encoder_arrays.KEY in read_arrays(path, KIND).content
+
+
 def load_encoder(path: Path) -> NeuralEncoder:
     """The encoder in the file of a neural rig.
 

@@ -1,0 +1,135 @@
+"""`facepipe neural-rig invert`: stages to controls over time, and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, Vt
+from test_cli import run
+from test_neural_inverse import made, moving, turning_face
+
+from facepipe.errors import InputError, TopologyError
+from facepipe.processors.database import Topology
+from facepipe.processors.neural_rig import ReadClips, save_neural_rig
+from facepipe.processors.neural_rig.read_targets import read_targets
+from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.stage.author_controls import save_controls
+from facepipe.stage.read_controls import read_controls
+
+TOPOLOGY = Topology.of(turning_face())
+
+
+@pytest.fixture(scope="module")
+def rig() -> NeuralRig:
+    return replace(made(None), topology=TOPOLOGY.digest)
+
+
+def baked(path: Path, points: np.ndarray, codes: list[float], scale: float = 0.01) -> Path:
+    """Whole points over time on the meshes of the face, Z up and in other units; without codes a pose."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, scale)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetTimeCodesPerSecond(30.0)
+    turned = np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1) * 0.001 / scale
+    starts = np.cumsum([0, *TOPOLOGY.points])
+    for number, name in enumerate(TOPOLOGY.names):
+        mesh = UsdGeom.Mesh.Define(stage, f"/Clip/{name}")
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(TOPOLOGY.counts[number]))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(TOPOLOGY.indices[number]))
+        own = np.ascontiguousarray(turned[:, starts[number] : starts[number + 1]], np.float32)
+        for row, code in zip(own, codes or [Usd.TimeCode.Default()], strict=True):
+            mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(row), code)
+    stage.Save()
+    return path
+
+
+def test_a_clip_becomes_controls_that_train_and_others_read(
+    rig: NeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = moving(rig, 12)
+    codes = [*np.arange(8.0), *np.arange(20.0, 24.0)]
+    save_neural_rig(rig, tmp_path / "one.fpnr", {})
+    clip = baked(tmp_path / "clip.usdc", rig.points(values), codes)
+    assert read_targets(clip, rig).blocks.tolist() == [0] * 8 + [1] * 4
+    out = tmp_path / "controls.usda"
+    code, told, err = run(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", clip, "-o", out, "--json")
+    assert code == 0, err
+    report = json.loads(told)
+    assert report["frames"] == 12
+    assert report["error_mean_mm"] < 0.01
+    assert set(report["controls"]) == {control.name for control in rig.controls}
+    tracks = {track.name: track for track in read_controls(out)}
+    for control, column in zip(rig.controls, values.T, strict=True):
+        track = tracks[control.name]
+        assert np.array_equal(track.codes, codes)
+        assert np.allclose(track.values, column, atol=2e-3)
+        assert (track.minimum, track.maximum, track.default) == (control.minimum, control.maximum, control.default)
+    assert Usd.Stage.Open(str(out)).GetTimeCodesPerSecond() == 30.0
+    assert np.allclose(ReadClips()([out], rig.controls).values[:6], values[:6], atol=2e-3)
+
+
+def test_a_pose_becomes_values_without_time(rig: NeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = moving(rig, 12)[5:6]
+    save_neural_rig(rig, tmp_path / "one.fpnr", {})
+    pose = baked(tmp_path / "pose.usda", rig.points(values), [])
+    out = tmp_path / "controls.usda"
+    code, told, err = run(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", pose, "-o", out)
+    assert code == 0, err
+    assert "controls of 1 frame," in told
+    tracks = {track.name: track for track in read_controls(out)}
+    found = [tracks[control.name].values for control in rig.controls]
+    assert np.allclose(np.array(found)[:, 0], values[0], atol=2e-3)
+    assert all(len(track.codes) == 0 for track in tracks.values())
+
+
+def test_a_missed_threshold_and_bad_input_are_told(
+    rig: NeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_neural_rig(rig, tmp_path / "one.fpnr", {})
+    shaken = rig.rest + np.random.default_rng(0).normal(size=(3, *rig.rest.shape))
+    clip = baked(tmp_path / "clip.usda", shaken, [1.0, 2.0, 3.0])
+    out = tmp_path / "controls.usda"
+    words = ("neural-rig", "invert", tmp_path / "one.fpnr")
+    code, _, err = run(capsys, *words, clip, "-o", out, "--threshold-mm", 0.5)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "mm off, more than 0.5 mm" in err
+    assert out.exists()
+    for more, told in (
+        ((clip, "-o", out), "exists, expected a new file"),
+        ((clip, "-o", tmp_path / "controls.json"), "suffix '.json'"),
+        ((clip, "-o", out, "--force", "--threshold-mm", "-1"), "--threshold-mm: -1, expected 0 or more"),
+        ((clip, "-o", out, "--force", "--starts", "0"), "option starts: is 0"),
+    ):
+        code, _, err = run(capsys, *words, *more)
+        assert (code, err.count("\n")) == (2, 1)
+        assert told in err
+
+
+def test_other_meshes_are_refused(rig: NeuralRig, tmp_path: Path) -> None:
+    clip = baked(tmp_path / "clip.usda", rig.rest[None], [])
+    with pytest.raises(TopologyError, match=r"clip.usda: meshes .* points, expected those that the neural rig was"):
+        read_targets(clip, replace(rig, topology="sha256:other"))
+    Usd.Stage.CreateNew(str(tmp_path / "empty.usda")).Save()
+    with pytest.raises(InputError, match="no mesh, expected those"):
+        read_targets(tmp_path / "empty.usda", rig)
+
+
+def test_controls_that_usd_cannot_hold_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="control '1st one', expected letters"):
+        save_controls(tmp_path / "one.usda", [Control(name="1st one")], np.zeros((1, 1)), np.zeros(0))
+    with pytest.raises(InputError, match="NaN"):
+        save_controls(tmp_path / "one.usda", [Control(name="one")], np.full((1, 1), np.nan), np.zeros(0))
+    assert not list(tmp_path.iterdir())
+
+
+def test_controls_are_numbers_of_one_prim(tmp_path: Path) -> None:
+    controls = [Control(name="jaw:open"), Control(name="look", minimum=-1.0)]
+    save_controls(tmp_path / "one.usda", controls, np.array([[0.5, -0.5], [0.25, 0.0]]), np.array([1.0, 4.0]))
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "one.usda"))
+    assert layer.defaultPrim == "Controls"
+    assert (layer.startTimeCode, layer.endTimeCode) == (1.0, 4.0)
+    assert [track.name for track in read_controls(tmp_path / "one.usda")] == ["jaw:open", "look"]
