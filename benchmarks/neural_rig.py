@@ -128,7 +128,7 @@ def _carried(rig: NeuralRig, first: Teacher, second: Teacher, name: str) -> list
         (f"{FRAMES} frames, no noise", RetargetOptions(noise_mm=0.0)),
         (f"{FRAMES} frames", RetargetOptions()),
     ):
-        found = RetargetNeuralRig(options=options)(rig, subject, seen.values, seen.points).rig
+        found = RetargetNeuralRig(options=options)(rig, subject, seen.points, seen.values).rig
         rows.append(_row(name, way, found.points, unseen, _size(found)))
     return rows
 

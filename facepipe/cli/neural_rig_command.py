@@ -9,12 +9,15 @@ layer that links the rig. `facepipe export --neural` writes what an engine loads
 
 invert finds the controls of points, of a pose or of a point cache over time, on the meshes that the rig was learned on.
 
+retarget carries a rig to another person, of some frames of that person: the same controls drive both.
+
 examples:
   facepipe neural-rig train head.usda -o head.fpnr
   facepipe neural-rig train head.usda -o head.fpnr --spread 2000 --width 256 --json
   facepipe neural-rig train head.usda --clip head.usda --clip talk.usdc -o head.fpnr
   facepipe neural-rig train range_of_motion.usdc --controls /Rig/Controls -o head.fpnr
   facepipe neural-rig apply head.usda head.fpnr -o neural.usda
+  facepipe neural-rig retarget head.fpnr anna.usda --frames anna_clip.usdc -o anna.fpnr
   facepipe neural-rig invert head.fpnr talk.usdc -o controls.usda --threshold-mm 0.5
 """
 
@@ -27,6 +30,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.neural_rig_apply import add_apply, apply
 from facepipe.cli.neural_rig_invert import add_invert, invert
+from facepipe.cli.neural_rig_retarget import add_retarget, retarget
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
@@ -67,11 +71,12 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     train.add_argument("--json", action="store_true", help="print the report as JSON")
     add_apply(actions)
     add_invert(actions)
+    add_retarget(actions)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """The action."""
-    return {"train": _train, "apply": apply, "invert": invert}[arguments.action](arguments)
+    return {"train": _train, "apply": apply, "invert": invert, "retarget": retarget}[arguments.action](arguments)
 
 
 def _train(arguments: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from facepipe.errors import TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
@@ -52,7 +53,7 @@ class Subject:
 
 
 def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
-    """The rig on the subject: its own rest and bones, and shapes that take over the deformation; not orthonormal.
+    """The rig on the subject: its own rest and bones, and shapes that take over the deformation.
 
     Translations of bones are brought to the subject's size.
 
@@ -70,14 +71,37 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
     scale = np.ones(len(rig.shapes) + len(rig.channels))
     moves = rig.channels[:, 1] < CHANNELS.index("rx")
     scale[len(rig.shapes) :][moves] = _size(rest) / _size(rig.rest)
-    return replace(
+    scaled = replace(
         rig,
         rest=rest,
         bones=bones,
-        shapes=shapes,
         linear=rig.linear * scale,
         last=rig.last * scale[:, None],
         last_bias=rig.last_bias * scale,
+    )
+    return over(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
+
+
+def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: float, most: int) -> NeuralRig:
+    """The rig with other shapes for its activations, and shapes that its controls bring, over an orthonormal basis.
+
+    :param shapes: (r, n, 3) in place of the rig's own
+    :param by_control: (c, n, 3) of a control its whole range from its default
+    :param tolerance: millimetres that the basis may leave of any of these at its largest, RMS
+    :param most: shapes of the basis
+    """
+    count = len(shapes)
+    sizes = np.concatenate([reach(rig)[:count], np.ones(len(by_control))])
+    rows = np.concatenate([shapes, by_control])
+    basis, amounts = motion_basis(rows * sizes[:, None, None], tolerance, most)
+    amounts = amounts / sizes[:, None]
+    to_new, to_controls = amounts[:count], amounts[count:]
+    return replace(
+        rig,
+        shapes=basis,
+        linear=np.concatenate([rig.linear[:, :count] @ to_new + to_controls, rig.linear[:, count:]], axis=1),
+        last=np.concatenate([to_new.T @ rig.last[:count], rig.last[count:]]),
+        last_bias=np.concatenate([rig.last_bias[:count] @ to_new, rig.last_bias[count:]]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,12 +10,11 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
-from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.geometry.motion_basis import motion_basis
 from facepipe.geometry.point_ridge import Examples
 from facepipe.options import check_ranges
-from facepipe.processors.neural_rig.carried_rig import Subject, carried, reach
-from facepipe.reports import Report
+from facepipe.processors.neural_rig.carried_rig import Subject, carried, over
+from facepipe.processors.neural_rig.invert import InvertNeuralRig
+from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.rig.neural_rig import NeuralRig, from_default
 
 FloatArray = npt.NDArray[np.floating]
@@ -38,6 +38,9 @@ class RetargetOptions:
             "range": (-1.0, 100.0),
         },
     )
+    rounds: int = field(
+        default=2, metadata={"help": "how often controls are found, where they aren't given", "range": (1, 20)}
+    )
     held_out: float = field(
         default=0.15,
         metadata={"help": "share of the frames, the last ones, that the report is on", "range": (0.01, 0.9)},
@@ -49,21 +52,6 @@ class RetargetOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RetargetReport(Report):
-    """How near the subject's rig comes to frames of the subject that it was not made of, in millimetres."""
-
-    frames: int
-    held_out: int
-    shapes: int
-    noise_mm: float
-    motion_mean_mm: float  # of the held-out frames, from rest
-    error_mean_mm: float
-    error_max_mm: float
-    transfer_mean_mm: float  # of deformation transfer from the other subject's frames
-    copy_mean_mm: float  # of the other subject's deltas as they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +68,8 @@ class RetargetNeuralRig:
 
     The rig is first carried over by deformation transfer. What frames of the subject are beyond that is learned point
     by point: a linear map of the rig's controls and of the point's own motion, under noise (`geometry.point_ridge`).
-    Both are straight, so the composed model is one neural rig.
+    Both are straight, so the composed model is one neural rig. Controls that aren't given are found by the inverse of
+    what is there: first of the carried rig, then of the one that was learned.
 
     Source: neural-face-rig, claims 1 and 7-9, S401-S404 and S501-S502. A fully connected network of the whole
     deformation, as there, learns nothing of a hundred frames that holds on others; see docs/neural_rig.md.
@@ -88,22 +77,54 @@ class RetargetNeuralRig:
 
     options: RetargetOptions = field(default_factory=RetargetOptions)
 
-    def __call__(self, rig: NeuralRig, subject: Subject, values: FloatArray, points: FloatArray) -> Retargeted:
+    def __call__(
+        self,
+        rig: NeuralRig,
+        subject: Subject,
+        points: FloatArray,
+        values: FloatArray | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> Retargeted:
         """The rig of a subject.
 
-        :param values: (f, c) controls of the rig that make its own subject do what the frames show
         :param points: (f, n, 3) millimetres, of the new subject
+        :param values: (f, c) controls of the frames; None: those are found that the rig so far comes nearest with
+        :param done: called as each time that controls were found and learned from, at most `calls` times
         :raises InputError: NaN, or fewer than two frames
         :raises TopologyError: other meshes or joints than those of the rig, or counts that don't fit
         """
         _check(rig, subject, values, points)
-        kept = max(1, round(len(points) * (1.0 - self.options.held_out)))
-        kept = min(kept, len(points) - 1)
+        points = np.asarray(points, dtype=np.float64)
+        kept = min(max(1, round(len(points) * (1.0 - self.options.held_out))), len(points) - 1)
         base = carried(rig, subject)
-        tried, noise = self._fitted(base, values[:kept], points[:kept])
-        report = _report(tried, rig, subject, values[kept:], points[kept:])
-        whole, _ = self._fitted(base, values, points, noise)
-        return Retargeted(rig=whole, report=replace(report, frames=kept, shapes=len(whole.shapes), noise_mm=noise))
+        tried, noise = self._learned(base, points[:kept], None if values is None else values[:kept], -1.0, done)
+        report = compared(tried, rig, subject, points[kept:], None if values is None else values[kept:])
+        done()
+        whole, _ = self._learned(base, points, values, noise, done)
+        report = replace(report, frames=kept, shapes=len(whole.shapes), noise_mm=noise)
+        return Retargeted(rig=whole, report=report)
+
+    @property
+    def calls(self) -> int:
+        """How often `done` is called at most."""
+        return 2 * self.options.rounds + 1
+
+    def _learned(
+        self,
+        base: NeuralRig,
+        points: FloatArray,
+        values: FloatArray | None,
+        noise: float,
+        done: Callable[[], object],
+    ) -> tuple[NeuralRig, float]:
+        """The rig, and the noise that it was learned under; where controls are found, again with those of the last."""
+        if values is not None:
+            return self._fitted(base, values, points, noise)
+        found, chosen = base, noise
+        for _ in range(self.options.rounds):
+            found, chosen = self._fitted(base, InvertNeuralRig()(found, points).values, points, noise)
+            done()
+        return found, chosen
 
     def _fitted(
         self, base: NeuralRig, values: FloatArray, points: FloatArray, noise: float = -1.0
@@ -119,47 +140,22 @@ class RetargetNeuralRig:
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
         noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
         maps = examples.maps(max(noise, 1e-6))
-        return self._composed(base, maps.by_input, maps.by_own), noise
-
-    def _composed(self, base: NeuralRig, by_input: FloatArray, by_own: FloatArray) -> NeuralRig:
-        """One rig of what was carried and what was learned, over few orthonormal shapes again."""
-        count = len(base.shapes)
-        shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, by_own)
-        rows = np.concatenate([shapes, by_input])
-        sizes = np.concatenate([reach(base)[:count], np.ones(len(by_input))])
-        basis, amounts = motion_basis(rows * sizes[:, None, None], self.options.tolerance_mm, self.options.shapes)
-        amounts = amounts / sizes[:, None]  # (r + c, new) of each row
-        to_new, to_controls = amounts[:count], amounts[count:]
-        return replace(
-            base,
-            shapes=basis,
-            linear=np.concatenate([base.linear[:, :count] @ to_new + to_controls, base.linear[:, count:]], axis=1),
-            last=np.concatenate([to_new.T @ base.last[:count], base.last[count:]]),
-            last_bias=np.concatenate([base.last_bias[:count] @ to_new, base.last_bias[count:]]),
-        )
+        shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_own)
+        return over(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
 
 
-def frames_of_first(rig: NeuralRig, first: Subject, second: Subject, points: FloatArray) -> FloatArray:
-    """(f, n, 3) frames of the second subject as the first one would make them, by deformation transfer.
-
-    The neural rig of the first one finds its controls for them.
-    """
-    transfer = Transfer(first.rest, second.checked(rig).topology.triangles, np.zeros(len(first.rest), bool))
-    return np.stack([transfer.solve(second.rest[None], frame[None]) for frame in np.asarray(points, np.float64)])
-
-
-def _check(rig: NeuralRig, subject: Subject, values: FloatArray, points: FloatArray) -> None:
+def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: FloatArray) -> None:
     subject.checked(rig)
     if len(points) < 2:
         raise InputError(subject.where, f"{len(points)} frames, expected two or more")
     for what, found, shape in (
-        ("points", np.shape(points), (len(points), len(rig.rest), 3)),
-        ("controls", np.shape(values), (len(points), len(rig.controls))),
+        ("points", points, (len(points), len(rig.rest), 3)),
+        ("controls", values, (len(points), len(rig.controls))),
     ):
-        if found != shape:
-            raise TopologyError(f"{subject.where} -> {what}", f"shape {found}, expected {shape}")
-    require_finite(points, subject.where, "points")
-    require_finite(values, subject.where, "controls")
+        if found is not None and np.shape(found) != shape:
+            raise TopologyError(f"{subject.where} -> {what}", f"shape {np.shape(found)}, expected {shape}")
+        if found is not None:
+            require_finite(found, subject.where, what)
 
 
 def _strengths(rig: NeuralRig) -> FloatArray:
@@ -186,29 +182,4 @@ def _morphed(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> FloatAr
             bones.unskin(np.asarray(frame, np.float64), bones.skinning_matrices(one))
             for frame, one in zip(points, local, strict=True)
         ]
-    )
-
-
-def _report(
-    found: NeuralRig, rig: NeuralRig, subject: Subject, values: FloatArray, points: FloatArray
-) -> RetargetReport:
-    still = rig.points(rig.values({}))
-    transfer = Transfer(subject.rest, subject.topology.triangles, np.zeros(len(subject.rest), bool))
-    own, off, copied, moved = [], [], [], []
-    for row, frame in zip(values, points, strict=True):
-        first = rig.points(row)
-        own.append(np.linalg.norm(found.points(row) - frame, axis=1))
-        off.append(np.linalg.norm(transfer.solve(still[None], first[None]) - frame, axis=1))
-        copied.append(np.linalg.norm(subject.rest + first - still - frame, axis=1))
-        moved.append(np.linalg.norm(frame - subject.rest, axis=1))
-    return RetargetReport(
-        frames=0,
-        held_out=len(points),
-        shapes=0,
-        noise_mm=0.0,
-        motion_mean_mm=float(np.mean(moved)),
-        error_mean_mm=float(np.mean(own)),
-        error_max_mm=float(np.max(own)),
-        transfer_mean_mm=float(np.mean(off)),
-        copy_mean_mm=float(np.mean(copied)),
     )
