@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +13,12 @@ import scan_domes
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Slider
 from facepipe.processors.database import whole_points
-from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions
+from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
 from facepipe.rig.bones import bones_in
 from facepipe.rig.control_shares import share_limits, values_of
-from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
+from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives, with_orthonormal_shapes
 from facepipe.rig.neural_rig import Control, NeuralRig, from_default
 
 FRAMES = 24
@@ -130,6 +132,22 @@ def test_own_frames_are_found_again(rig: NeuralRig) -> None:
     assert np.abs(found.values - values).max() < 1e-3
     assert found.report.error_max_mm < 0.01
     assert found.report.not_identifiable == ()
+
+
+def test_shapes_need_not_be_orthonormal() -> None:
+    """Those of a rig that was carried to another face are not, and one may be the sum of others."""
+    rig = made(None)
+    mix = np.random.default_rng(7).normal(size=(10, 10))
+    mix[9] = mix[0] + mix[1]
+    shapes = np.tensordot(mix, rig.shapes, axes=1)
+    other = replace(rig, shapes=shapes, linear=0.3 * rig.linear, last=0.3 * rig.last, last_bias=0.3 * rig.last_bias)
+    values = frames(rig)
+    same = with_orthonormal_shapes(other)
+    assert len(same.shapes) == 9
+    assert np.allclose(same.points(values), other.points(values))
+    assert with_orthonormal_shapes(rig) is rig
+    found = InvertNeuralRig()(other, other.points(values))
+    assert np.abs(found.values - values).max() < 1e-3
 
 
 def test_limits_hold_whatever_the_targets_are(rig: NeuralRig) -> None:
@@ -246,11 +264,15 @@ def test_what_is_told_of_controls_is_least_squares() -> None:
     assert np.allclose(told, off, rtol=0.25)
 
 
-def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig) -> None:
+def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig, tmp_path: Path) -> None:
     pytest.importorskip("torch")
     values = frames(rig)[:8]
     points = rig.points(values)
     adam = InvertNeuralRig(options=InvertNeuralRigOptions(mode="adam", adam_steps=300))
+    save_neural_rig(rig, tmp_path / "one.fpnr", {})
+    with warnings.catch_warnings():  # arrays of files can't be written to, of which torch would warn
+        warnings.simplefilter("error")
+        adam(load_neural_rig(tmp_path / "one.fpnr"), points[:1])
     first, again = adam(rig, points), adam(rig, points)
     assert np.array_equal(first.values, again.values)
     assert np.median(np.abs(first.values - values).max(axis=1)) < 0.02

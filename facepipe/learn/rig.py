@@ -125,7 +125,7 @@ class DifferentiableRig:
         return torch.cat(levels, dim=-3).index_select(-3, self._order)
 
     def _constant(self, values: FloatArray) -> Tensor:
-        return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)
+        return torch.as_tensor(np.array(values, dtype=np.float64), dtype=self.dtype, device=self.device)
 
     def _check(self, what: str, values: Tensor, shape: tuple[int, ...]) -> None:
         if tuple(values.shape[-len(shape) :]) != shape:

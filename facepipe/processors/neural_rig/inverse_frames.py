@@ -21,7 +21,8 @@ ENOUGH = 1e-5  # of ranges: a smaller step ends it
 _AT_ONCE = 64  # frames
 _WINDOW = 120  # frames of a clip that are solved together; those before are known
 _FEW = 8  # frames, of which none can be said to be worse than the others
-_WORSE = 1.5  # times the median of the costs
+_WORSE = 3.0  # times the median of the costs
+_BUSY = 0.5  # share of the controls that a random start moves
 _SMALL = 1e-4  # mm^2 that are no reason to start again: a hundredth of a millimetre
 
 
@@ -46,11 +47,12 @@ class Frames:
         random = np.random.default_rng(self.options.seed)
         for attempt in range(1, self.options.starts):
             again = self._worse(found.cost)
-            other: FloatArray = random.uniform(self.box.lower, self.box.upper, (len(again), rest.shape[1]))
+            shape = (len(again), rest.shape[1])
+            other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
             near = _nearest_good(again, count)
             if attempt == 1 and start is not None:
                 other = rest[again]
-            elif attempt == 1 and len(near):
+            elif attempt == 1 and blocks is not None and len(near):
                 other = found.x[near]
             found = _better(found, self._each(other, again), again)
         if blocks is None or self.options.smoothness == 0.0:

@@ -15,6 +15,7 @@ from facepipe.processors.neural_rig.inverse_frames import Frames
 from facepipe.processors.neural_rig.inverse_report import InverseReport, told
 from facepipe.processors.neural_rig.invert_options import InvertNeuralRigOptions
 from facepipe.rig.control_shares import values_of
+from facepipe.rig.neural_jacobian import with_orthonormal_shapes
 from facepipe.rig.neural_rig import NeuralRig, from_default
 from facepipe.threads import one_thread
 
@@ -63,6 +64,7 @@ class InvertNeuralRig:
         _check(rig, points, start, blocks)
         first = None if start is None else from_default(rig.controls, np.asarray(start, dtype=np.float64))
         with one_thread():
+            rig = rig if rig.bones else with_orthonormal_shapes(rig)
             data = SkinnedData(rig, points, self.options.points) if rig.bones else ShapeData.of(rig, points)
             if self.options.mode == "adam":
                 x, steps = self._adam(rig, points, first, done)

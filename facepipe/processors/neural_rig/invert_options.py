@@ -36,7 +36,7 @@ class InvertNeuralRigOptions:
         },
     )
     starts: int = field(
-        default=3,
+        default=6,
         metadata={"help": "starts of frames that fit much worse than the others, or are few", "range": (1, 100)},
     )
     steps: int = field(default=60, metadata={"help": "most steps from a start (lm)", "range": (1, 1e6)})
