@@ -12,7 +12,12 @@ from facepipe_onnx import sidecar
 from facepipe_onnx.kinds import KINDS, Kind
 from facepipe_onnx.operators import FURTHER
 
-TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}  # TensorProto.FLOAT, INT64
+TYPES: dict[int, np.dtype[Any]] = {  # TensorProto.FLOAT, INT8, INT64, FLOAT16
+    1: np.dtype("<f4"),
+    3: np.dtype("<i1"),
+    7: np.dtype("<i8"),
+    10: np.dtype("<f2"),
+}
 
 _REQUIRED = ("conventions", "face", "format", "inputs", "meshes", "operators", "outputs")
 

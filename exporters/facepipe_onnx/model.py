@@ -20,7 +20,7 @@ def make_model(nodes: Nodes, name: str, where: str, inputs: Shapes, outputs: Sha
 
     :param name: of the graph
     :param where: the face, for messages
-    :raises ExportError: numbers beyond float32, or more than the 2 GB that a file can hold
+    :raises ExportError: numbers beyond float32 (or float16), or more than the 2 GB that a file can hold
     """
     from onnx import TensorProto, helper, numpy_helper
 
@@ -29,7 +29,9 @@ def make_model(nodes: Nodes, name: str, where: str, inputs: Shapes, outputs: Sha
         raise ExportError(where, f"{total} bytes of tensors, expected less than the 2 GB that an ONNX file holds")
     for constant, values in nodes.constants.items():
         if not np.isfinite(values).all():
-            raise ExportError(f"{where} -> {constant}", "values beyond the range of float32, expected finite numbers")
+            raise ExportError(
+                f"{where} -> {constant}", f"values beyond the range of {values.dtype}, expected finite numbers"
+            )
     ends = [
         [helper.make_tensor_value_info(end, TensorProto.FLOAT, shape) for end, shape in side.items()]
         for side in (inputs, outputs)

@@ -10,7 +10,9 @@ import numpy.typing as npt
 from facepipe.errors import ExportError
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
+from facepipe.rig.slider_network import ACTIVATIONS
 from facepipe_onnx.nodes import Nodes
+from facepipe_onnx.packed_weights import follow, product_nodes
 from facepipe_onnx.ramps import Ramps
 
 FloatArray = npt.NDArray[np.floating]
@@ -34,11 +36,13 @@ def network_nodes(
     layers = [(weight, bias), *zip(network.weights[1:], network.biases[1:], strict=True)]
     units = risen
     if not np.array_equal(inputs, np.arange(len(ramps.starts))):
-        units = nodes.gather(risen, 1, inputs)
+        units = follow(nodes, nodes.gather(risen, 1, inputs), lambda values: values[:, inputs], risen)
     for matrix, offset in layers[:-1]:
-        constants = [nodes.constant("network_weight", matrix.T), nodes.constant("network_bias", offset)]
-        units = _active(nodes, network.activation, nodes.add("Gemm", units, *constants))
-    return _with_rows(rig, network, ramps, *layers[-1]), nodes.concat([risen, units], 1)
+        layer = product_nodes(nodes, units, ("network_weight", "network_bias"), matrix.T, offset)
+        units = follow(nodes, _active(nodes, network.activation, layer), ACTIVATIONS[network.activation], layer)
+    both = nodes.concat([risen, units], 1)
+    follow(nodes, both, lambda *values: np.concatenate(values, axis=1), risen, units)
+    return _with_rows(rig, network, ramps, *layers[-1]), both
 
 
 def _active(nodes: Nodes, activation: str, values: str) -> str:

@@ -14,16 +14,19 @@ Array = npt.NDArray[Any]
 class Nodes:
     """Collects the nodes of a graph; each method adds one and returns the name of its output."""
 
-    def __init__(self) -> None:
+    def __init__(self, weights: str = "float32") -> None:
+        """:param weights: how matrices of `packed_weights` are stored: float32, float16 or int8"""
+        self.weights = weights
+        self.samples: dict[str, tuple[Array, Array]] = {}  # of values, (n, size): as they are, and as packed weights do
         self.nodes: list[Any] = []
         self.constants: dict[str, Array] = {}
         self._index_names: dict[tuple[int, ...], str] = {}
 
-    def constant(self, name: str, values: Array) -> str:
-        """A float32 tensor of the file."""
+    def constant(self, name: str, values: Array, kind: npt.DTypeLike = np.float32) -> str:
+        """A tensor of the file, float32 unless it is to be of another kind."""
         unique = name if name not in self.constants else f"{name}_{len(self.constants)}"
         with np.errstate(over="ignore"):  # what does not fit is refused when the model is made
-            self.constants[unique] = np.asarray(values, dtype=np.float32, order="C")
+            self.constants[unique] = np.asarray(values, dtype=kind, order="C")
         return unique
 
     def indices(self, values: Sequence[int] | npt.NDArray[np.integer]) -> str:

@@ -10,4 +10,5 @@ PER_FRAME = frozenset(
     {"Clip", "Gemm", "MatMul", "Add", "Sub", "Mul", "Relu", "Tanh", "Sigmoid", "Sin", "Cos"}
     | {"Concat", "Slice", "Reshape", "Transpose", "Gather"}
 )
-FURTHER = frozenset({"Div", "Softmax", "Sqrt"})  # normals and encoders; declared in the sidecar where a graph uses them
+# Of compressed weights, normals and encoders; declared in the sidecar where a graph uses them.
+FURTHER = frozenset({"Cast", "Div", "Softmax", "Sqrt"})

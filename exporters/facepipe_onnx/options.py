@@ -9,6 +9,7 @@ from facepipe.errors import InputError
 
 INPUTS = ("coefficients", "matrices")
 BATCHES = (1, 256)
+WEIGHTS = ("float32", "float16", "int8")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,14 @@ class Options:
         metadata={"help": "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights"},
     )
     points: bool = field(default=False, metadata={"help": "with --sliders: also output the points"})
+    weights: Literal["float32", "float16", "int8"] = field(
+        default="float32",
+        metadata={
+            "help": "with --sliders: how the file holds gains and network; the report tells by how much points are off "
+            "(and need the operator Cast)",
+            "choices": WEIGHTS,
+        },
+    )
     inputs: Literal["coefficients", "matrices"] = field(
         default="coefficients",
         metadata={
@@ -46,6 +55,8 @@ class Options:
         """
         if self.inputs not in INPUTS:
             raise InputError("option inputs", f"is {self.inputs!r}, expected one of {', '.join(INPUTS)}")
+        if self.weights not in WEIGHTS:
+            raise InputError("option weights", f"is {self.weights!r}, expected one of {', '.join(WEIGHTS)}")
         self._check_sliders()
         low, high = BATCHES
         if isinstance(self.batch, bool) or not isinstance(self.batch, int) or not low <= self.batch <= high:
@@ -55,6 +66,8 @@ class Options:
         if not self.sliders:
             if self.points:
                 raise InputError("option points", "is for graphs of sliders, others always have that output")
+            if self.weights != "float32":
+                raise InputError("option weights", "is for graphs of sliders, expected the option sliders too")
             return
         if self.inputs != "coefficients":
             raise InputError("option inputs", "is not for graphs of sliders, which make the coefficients themselves")

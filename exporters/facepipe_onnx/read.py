@@ -108,7 +108,7 @@ def _tensor_problem(tensor: Any) -> str | None:
     if tensor.data_location or len(tensor.external_data):
         return "data outside of the file, expected it inside"
     if tensor.data_type not in TYPES:
-        return f"of type {tensor.data_type}, expected float32 or int64"
+        return f"of type {tensor.data_type}, expected float32, float16, int8 or int64"
     if any(size < 0 for size in tensor.dims) or len(tensor.dims) > 8:
         return f"shape {list(tensor.dims)[:9]}, expected at most 8 sizes of 0 or more"
     expected = math.prod(tensor.dims) * TYPES[tensor.data_type].itemsize

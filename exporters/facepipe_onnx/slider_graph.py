@@ -30,9 +30,12 @@ from facepipe_onnx.network import network_nodes
 from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
+from facepipe_onnx.packed_weights import product_nodes
 from facepipe_onnx.ramps import Ramps, ramp_nodes, ramps_of
 from facepipe_onnx.skin import Ends
+from facepipe_onnx.slider_samples import ramp_samples, slider_samples
 
+_SAMPLES = 4096  # of slider values, for packed weights
 _LARGE = 1 << 14  # numbers: a matrix that is worth two more nodes to make smaller
 
 
@@ -69,9 +72,10 @@ def build(
     names = select(rig.shapes, options.shapes, "shapes")
     sliders, network = select_sliders(rig, sliders, names), select_network(rig, network, names)
     rig = select_shapes(rig, names)
-    nodes, batch = Nodes(), options.batch
+    nodes, batch = Nodes(options.weights), options.batch
     ramps = ramps_of(rig, sliders, () if network is None else network.sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
+    _sample(nodes, ramps, risen, sliders)
     if network is not None:
         ramps, risen = network_nodes(nodes, rig, sliders, network, ramps, risen)
     ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
@@ -85,6 +89,13 @@ def build(
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), batch)
     return make_model(nodes, "sliders", rig.name, *signature(rig, sliders, options))
+
+
+def _sample(nodes: Nodes, ramps: Ramps, risen: str, sliders: Sequence[Slider]) -> None:
+    """Samples of the ramps, for weights that are packed."""
+    if nodes.weights != "float32":
+        found = ramp_samples(ramps, slider_samples(sliders, max(_SAMPLES, 4 * len(ramps.gains)), seed=0))
+        nodes.samples[risen] = (found, found)
 
 
 def _check(rig: Rig, sliders: Sequence[Slider], network: SliderNetwork | None, options: Options) -> None:
@@ -128,11 +139,11 @@ def _product(nodes: Nodes, risen: str, gains: FloatArray, base: FloatArray, batc
     """[batch, columns] ``base + risen @ gains``; of large gains without the columns that are 0, where they are many."""
     moved = gains.any(axis=0)
     if gains.size < _LARGE or 2 * moved.sum() > len(base):
-        return nodes.add("Gemm", risen, nodes.constant("gains", gains), nodes.constant("base", base))
+        return product_nodes(nodes, risen, ("gains", "base"), gains, base)
     columns, (still, numbers) = np.flatnonzero(moved), np.unique(base[~moved], return_inverse=True)
     place = np.empty(len(base), dtype=np.int64)
     place[columns], place[~moved] = np.arange(len(columns)), len(columns) + numbers
-    own = nodes.add("Gemm", risen, nodes.constant("gains", gains[:, columns]), nodes.constant("base", base[columns]))
+    own = product_nodes(nodes, risen, ("gains", "base"), gains[:, columns], base[columns])
     both = nodes.concat([own, nodes.constant("still", np.tile(still, (batch, 1)))], 1)
     return nodes.gather(both, 1, place)
 
@@ -141,8 +152,7 @@ def _weights(nodes: Nodes, ramps: Ramps, risen: str) -> str:
     """[batch, shapes] weights: the input's and those that the sliders drive."""
     if not ramps.shape_gains.any() and not ramps.shape_base.any():
         return "weights"
-    base = nodes.constant("shape_base", ramps.shape_base)
-    driven = nodes.add("Gemm", risen, nodes.constant("shape_gains", ramps.shape_gains), base)
+    driven = product_nodes(nodes, risen, ("shape_gains", "shape_base"), ramps.shape_gains, ramps.shape_base)
     return nodes.add("Add", driven, "weights")
 
 

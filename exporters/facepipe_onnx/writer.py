@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,6 +26,7 @@ from facepipe_onnx.graph import build, select_shapes
 from facepipe_onnx.metadata_checks import operators
 from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.options import Options
+from facepipe_onnx.packed_error import packed_error
 from facepipe_onnx.read import problems
 
 
@@ -63,6 +65,10 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         model = build(whole, options, triangles=triangles)
     network = slider_graph.select_network(whole, parts.slider_network, names)
     metadata = describe(parts, rig, options, operators(model), sliders, network)
+    packed = None
+    if options.weights != "float32":
+        packed = _packed_error(model, whole, rig, parts, options)
+        metadata["packed_weights"] = {"type": options.weights, **packed}
     data = serialised(model, metadata, parts.name)
     with replacing(target) as graph_file, replacing(beside) as text_file:
         graph_file.write_bytes(data)
@@ -74,6 +80,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         bytes=len(data),
         seconds=time.perf_counter() - start,
         dropped=_dropped(parts, options, sliders),
+        error_mm=None if packed is None else packed["error_mm"],
     )
 
 
@@ -101,6 +108,12 @@ def serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
     for problem in problems(model):
         raise ExportError(f"{name} -> {problem.where}", problem.message)
     return bytes(model.SerializeToString(deterministic=True))
+
+
+def _packed_error(model: Any, whole: Rig, rig: Rig, parts: FaceParts, options: Options) -> dict[str, Any]:
+    plain = replace(options, weights="float32", points=False, normals=False)
+    exact = slider_graph.build(whole, parts.sliders, plain, network=parts.slider_network)
+    return packed_error(model, exact, rig, parts.sliders, 1e3 * parts.meters_per_unit)
 
 
 def _triangles(parts: FaceParts, rig: Rig) -> IntArray:

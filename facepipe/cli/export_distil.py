@@ -79,7 +79,9 @@ def with_distilled(report: ExportReport, distilled: DistilReport) -> DistilledEx
     """The report of an export of learned sliders."""
     own = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     points = distilled.points_mm
-    own |= {"warnings": (*report.warnings, *distilled.warnings), "error_mm": None if points is None else points.max}
+    packed = report.error_mm or 0.0  # of weights in fewer bytes
+    error = None if points is None else points.max + packed
+    own |= {"warnings": (*report.warnings, *distilled.warnings), "error_mm": error}
     return DistilledExportReport(**own, distilled=distilled)
 
 

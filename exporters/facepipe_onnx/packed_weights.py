@@ -1,0 +1,117 @@
+"""Matrices of the sliders and their network in fewer bytes: the file holds float16 or int8, the graph makes it float32.
+
+Of int8 the numbers are ``row scale * whole number * column scale``: columns are of different units, and rows are
+straight sliders or units of a network. Runtimes that fold constants do this once, when they load the graph.
+
+What rounding a row does is made up for by the rows after it, for samples of the slider values (Frantar et al., GPTQ,
+2022), and what the layers before do by all rows first. At the defaults nothing changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe_onnx.nodes import Nodes
+
+FloatArray = npt.NDArray[np.floating]
+
+_FLOAT = 1  # TensorProto.FLOAT
+_LEVELS = 127
+_ROUNDS = 4
+_DAMPING = 1e-5  # of the samples' mean square
+
+
+def follow(nodes: Nodes, name: str, function: Callable[..., FloatArray], *sources: str) -> str:
+    """`name`, a value that a function of others is, with its samples where these have some."""
+    if all(source in nodes.samples for source in sources):
+        whole, packed = zip(*(nodes.samples[source] for source in sources), strict=True)
+        nodes.samples[name] = (function(*whole), function(*packed))
+    return name
+
+
+def product_nodes(nodes: Nodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray) -> str:
+    """[batch, columns] ``bias + value @ matrix``, the matrix stored as `nodes.weights` says.
+
+    :param value: [batch, rows], with samples unless these are float32
+    :param names: of the matrix and of the bias
+    """
+    if nodes.weights == "float32":
+        return nodes.add("Gemm", value, nodes.constant(names[0], matrix), nodes.constant(names[1], bias))
+    with np.errstate(over="ignore", invalid="ignore"):  # what does not fit is refused when the model is made
+        return _packed_product(nodes, value, names, matrix, bias)
+
+
+def _packed_product(nodes: Nodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray) -> str:
+    whole, packed = nodes.samples[value]
+    made, stored = _stored(nodes, names[0], _refitted(matrix, whole, packed), packed)
+    moved = bias + whole[0] @ matrix - packed[0] @ stored
+    found = nodes.add("Gemm", value, made, nodes.constant(names[1], moved))
+    nodes.samples[found] = (whole @ matrix + bias, packed @ stored + moved)
+    return found
+
+
+def _refitted(matrix: FloatArray, whole: FloatArray, packed: FloatArray) -> FloatArray:
+    """The matrix that makes of packed samples what the own one makes of whole ones, as nearly as it goes."""
+    steps = packed[1:] - packed[0]
+    missing = (whole[1:] - whole[0]) @ matrix - steps @ matrix
+    return np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing))
+
+
+def _products(steps: FloatArray) -> FloatArray:
+    """(rows, rows) products of samples, damped so that they have an inverse."""
+    products = steps.T @ steps
+    mean = float(np.mean(np.diag(products)))
+    products[np.diag_indices(len(products))] += _DAMPING * mean if mean > 0 else 1.0
+    return np.asarray(products)
+
+
+def _stored(nodes: Nodes, name: str, matrix: FloatArray, samples: FloatArray) -> tuple[str, FloatArray]:
+    """The float32 matrix in the graph, and its numbers."""
+    if nodes.weights == "float16":
+        half = rounded(matrix, samples, lambda row: row.astype(np.float16))
+        return nodes.add("Cast", nodes.constant(name, half, np.float16), to=_FLOAT), half
+    rows, columns = (one.astype(np.float32).astype(np.float64) for one in scales(matrix))
+    whole = rounded(matrix / (rows * columns), samples * rows.T, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
+    cast = nodes.add("Cast", nodes.constant(name, whole, np.int8), to=_FLOAT)
+    factors = [nodes.constant(f"{name}_{side}", one) for side, one in (("rows", rows), ("columns", columns))]
+    return nodes.add("Mul", nodes.add("Mul", cast, factors[0]), factors[1]), whole * rows * columns
+
+
+def scales(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Scales of rows (r, 1) and columns (1, c) that bring a matrix to -127..127.
+
+    Rows and columns are brought to like sizes by turns: the root of the largest number of each.
+    """
+    rows, columns = np.ones((len(values), 1)), np.ones((1, values.shape[1]))
+    for _ in range(_ROUNDS):
+        for axis, own in ((1, rows), (0, columns)):
+            own *= np.sqrt(_largest(values / (rows * columns), axis))
+    columns *= _largest(values / (rows * columns), 0) / _LEVELS
+    return rows, columns
+
+
+def _largest(values: FloatArray, axis: int) -> FloatArray:
+    found = np.abs(values).max(axis=axis, keepdims=True, initial=0.0)
+    return np.asarray(np.where(found > 0, found, 1.0))
+
+
+def rounded(matrix: FloatArray, samples: FloatArray, near: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """A matrix (rows, columns) of rounded rows whose products with samples (n, rows) stay near the matrix's own.
+
+    Rows are rounded in the order of their samples' size; what that does to the products, as far as the rows that are
+    left can do the same, goes to them. The first sample is where steps begin.
+
+    :param near: a row -> the row rounded
+    """
+    left, found = matrix.copy(), np.empty_like(matrix)
+    products = _products(samples[1:] - samples[0])
+    order = np.argsort(-np.diag(products), kind="stable")
+    upper = np.linalg.cholesky(np.linalg.inv(products[np.ix_(order, order)])).T
+    for number, row in enumerate(order):
+        found[row] = near(left[row])
+        missed = (left[row] - found[row]) / upper[number, number]
+        left[order[number + 1 :]] -= np.outer(upper[number, number + 1 :], missed)
+    return found
