@@ -56,6 +56,24 @@ def test_export_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:
     assert printed.count("skipped: ") == 3
 
 
+def test_neural_rig_engine_benchmark_needs_the_makehuman_head(tmp_path: Path) -> None:
+    assert run("--data", tmp_path, benchmark="neural_rig_engine.py") == ""
+
+
+@pytest.mark.slow
+def test_neural_rigs_in_the_engine_are_less_and_nearer_than_dense_blendshapes(tmp_path: Path) -> None:
+    shared("makehuman/makehuman_head.npz")
+    out = tmp_path / "out.json"
+    run("--runs", "20", "--spread", "400", "--steps", "300", "--json", out, benchmark="neural_rig_engine.py")
+    rows = {(row["of"], row["way"].partition(" (")[0]): row for row in json.loads(out.read_text())["rows"]}
+    assert rows["neural rig", "points"]["mean_mm"] < rows["blendshapes", "points"]["mean_mm"]
+    sizes = [
+        rows[of, "shapes of the GLB"]["kilobytes"] + rows[of, "matrices, float32"]["kilobytes"]
+        for of in ("neural rig", "blendshapes")
+    ]
+    assert sizes[0] < sizes[1]
+
+
 def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     printed = run("--runs", "1", "--json", out, "--data", tmp_path, benchmark="blend.py")

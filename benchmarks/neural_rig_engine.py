@@ -1,0 +1,183 @@
+"""What a neural rig costs an engine: bytes and milliseconds of its graphs and GLB, beside dense blendshapes.
+
+The teacher is that of neural_rig.py, and errors are those of frames drawn by another seed than those that are learned.
+The peer is one dense blendshape a control, of least squared error on the same frames. Graphs run in onnxruntime on one
+thread; the teacher runs in numpy.
+
+    python benchmarks/neural_rig_engine.py
+    python benchmarks/neural_rig_engine.py --rig head.fpnr --json engine.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from arguments import add_common
+from neural_rig_teacher import HEAD, Teacher, teacher
+from onnx_timing import median, start
+from tables import aligned
+
+if TYPE_CHECKING:
+    from facepipe.processors.neural_rig import Motion
+    from facepipe.rig.neural_rig import NeuralRig
+
+WEIGHTS = ("float32", "float16", "int8")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One file, or way to make points."""
+
+    of: str
+    way: str
+    kilobytes: float | None = None
+    ms: float | None = None
+    mean_mm: float | None = None
+    max_mm: float | None = None
+
+
+class Held:
+    """What exporters need of a face."""
+
+    def __init__(self, parts: Any) -> None:
+        self._parts = parts
+
+    def parts(self) -> Any:
+        """Its arrays."""
+        return self._parts
+
+
+def main() -> int:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_common(parser, 500, "the median")
+    parser.add_argument("--rig", type=Path, action="append", default=[], help="learned on the teacher; else one is")
+    parser.add_argument("--spread", type=int, default=3000, help="frames to learn that move many controls")
+    parser.add_argument("--steps", type=int, default=0, help="of training; 0: as many as by default")
+    arguments = parser.parse_args()
+    if not (arguments.data / HEAD).exists():
+        print(f"{arguments.data / HEAD}: not there, nothing to measure", file=sys.stderr)
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        rows = list(_rows(teacher(arguments.data), arguments, Path(folder)))
+    head = ("of", "", "KB", "ms", "mean mm", "max mm")
+    print("\n".join(aligned([head, *((row.of, row.way, *map(_cell, list(asdict(row).values())[2:])) for row in rows)])))
+    for line in _shares(rows):
+        print(line)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"rows": [asdict(row) for row in rows]}, indent=2))
+    return 0
+
+
+def _shares(rows: list[Row]) -> Iterator[str]:
+    """Each rig's shapes and graph of matrices together, beside the shapes of the dense blendshapes."""
+    sizes: dict[str, float] = {}
+    for row in rows:
+        if row.way.startswith(("shapes", "matrices, float32")):
+            sizes[row.of] = sizes.get(row.of, 0.0) + (row.kilobytes or 0.0)
+    peer = sizes.pop("blendshapes")
+    for name, size in sizes.items():
+        yield f"{name}: shapes and matrices {size:,.0f} KB, {size / peer:.2f} of those of the blendshapes"
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else f"{value:,.3f}" if value < 100 else f"{value:,.0f}"
+
+
+def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterator[Row]:
+    from facepipe.processors.neural_rig import (
+        SampleMotionOptions,
+        TrainNeuralRig,
+        TrainNeuralRigOptions,
+        load_neural_rig,
+    )
+    from facepipe.rig import build
+
+    learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
+    unseen = first.motion(SampleMotionOptions(spread=150, sweep=0, together=150, seed=99))
+    rig, values = build(first.parts), unseen.values[0]
+
+    def evaluate() -> None:
+        coefficients, weights = first(values)
+        rig.evaluate(weights, coefficients=coefficients)
+
+    yield Row("teacher", "numpy", ms=median(evaluate, 50))
+    rigs = {path.stem: load_neural_rig(path) for path in arguments.rig}
+    if not rigs:
+        options = TrainNeuralRigOptions(steps=arguments.steps) if arguments.steps else TrainNeuralRigOptions()
+        rigs["neural rig"] = TrainNeuralRig(options=options)(learned).rig
+    for name, one in {"blendshapes": _straight(learned), **rigs}.items():
+        yield from _measured(name, one, first, unseen, folder, arguments.runs)
+
+
+def _straight(learned: Motion) -> NeuralRig:
+    """The best blendshapes, one a control, as a rig without units that matter."""
+    from facepipe.processors.neural_rig.peers import best_blendshapes
+    from facepipe.rig.neural_rig import NeuralRig
+
+    shapes = best_blendshapes(learned).shapes.reshape(-1, *learned.rest.shape)
+    count = len(learned.controls)
+    return NeuralRig(
+        controls=learned.controls,
+        rest=learned.rest + shapes[-1],
+        shapes=shapes[:-1],
+        linear=np.eye(count),
+        hidden=np.zeros((1, count)),
+        hidden_bias=np.zeros(1),
+        last=np.zeros((count, 1)),
+        last_bias=np.zeros(count),
+        topology=learned.topology.digest,
+    )
+
+
+def _measured(name: str, rig: NeuralRig, first: Teacher, unseen: Motion, folder: Path, runs: int) -> Iterator[Row]:
+    import facepipe_gltf
+    from facepipe_onnx import Options, export_parts
+
+    from facepipe.processors.neural_rig import with_neural_rig
+
+    parts = with_neural_rig(first.parts, rig, name)
+    bare = replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
+    sizes = [facepipe_gltf.export(Held(one), folder / "face.glb").bytes for one in (parts, bare)]
+    dense = 12 * len(rig.shapes) * len(rig.rest)
+    yield Row(name, f"shapes of the GLB ({dense / 1000.0:,.0f} KB of points)", (sizes[0] - sizes[1]) / 1000.0)
+    for weights in WEIGHTS if name != "blendshapes" else WEIGHTS[:1]:
+        path = folder / f"{weights}.onnx"
+        report = export_parts(parts, path, Options(sliders=True, weights=weights))  # type: ignore[arg-type]
+        way = f"matrices, {weights}" + (" (mm from float32)" if report.error_mm is not None else "")
+        yield Row(name, way, report.bytes / 1000.0, _ms(path, unseen.values[0], runs), max_mm=report.error_mm)
+    path = folder / "points.onnx"
+    size = export_parts(parts, path, Options(sliders=True, points=True)).bytes / 1000.0
+    off = _off(path, unseen, 1000.0 * parts.meters_per_unit)
+    yield Row(name, "points", size, _ms(path, unseen.values[0], runs), float(off.mean()), float(off.max()))
+
+
+def _feeds(session: Any, values: Any) -> dict[str, Any]:
+    feeds = {one.name: np.zeros(one.shape, np.float32) for one in session.get_inputs()}
+    feeds["sliders"][:] = values
+    return feeds
+
+
+def _ms(path: Path, values: Any, runs: int) -> float:
+    session = start(path)
+    feeds = _feeds(session, values)
+    return median(lambda: session.run(None, feeds), runs)
+
+
+def _off(path: Path, unseen: Motion, mm_per_unit: float) -> Any:
+    """(f, n) millimetres that the points of a graph are from those of the teacher, Y up both."""
+    session = start(path)
+    found = [session.run(["points"], _feeds(session, values))[0][0] for values in unseen.values]
+    return np.linalg.norm(np.stack(found) * mm_per_unit - unseen.points, axis=2)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
