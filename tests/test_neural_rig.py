@@ -25,7 +25,8 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.rig import CHANNELS
+from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
+from facepipe.rig import CHANNELS, rest_coefficients
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
@@ -263,3 +264,27 @@ def test_a_local_basis_is_the_same_space_in_fewer_places() -> None:
     whole = np.full((2, 4, 3), np.sqrt(1.0 / 12.0))
     whole[1, 2:] *= -1.0
     assert np.linalg.norm(local_basis(whole), axis=2).sum() <= np.linalg.norm(whole, axis=2).sum()
+
+
+def test_the_metric_is_of_what_outputs_move_and_bend(motion: Motion) -> None:
+    """Against small steps of the skin itself."""
+    bones = motion.bones
+    assert bones is not None
+    channels = np.argwhere(np.ptp(motion.coefficients, axis=0) > 0.0)
+    shapes = np.random.default_rng(0).normal(size=(2, len(bones.points), 3))
+    moves = skinned_moves(bones, shapes, channels)
+    outputs = np.array([0.3, -0.2, *([0.01] * len(channels))])
+    coefficients = rest_coefficients(len(bones.joints))
+    step = 1e-4
+    coefficients[channels[:, 0], channels[:, 1]] += step * outputs[2:]
+    moved = bones.points + step * np.tensordot(outputs[:2], shapes, axes=1)
+    at_rest = bones.skin(bones.points, bones.skinning_matrices(bones.rest))
+    found = bones.skin(moved, bones.skinning_matrices(bones.local_transforms(coefficients))) - at_rest
+    assert np.allclose(np.tensordot(outputs, moves, axes=1), found / step, atol=1e-3)
+    triangles = motion.topology.triangles
+    plain, bent = (output_metric(moves, motion.rest, triangles, detail) for detail in (0.0, 2.0))
+    assert np.sum((outputs @ plain) ** 2) == pytest.approx(np.sum((found / step) ** 2), rel=1e-3)
+    shift = np.ones((1, len(bones.points), 3))  # bends nothing: outputs of the metric are as without detail
+    even = [output_metric(shift, motion.rest, triangles, detail).item() for detail in (0.0, 2.0)]
+    assert even[0] == pytest.approx(even[1])
+    assert np.sum((outputs @ bent) ** 2) > 1.01 * np.sum((outputs @ plain) ** 2)

@@ -44,6 +44,13 @@ class TrainNeuralRigOptions:
         default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
     )
     steps: int = field(default=6000, metadata={"help": "most steps of training", "range": (1, 1e7)})
+    detail: float = field(
+        default=1.0,
+        metadata={
+            "help": "what an error of differential coordinates, dents and bumps, counts beside one of points",
+            "range": (0.0, 1000.0),
+        },
+    )
     sparsity: float = field(
         default=0.2,
         metadata={"help": "how strongly a unit of the hidden layer is held to few controls", "range": (0.0, 10.0)},
@@ -116,7 +123,7 @@ class TrainNeuralRig:
         learned, checked = motion.without(still).split(options.held_out, options.seed)
         kept = Checkpoint.of(checkpoint, motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
-        basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes)
+        basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes, options.detail)
         trained = train(
             _samples(taught, basis),
             _samples(watched, basis),
@@ -153,15 +160,16 @@ def _samples(motion: Motion, basis: OutputBasis) -> Samples:
 
 
 def _assembled(motion: Motion, basis: OutputBasis, trained: Trained) -> NeuralRig:
+    back = np.linalg.inv(basis.metric)
     return NeuralRig(
         controls=motion.controls,
         rest=basis.rest,
         shapes=basis.shapes,
-        linear=trained.linear / basis.sizes,
+        linear=trained.linear @ back,
         hidden=trained.hidden,
         hidden_bias=trained.hidden_bias,
-        last=trained.last / basis.sizes[:, None],
-        last_bias=trained.last_bias / basis.sizes,
+        last=back.T @ trained.last,
+        last_bias=trained.last_bias @ back,
         topology=motion.topology.digest,
         bones=motion.bones,
         channels=basis.channels,
