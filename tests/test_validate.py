@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,20 +14,25 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from import_data import shared
+from neural_faces import neural_rig
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from test_stage import full_face
 
 import facepipe
 from facepipe import parts as p
 from facepipe import sample
+from facepipe.digests import digest
 from facepipe.errors import InputError
 from facepipe.importers import load
-from facepipe.stage import save_parts
+from facepipe.processors.neural_rig import save_neural_rig
+from facepipe.stage import Face, save_parts
+from facepipe.stage.neural_rig_link import author_neural_rig_link
 from facepipe.stage.slider_network import author_slider_network
 from facepipe.validate import CHECKS, validate, validate_stage
 from facepipe.validate.usd_registry import available, register
 
 NAN = float("nan")
+RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link
 
 
 def good_face() -> p.FaceParts:
@@ -170,6 +176,20 @@ def empty_network(stage: Usd.Stage) -> None:
 def network_of_an_unknown_slider(stage: Usd.Stage) -> None:
     own = p.SliderNetwork(sliders=("gone",), shapes=("jawOpen",), weights=(np.ones((1, 1)),), biases=(np.zeros(1),))
     author_slider_network(stage.GetDefaultPrim(), own)
+
+
+def neural(name: str = "head.fpnr", digest_of: str = "head.fpnr", topology: str = "") -> Callable[[Usd.Stage], None]:
+    """A seed that links a neural rig: of a name, with the digest of another, or one that was learned elsewhere."""
+
+    def seed(stage: Usd.Stage) -> None:
+        folder, face = Path(RIGS.name), Face(stage)
+        rig = neural_rig(face.parts(), bones=False)
+        rig = replace(rig, topology=topology or rig.topology)
+        save_neural_rig(rig, folder / "head.fpnr", {})
+        save_neural_rig(replace(rig, linear=2.0 * rig.linear), folder / "other.fpnr", {})
+        author_neural_rig_link(face.prim, f"{RIGS.name}/{name}", digest([folder / digest_of]), rig.topology)
+
+    return seed
 
 
 def late_parent(stage: Usd.Stage) -> None:
@@ -372,6 +392,12 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "slider that is its own mirror": (value(SLIDER + "mirror", "open"), {"SliderMirrors"}),
     "network of no layers": (empty_network, {"SliderNetwork"}),
     "network of an unknown slider": (network_of_an_unknown_slider, {"SliderNetwork"}),
+    "neural rig that is lost": (
+        neural("gone.fpnr"),
+        {"NeuralRigFile", "usdUtilsValidators:MissingReferenceValidator.UnresolvableDependency"},
+    ),
+    "neural rig that has changed": (neural(digest_of="other.fpnr"), {"NeuralRigDigest"}),
+    "neural rig of other meshes": (neural(topology="other"), {"NeuralRigTopology"}),
     "photo without size": (value(PHOTO + "facepipe:photo:size", Gf.Vec2i(0, 960)), {"PhotoCameras"}),
     "photo of an orthographic camera": (value(PHOTO + "projection", "orthographic"), {"PhotoCameras"}),
     "photo of a camera without lens": (value(PHOTO + "focalLength", 0.0), {"PhotoCameras"}),
