@@ -46,7 +46,7 @@ def _bags(matrix: sparse.csr_array, dtype: torch.dtype, device: torch.device | s
     return (
         torch.as_tensor(matrix.indices.astype(np.int64), device=device),
         torch.as_tensor(matrix.indptr[:-1].astype(np.int64), device=device),
-        torch.as_tensor(np.asarray(matrix.data, dtype=np.float64), dtype=dtype, device=device),
+        torch.as_tensor(np.array(matrix.data, dtype=np.float64), dtype=dtype, device=device),
     )
 
 

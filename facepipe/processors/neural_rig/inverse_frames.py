@@ -21,7 +21,8 @@ ENOUGH = 1e-5  # of ranges: a smaller step ends it
 _AT_ONCE = 64  # frames
 _WINDOW = 120  # frames of a clip that are solved together; those before are known
 _FEW = 8  # frames, of which none can be said to be worse than the others
-_WORSE = 3.0  # times the median of the costs
+_WORSE = 3.0  # times the median of the costs, by those at rest
+_SAME = 0.01  # of a cost: another start that ends so near was in the same valley
 _BUSY = 0.5  # share of the controls that a random start moves
 _SMALL = 1e-4  # mm^2 that are no reason to start again: a hundredth of a millimetre
 
@@ -44,9 +45,10 @@ class Frames:
         """
         rest = np.zeros((count, len(self.box.lower)))
         found = self._each(rest if start is None else start, np.arange(count), done)
-        random = np.random.default_rng(self.options.seed)
+        random, again = np.random.default_rng(self.options.seed), np.arange(count)
+        still = self.data.cost(rest, again)
         for attempt in range(1, self.options.starts):
-            again = self._worse(found.cost)
+            again = np.intersect1d(again, self._worse(found.cost, still))
             shape = (len(again), rest.shape[1])
             other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
             near = _nearest_good(again, count)
@@ -54,7 +56,9 @@ class Frames:
                 other = rest[again]
             elif attempt == 1 and blocks is not None and len(near):
                 other = found.x[near]
-            found = _better(found, self._each(other, again), again)
+            tried = self._each(other, again)
+            apart = np.abs(tried.cost - found.cost[again]) > _SAME * found.cost[again]
+            found, again = _better(found, tried, again), again[apart]
         if blocks is None or self.options.smoothness == 0.0:
             return found.x, float(found.steps.mean())
         x, steps = found.x, found.steps
@@ -90,11 +94,14 @@ class Frames:
         data = _Some(data=self.data, frames=frames)
         return settle(data, start, self.box, smoothness=smoothness, steps=self.options.steps, enough=ENOUGH)
 
-    def _worse(self, cost: FloatArray) -> IntArray:
-        """Frames that may be in a poor valley."""
-        if len(cost) < _FEW:
-            return np.flatnonzero(cost > _SMALL)
-        return np.flatnonzero(cost > max(_WORSE * float(np.median(cost)), _SMALL))
+    def _worse(self, cost: FloatArray, still: FloatArray) -> IntArray:
+        """Frames that may be in a poor valley.
+
+        :param still: (f,) costs at rest: what moves further is less well met
+        """
+        share = cost / np.maximum(still, 1e-30)
+        usual = _WORSE * float(np.median(share)) if len(cost) >= _FEW else 0.0
+        return np.flatnonzero((share > usual) & (cost > _SMALL))
 
 
 @dataclass(frozen=True, kw_only=True)

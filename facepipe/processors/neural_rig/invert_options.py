@@ -20,7 +20,7 @@ class InvertNeuralRigOptions:
         metadata={"help": "bounded Levenberg-Marquardt, or Adam from random controls", "choices": ("lm", "adam")},
     )
     l1: float = field(
-        default=1e-5,
+        default=2e-4,
         metadata={
             "help": "price of a control its whole range from its default",
             "unit": "mm2",
