@@ -108,7 +108,19 @@ def test_the_command_learns_from_clips_too(tmp_path: Path, capsys: pytest.Captur
     pytest.importorskip("torch")
     head, take = tmp_path / "head.usda", declared(tmp_path / "take.usda", {"chew": (2.0 * AMOUNTS - 1.0).tolist()})
     save_parts(acted(), head)
-    words = ("neural-rig", "train", head, "-o", tmp_path / "a.fpnr", "--width", 4, "--steps", 50, "--force")
+    words = (
+        "neural-rig",
+        "train",
+        head,
+        "-o",
+        tmp_path / "a.fpnr",
+        "--width",
+        4,
+        "--steps",
+        50,
+        "--no-encoder",
+        "--force",
+    )
     few = ("--spread", 0, "--sweep", 0, "--together", 0, "--block", 10)
     code, out, err = run(capsys, *words, *few, "--clip", head, "--clip", take, "--json")
     assert code == 0, err

@@ -140,7 +140,7 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     face = tmp_path / "head.usda"
     save_parts(turning_face(), face)
     drawn = ("--plot", tmp_path / "curve.png", "--checkpoint", tmp_path / "head.training")
-    few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 200)
+    few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 200, "--encoder-steps", 50)
     code, out, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", "--json", *drawn, *few)
     assert code == 0, err
     assert (tmp_path / "curve.png").exists()

@@ -352,7 +352,21 @@ def test_the_command_takes_either_kind_of_stage(
     pytest.importorskip("torch")
     head, rom = tmp_path / "head.usda", bake(sampled, tmp_path / "rom.usdc")
     save_parts(replace(scan_domes.face(), animations=()), head)
-    few = ("--spread", 20, "--sweep", 3, "--together", 5, "--width", 4, "--steps", 50, "--json", "--force")
+    few = (
+        "--spread",
+        20,
+        "--sweep",
+        3,
+        "--together",
+        5,
+        "--width",
+        4,
+        "--steps",
+        50,
+        "--no-encoder",
+        "--json",
+        "--force",
+    )
     for data, more, source in (
         (head, (), "rig"),
         (rom, (), "samples"),
