@@ -98,6 +98,7 @@ def placement(one: Session) -> Similarity:
     )
 
 
+@pytest.mark.slow
 def test_a_scan_is_the_head_that_the_photos_show(tmp_path: Path) -> None:
     """Six small photos and one of something else; nothing is known but how far two markers are apart."""
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=480, height=576)

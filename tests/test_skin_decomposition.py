@@ -86,6 +86,7 @@ def test_more_evenness_is_smoother() -> None:
     assert rough[1] < 0.8 * rough[0]
 
 
+@pytest.mark.slow
 def test_the_joints_come_nearer_to_the_shapes_of_a_face() -> None:
     options = SkinOptions(iterations=4)
     plain, face = (Face.from_parts(without_joints(head("sample"))) for _ in range(2))

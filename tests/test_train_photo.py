@@ -364,6 +364,7 @@ def test_lenses_of_random_people_are_those_of_portraits(subject: Subject, portra
     assert ((people.expressions >= 0) & (people.expressions <= 1)).all()
 
 
+@pytest.mark.slow
 def test_a_fit_begins_at_the_guess_where_that_is_better(
     network_file: Path, subject: Subject, portraits: Portraits
 ) -> None:
