@@ -301,3 +301,23 @@ def test_the_command_trains_one_unless_told_not_to(tmp_path: Path, capsys: pytes
     assert json.loads(out)["encoder"] is None
     with pytest.raises(InputError, match="has no encoder"):
         load_encoder(tmp_path / "plain.fpnr")
+
+
+def test_export_writes_its_graph_for_the_face(
+    trained: TrainedEncoder, forward: NeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    face, file, graph = tmp_path / "head.usda", tmp_path / "head.fpnr", tmp_path / "encoder.onnx"
+    save_parts(turning_face(), face)
+    save_neural_rig(forward, file, {}, trained.encoder)
+    words = ("export", face, "--neural", file, "--encoder", "-o", graph)
+    code, _, err = run(capsys, *words)
+    assert code == 0, err
+    points = np.asarray(sampled(3, seed=5).points[0], np.float32)
+    span = np.array([control.maximum - control.minimum for control in trained.encoder.controls])
+    found = Deformer(graph).run({"points": points})["controls"][0]
+    assert (np.abs(found - trained.encoder.values(points)) / span).max() < 1e-5
+    save_neural_rig(forward, file, {})
+    for wrong, told in ((words, "has no encoder"), (("export", face, "--encoder", "-o", graph), "option encoder")):
+        code, _, err = run(capsys, *wrong, "--force")
+        assert (code, err.count("\n")) == (2, 1)
+        assert told in err

@@ -20,6 +20,9 @@ class Options:
         default=False,
         metadata={"help": "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights"},
     )
+    encoder: bool = field(
+        default=False, metadata={"help": "with --neural: the graph from points back to controls, in place of the rig's"}
+    )
     points: bool = field(default=False, metadata={"help": "with --sliders: also output the points"})
     weights: Literal["float32", "float16", "int8"] = field(
         default="float32",
@@ -63,6 +66,8 @@ class Options:
             raise InputError("option batch", f"is {self.batch!r}, expected a whole number from {low} to {high}")
 
     def _check_sliders(self) -> None:
+        if self.sliders and self.encoder:
+            raise InputError("option encoder", "is another graph than that of sliders, expected one of them")
         if not self.sliders:
             if self.points:
                 raise InputError("option points", "is for graphs of sliders, others always have that output")

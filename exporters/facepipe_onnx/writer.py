@@ -43,6 +43,13 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     :raises ExportError: nothing that deforms, NaN or infinity, numbers beyond float32, or more than 2 GB
     :raises InputError: another suffix than .onnx, a folder that does not exist, or a bad option
     """
+    if options is not None and options.encoder:
+        from facepipe_onnx.encoder_writer import export_encoder  # which writes as this module does
+
+        encoder, parts = getattr(face, "encoder", None), face.parts()
+        if encoder is None:
+            raise InputError("option encoder", "without one, expected --neural with a rig that has an encoder")
+        return export_encoder(encoder, path, {mesh.name: len(mesh.points) for mesh in parts.meshes}, parts.name)
     return export_parts(face.parts(), path, options)
 
 

@@ -9,6 +9,7 @@ examples:
   facepipe export head.usda --sliders --distil -o learned.onnx
   facepipe export head.usda --neural head.fpnr -o rig.onnx
   facepipe export head.usda --neural head.fpnr -o rig.glb
+  facepipe export head.usda --neural head.fpnr --encoder -o encoder.onnx
 """
 
 from __future__ import annotations
@@ -24,7 +25,14 @@ from facepipe.cli.export_distil import (
     distilled_text,
     with_distilled,
 )
-from facepipe.cli.export_neural import add_neural_option, neural_face, neural_options, neural_text, with_neural
+from facepipe.cli.export_neural import (
+    add_neural_option,
+    neural_encoder,
+    neural_face,
+    neural_options,
+    neural_text,
+    with_neural,
+)
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
@@ -62,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         bar.update(learned is not None)
         options = neural_options(options_from(arguments, exporter.Options), neural)
         held = face if learned is None else HeldFace(learned[0])
-        held = held if neural is None else HeldFace(neural.parts)
+        held = held if neural is None else HeldFace(neural.parts, neural_encoder(arguments, options))
         report: ExportReport = exporter.export(held, out, options)
         bar.update()
     text = [as_text(report)]

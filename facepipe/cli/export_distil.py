@@ -13,6 +13,7 @@ from facepipe.reports import ExportReport
 
 if TYPE_CHECKING:
     from facepipe.processors.sliders import DistilReport
+    from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage import Face
 
 _PREFIX = "distil_"
@@ -30,6 +31,7 @@ class HeldFace:
     """What an exporter needs of a face."""
 
     held: FaceParts
+    encoder: NeuralEncoder | None = None  # of a neural rig
 
     def parts(self) -> FaceParts:
         """The face as arrays."""

@@ -13,6 +13,7 @@ from facepipe.reports import ExportReport
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import AttachedNeuralRig
+    from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage import Face
 
 
@@ -45,8 +46,22 @@ def neural_face(arguments: argparse.Namespace, face: Face) -> AttachedNeuralRig 
 
 
 def neural_options(options: Any, neural: AttachedNeuralRig | None) -> Any:
-    """The options of an exporter: a graph is that of the controls."""
-    return dataclasses.replace(options, sliders=True) if neural is not None and hasattr(options, "sliders") else options
+    """The options of an exporter: a graph is that of the controls, or from points back to them."""
+    if neural is None or not hasattr(options, "sliders") or options.encoder:
+        return options
+    return dataclasses.replace(options, sliders=True)
+
+
+def neural_encoder(arguments: argparse.Namespace, options: Any) -> NeuralEncoder | None:
+    """The encoder in the file of the rig, where its graph is asked for.
+
+    :raises InputError: a rig without one
+    """
+    if arguments.neural is None or not getattr(options, "encoder", False):
+        return None
+    from facepipe.processors.neural_rig import load_encoder
+
+    return load_encoder(arguments.neural)
 
 
 def with_neural(report: ExportReport, neural: AttachedNeuralRig) -> NeuralExportReport:
