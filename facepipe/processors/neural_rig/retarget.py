@@ -71,8 +71,8 @@ class RetargetNeuralRig:
     Both are straight, so the composed model is one neural rig. Controls that aren't given are found by the inverse of
     what is there: first of the carried rig, then of the one that was learned.
 
-    Source: neural-face-rig, claims 1 and 7-9, S401-S404 and S501-S502. A fully connected network of the whole
-    deformation, as there, learns nothing of a hundred frames that holds on others; see docs/neural_rig.md.
+    Source: neural-face-rig, claims 1 and 7-9, S401-S404 and S501-S502; point by point and in closed form, where the
+    document has a network of the whole deformation and draws its noise.
     """
 
     options: RetargetOptions = field(default_factory=RetargetOptions)
