@@ -127,6 +127,8 @@ def _carried(rig: NeuralRig, first: Teacher, second: Teacher, name: str) -> list
     for way, options in (
         (f"{FRAMES} frames, no noise", RetargetOptions(noise_mm=0.0)),
         (f"{FRAMES} frames", RetargetOptions()),
+        (f"{FRAMES} frames, network, no noise", RetargetOptions(mode="network", noise=0.0)),
+        (f"{FRAMES} frames, network", RetargetOptions(mode="network")),
     ):
         found = RetargetNeuralRig(options=options)(rig, subject, seen.points, seen.values).rig
         rows.append(_row(name, way, found.points, unseen, _size(found)))

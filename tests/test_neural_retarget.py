@@ -162,3 +162,32 @@ def test_the_command_carries_a_rig_to_a_face(
     code, _, err = run(capsys, *words, "--frames", tmp_path / "clip.usdc", "-o", tmp_path / "other.fpnr")
     assert (code, err.count("\n")) == (2, 1)
     assert "less.usda: other meshes than those of the neural rig" in err
+
+
+def test_the_published_network_learns_the_subject_too(rig: NeuralRig) -> None:
+    """Of four controls and many frames; the composed rig is one neural rig, orthonormal again."""
+    subject, unseen = Subject.of(second_face(), "second.usda"), motion(OTHERS)
+    seen = motion(replace(FRAMES, spread=200))
+    options = RetargetOptions(mode="network", steps=800)
+    found = RetargetNeuralRig(options=options)(rig, subject, seen.points, seen.values)
+    assert off(found.rig, unseen) < 0.5 * off(carried(rig, subject), unseen)
+    assert len(found.rig.hidden) > len(rig.hidden)
+    flat = found.rig.shapes.reshape(len(found.rig.shapes), -1)
+    assert np.allclose(flat @ flat.T, np.eye(len(flat)), atol=1e-8)
+
+
+def test_noise_that_is_taken_off_leaves_what_is_likely() -> None:
+    """Far-off inputs come nearer to the middle, and on average noise moves none elsewhere."""
+    import torch
+
+    from facepipe.learn.deformation_network import denoised
+
+    inputs = torch.tensor([[0.0, 3.0]], dtype=torch.float64).repeat(20000, 1)
+    random = torch.Generator().manual_seed(0)
+    assert torch.equal(denoised(inputs, 0.0, random), inputs)
+    found = [denoised(inputs, strength, random) for strength in (0.5, 2.0)]
+    for one in found:
+        assert abs(float(one[:, 0].mean())) < 0.03
+        assert 0.0 < float(one[:, 1].mean()) < 3.0
+    assert float(found[1][:, 1].mean()) < float(found[0][:, 1].mean())
+    assert float(found[0][:, 0].std()) < 0.5  # less than the noise that was added

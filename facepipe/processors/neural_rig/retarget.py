@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from facepipe.geometry.point_ridge import Examples
 from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.carried_rig import Subject, carried, over
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
+from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.rig.neural_rig import NeuralRig, from_default
 
@@ -30,6 +32,13 @@ class RetargetOptions:
     :raises InputError: a number out of range
     """
 
+    mode: Literal["points", "network"] = field(
+        default="points",
+        metadata={
+            "help": "point by point in closed form, or the published fully connected network of the whole deformation",
+            "choices": ("points", "network"),
+        },
+    )
     noise_mm: float = field(
         default=-1.0,
         metadata={
@@ -38,6 +47,11 @@ class RetargetOptions:
             "range": (-1.0, 100.0),
         },
     )
+    noise: float = field(
+        default=1.0,
+        metadata={"help": "noise at first, in deviations of the rig's deformations (network)", "range": (0.0, 100.0)},
+    )
+    steps: int = field(default=3000, metadata={"help": "most steps (network)", "range": (1, 1e7)})
     rounds: int = field(
         default=2, metadata={"help": "how often controls are found, where they aren't given", "range": (1, 20)}
     )
@@ -72,7 +86,7 @@ class RetargetNeuralRig:
     what is there: first of the carried rig, then of the one that was learned.
 
     Source: neural-face-rig, claims 1 and 7-9, S401-S404 and S501-S502; point by point and in closed form, where the
-    document has a network of the whole deformation and draws its noise.
+    document has a network of the whole deformation and draws its noise; mode network is that.
     """
 
     options: RetargetOptions = field(default_factory=RetargetOptions)
@@ -137,11 +151,19 @@ class RetargetNeuralRig:
             strengths=_strengths(base),
             moved=_morphed(base, outputs, points) - base.rest - own,
         )
+        if self.options.mode == "network":
+            return self._by_network(base, values, examples.moved), 0.0
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
         noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
         maps = examples.maps(max(noise, 1e-6))
         shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_own)
         return over(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
+
+    def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:
+        one = self.options
+        return learned_by_network(
+            base, values, moved, noise=one.noise, steps=one.steps, tolerance=one.tolerance_mm, most=one.shapes
+        )
 
 
 def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: FloatArray) -> None:

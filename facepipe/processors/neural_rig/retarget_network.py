@@ -1,0 +1,82 @@
+"""What is a subject's own, by a fully connected network of the whole deformation: the document's second submodel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.motion_basis import motion_basis
+from facepipe.processors.neural_rig.carried_rig import over
+from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
+from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions, plan
+from facepipe.rig.neural_rig import NeuralRig, from_default
+
+FloatArray = npt.NDArray[np.floating]
+
+_INPUTS = 64  # coordinates of a deformation
+_SMALLEST = 1e-3  # of the largest deviation: less is no coordinate
+_SAMPLES = SampleMotionOptions(spread=4000, sweep=4, together=1000)
+_WIDTH = 128  # of the network's layers
+_UNITS, _STEPS, _PATIENCE, _SPARSITY = 128, 4000, 1000, 0.05  # of the one layer that stands for it
+
+
+def learned_by_network(
+    base: NeuralRig, values: FloatArray, moved: FloatArray, *, noise: float, steps: int, tolerance: float, most: int
+) -> NeuralRig:
+    """The carried rig with what frames of the subject are beyond it, as one neural rig again.
+
+    Inputs of the network are principal coordinates of the carried rig's deformations, over all that its controls do;
+    outputs those of `moved`. Units of one layer learn of samples what it adds, since two layers are no neural rig.
+
+    :param values: (f, c) controls of the frames
+    :param moved: (f, n, 3) millimetres beyond the carried rig, before bones
+    :param noise: strength at first, in deviations of the coordinates
+    :param tolerance: millimetres that the shapes may leave, RMS
+    :param most: shapes
+    """
+    from facepipe.learn.deformation_network import train_deformation_network
+
+    sampled, _ = plan(base.controls, _SAMPLES)
+    moves = base.shapes if base.bones is None else skinned_moves(base.bones, base.shapes, base.channels)
+    metric = output_metric(moves, base.rest, np.zeros((0, 3), np.int64), 0.0)
+    middle, axes = _coordinates(base.outputs(sampled) @ metric)
+    own, amounts = motion_basis(moved, tolerance, most)
+    network = train_deformation_network(
+        (base.outputs(values) @ metric - middle) @ axes, amounts, width=_WIDTH, steps=steps, noise=noise, seed=0
+    )
+    added = network((base.outputs(sampled) @ metric - middle) @ axes)
+    both = _with_units(base, own, sampled, added)
+    return over(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
+
+
+def _with_units(base: NeuralRig, own: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:
+    """The rig with shapes (q, n, 3), and units for their activations (f, q) at values (f, c)."""
+    from facepipe.learn.network_fit import Samples, train
+
+    x, count = from_default(base.controls, values), len(base.shapes)
+    watched = np.arange(len(x)) % 10 == 0
+    parts = [Samples(inputs=x[rows], outputs=added[rows]) for rows in (~watched, watched)]
+    found = train(*parts, width=_UNITS, activation="silu", seed=0, steps=_STEPS, patience=_PATIENCE, sparsity=_SPARSITY)
+    parted = (base.last[:count], base.last[count:])
+    before, after = np.zeros((len(own), len(base.hidden))), np.zeros((len(base.last), _UNITS))
+    last = [np.concatenate([parted[0], before, parted[1]]), np.insert(after, [count] * len(own), found.last, axis=0)]
+    return replace(
+        base,
+        shapes=np.concatenate([base.shapes, own]),
+        linear=np.concatenate([base.linear[:, :count], found.linear, base.linear[:, count:]], axis=1),
+        hidden=np.concatenate([base.hidden, found.hidden]),
+        hidden_bias=np.concatenate([base.hidden_bias, found.hidden_bias]),
+        last=np.concatenate(last, axis=1),
+        last_bias=np.concatenate([base.last_bias[:count], found.last_bias, base.last_bias[count:]]),
+    )
+
+
+def _coordinates(outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(o,) mean and (o, i) axes that make outputs (f, o) of mean 0 and variance 1."""
+    middle = outputs.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(outputs - middle, full_matrices=False)
+    deviations = sizes / np.sqrt(len(outputs))
+    kept = int(np.count_nonzero(deviations[:_INPUTS] > _SMALLEST * deviations[0]))
+    return middle, axes[:kept].T / deviations[:kept]
