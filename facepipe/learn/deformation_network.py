@@ -3,7 +3,7 @@
 Source: neural-face-rig, S103 and S403-S404: white Gaussian noise of a strength on what is reconstructed, removed step
 by step backwards; the network learns from what is left of it. The document names neither strengths nor what removes the
 noise. Here strengths fall to nothing over the training, and noise is removed by the mean of what may have been there
-(inputs are spread normally), from level to level as Song, Meng and Ermon do ("Denoising Diffusion Implicit Models", 2021).
+(inputs are spread normally), from level to level as in Song, Meng, Ermon, "Denoising Diffusion Implicit Models" (2021).
 """
 
 from __future__ import annotations
