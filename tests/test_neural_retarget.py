@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd
 from test_cli import run
 from test_neural_rig import OPTIONS, SAMPLES, turning_face
 from test_neural_samples import bake
@@ -155,6 +156,15 @@ def test_the_command_carries_a_rig_to_a_face(
     assert 50 <= told["frames"] + told["held_out"] <= 60  # some lie between blocks
     assert told["error_mean_mm"] < 0.7 * min(told["copy_mean_mm"], told["transfer_mean_mm"])
     assert off(load_neural_rig(tmp_path / "second.fpnr"), motion(OTHERS)) < 2.0 * told["error_mean_mm"]
+    bake(seen, tmp_path / "mute.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "mute.usdc"))
+    for prim in stage.Traverse():
+        for name in [one for one in prim.GetPropertyNames() if one.startswith("facepipe:control:")]:
+            prim.RemoveProperty(name)
+    stage.Save()
+    code, out, err = run(capsys, *words, "--frames", tmp_path / "mute.usdc", "-o", tmp_path / "mute.fpnr")
+    assert code == 0, err
+    assert json.loads(out)["controls"] == "found"
     code, _, err = run(capsys, *words, "--frames", tmp_path / "none.usdc", "-o", tmp_path / "other.fpnr")
     assert (code, err.count("\n")) == (2, 1)
     save_parts(replace(second_face(), meshes=second_face().meshes[:1]), tmp_path / "less.usda")

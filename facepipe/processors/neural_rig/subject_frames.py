@@ -13,7 +13,7 @@ from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.read_targets import read_targets
 from facepipe.rig.neural_rig import NeuralRig
-from facepipe.stage.read_controls import is_recorded
+from facepipe.stage.read_controls import read_controls
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -32,7 +32,7 @@ def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
     :raises InputError: no readable USD, NaN, or controls of which the rig has none
     :raises TopologyError: other meshes than the rig was learned on
     """
-    if not is_recorded(path):
+    if not any(len(track.codes) for track in read_controls(path)):
         return SubjectFrames(points=read_targets(path, rig).points, values=None)
     motion = ReadMotion()(path)
     if motion.topology.digest != rig.topology:
