@@ -108,7 +108,7 @@ def test_bad_files_are_told(trained: TrainedNeuralRig, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"less.fpnr -> linear: shape \(1, .*, expected \(4, "):
         load_neural_rig(tmp_path / "less.fpnr")
     (tmp_path / "junk.fpnr").write_bytes(b"junk")
-    with pytest.raises(InputError, match=r"junk\.fpnr"):
+    with pytest.raises(InputError, match=r"junk\.fpnr: is no neural rig, or cut short"):
         load_neural_rig(tmp_path / "junk.fpnr")
 
 

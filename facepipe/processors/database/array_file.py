@@ -88,7 +88,7 @@ def read_arrays(path: Path, kind: str) -> Content:
     :raises InputError: no such file, another format, or a damaged one
     """
     data = read_bytes(path, MAX_BYTES)
-    head, start = _read_header(path, data)
+    head, start = _read_header(path, data, kind)
     metadata = head.pop("__metadata__", None)
     if not isinstance(metadata, dict) or not isinstance(metadata.get("format"), str):
         raise InputError(path, f"has no format, expected {kind}")
@@ -105,17 +105,18 @@ def read_arrays(path: Path, kind: str) -> Content:
     return Content(arrays, content)
 
 
-def _read_header(path: Path, data: bytes) -> tuple[dict[str, Any], int]:
+def _read_header(path: Path, data: bytes, kind: str) -> tuple[dict[str, Any], int]:
+    what = f"is no {kind.removeprefix('facepipe ').rpartition(' ')[0]}"  # without its version
     size = _SIZE.unpack_from(data)[0] if len(data) >= _SIZE.size else 0
     if not 2 <= size <= min(_MAX_HEADER, len(data) - _SIZE.size):
-        raise InputError(path, "is no face database, or cut short")
+        raise InputError(path, f"{what}, or cut short")
     start = _SIZE.size + size
     try:
         head = json.loads(data[_SIZE.size : start].decode())
     except (ValueError, RecursionError):
-        raise InputError(path, "is no face database, or damaged: its header is no JSON") from None
+        raise InputError(path, f"{what}, or damaged: its header is no JSON") from None
     if not isinstance(head, dict):
-        raise InputError(path, "is no face database: its header is no object")
+        raise InputError(path, f"{what}: its header is no object")
     return head, start
 
 
