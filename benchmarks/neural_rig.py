@@ -74,7 +74,7 @@ def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], 
     from facepipe.processors.neural_rig.peers import best_blendshapes, ridge
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
-    unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=99))
+    unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=2026))
     rig = TrainNeuralRig()(learned).rig
     alone = TrainNeuralRig()(replace(learned, bones=None, coefficients=None)).rig
     straight, components = best_blendshapes(learned), ridge(learned, 0.01, 128)

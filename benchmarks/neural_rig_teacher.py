@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating]
 
 HEAD = "makehuman/makehuman_head.npz"
-GAIN = 2.0  # of correctives: a sixth of the motion is not straight, measured by neural_rig.py
+GAIN = 2.0  # of correctives: a fifth of the motion is not straight, measured by neural_rig.py
 EXPRESSIONS = "expression/caucasian/*"
 SCULPTS = (
     "mouth/mouth-dimples-in, mouth/mouth-laugh-lines-in, mouth/mouth-laugh-lines-out, mouth/mouth-angles-up, "
