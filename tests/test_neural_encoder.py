@@ -310,12 +310,18 @@ def test_export_writes_its_graph_for_the_face(
     save_parts(turning_face(), face)
     save_neural_rig(forward, file, {}, trained.encoder)
     words = ("export", face, "--neural", file, "--encoder", "-o", graph)
-    code, _, err = run(capsys, *words)
+    code, out, err = run(capsys, *words)
     assert code == 0, err
+    assert (len(out.splitlines()), err.count("warning")) == (1, 0)  # it has no shapes to tell of
     points = np.asarray(sampled(3, seed=5).points[0], np.float32)
     span = np.array([control.maximum - control.minimum for control in trained.encoder.controls])
     found = Deformer(graph).run({"points": points})["controls"][0]
     assert (np.abs(found - trained.encoder.values(points)) / span).max() < 1e-5
+    other = replace(forward, topology="sha256:1"), file, {}, replace(trained.encoder, topology="sha256:1")
+    save_neural_rig(*other)
+    code, _, err = run(capsys, *words, "--force")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "expected sha256:1... that the encoder was learned on" in err
     save_neural_rig(forward, file, {})
     for wrong, told in ((words, "has no encoder"), (("export", face, "--encoder", "-o", graph), "option encoder")):
         code, _, err = run(capsys, *wrong, "--force")

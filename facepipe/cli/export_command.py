@@ -27,6 +27,7 @@ from facepipe.cli.export_distil import (
 )
 from facepipe.cli.export_neural import (
     add_neural_option,
+    check_neural,
     neural_encoder,
     neural_face,
     neural_options,
@@ -59,6 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     import facepipe
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
+    check_neural(arguments)
     exporter = registry.exporter(out)
     beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
     if beside and not arguments.force:
@@ -66,11 +68,13 @@ def run(arguments: argparse.Namespace) -> int:
     with progress("export", 3 if arguments.distil else 2) as bar:
         face = facepipe.open(arguments.face)
         bar.update()
-        neural, learned = neural_face(arguments, face), distilled(arguments, face)
+        options = neural_options(arguments, options_from(arguments, exporter.Options))
+        neural, learned = neural_face(arguments, face, options), distilled(arguments, face)
         bar.update(learned is not None)
-        options = neural_options(options_from(arguments, exporter.Options), neural)
+        encoder = neural_encoder(arguments, face, options)
         held = face if learned is None else HeldFace(learned[0])
-        held = held if neural is None else HeldFace(neural.parts, neural_encoder(arguments, options))
+        held = held if neural is None else HeldFace(neural.parts)
+        held = held if encoder is None else HeldFace(face.parts(), encoder)
         report: ExportReport = exporter.export(held, out, options)
         bar.update()
     text = [as_text(report)]

@@ -30,38 +30,46 @@ def add_neural_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--neural", type=Path, metavar="RIG", help=text)
 
 
-def neural_face(arguments: argparse.Namespace, face: Face) -> AttachedNeuralRig | None:
-    """The face with its neural rig; None without `--neural`.
+def check_neural(arguments: argparse.Namespace) -> None:
+    """:raises InputError: flags that don't go together"""
+    if arguments.neural is not None and arguments.distil:
+        raise InputError("--neural", "given with --distil, expected one of them")
 
-    :raises InputError: flags that don't go together, or a damaged file
+
+def neural_face(arguments: argparse.Namespace, face: Face, options: Any) -> AttachedNeuralRig | None:
+    """The face with its neural rig; None without `--neural`, or where the graph of its encoder is asked for.
+
+    :raises InputError: a damaged file
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
-    if arguments.neural is None:
+    if arguments.neural is None or getattr(options, "encoder", False):
         return None
-    if arguments.distil:
-        raise InputError("--neural", "given with --distil, expected one of them")
     from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
 
     return AttachNeuralRig()(face.parts(), load_neural_rig(arguments.neural), str(arguments.face))
 
 
-def neural_options(options: Any, neural: AttachedNeuralRig | None) -> Any:
+def neural_options(arguments: argparse.Namespace, options: Any) -> Any:
     """The options of an exporter: a graph is that of the controls, or from points back to them."""
-    if neural is None or not hasattr(options, "sliders") or options.encoder:
+    if arguments.neural is None or not hasattr(options, "sliders") or options.encoder:
         return options
     return dataclasses.replace(options, sliders=True)
 
 
-def neural_encoder(arguments: argparse.Namespace, options: Any) -> NeuralEncoder | None:
+def neural_encoder(arguments: argparse.Namespace, face: Face, options: Any) -> NeuralEncoder | None:
     """The encoder in the file of the rig, where its graph is asked for.
 
     :raises InputError: a rig without one
+    :raises TopologyError: other meshes than it was learned on
     """
     if arguments.neural is None or not getattr(options, "encoder", False):
         return None
+    from facepipe.processors.database import Topology
     from facepipe.processors.neural_rig import load_encoder
 
-    return load_encoder(arguments.neural)
+    encoder = load_encoder(arguments.neural)
+    encoder.check(Topology.of(face.parts()).digest, str(arguments.face))
+    return encoder
 
 
 def with_neural(report: ExportReport, neural: AttachedNeuralRig) -> NeuralExportReport:

@@ -1,4 +1,4 @@
-"""Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, units.
+"""Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, neural rig.
 
 example: facepipe inspect head.usda
 """
@@ -64,7 +64,20 @@ def summarise(face: Face) -> dict[str, Any]:
         "attach_joint": parts.attach_joint,
         "attribution": parts.attribution,
         "recipe": parts.recipe.verb if parts.recipe else None,
+        "neural_rig": _neural_rig(face),
     }
+
+
+def _neural_rig(face: Face) -> dict[str, str] | None:
+    """The file that a face links, and whether it is still what was applied."""
+    from facepipe.digests import digest
+    from facepipe.stage.neural_rig_link import read_neural_rig_link
+
+    link = read_neural_rig_link(face.prim)
+    if link is None:
+        return None
+    state = "lost" if link.path is None else "as applied" if digest([link.path]) == link.digest else "changed since"
+    return {"file": link.file, "state": state}
 
 
 def as_text(summary: dict[str, Any]) -> str:
@@ -85,6 +98,7 @@ def as_text(summary: dict[str, Any]) -> str:
         ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in summary["landmarks"].items()) or "none"),
         ("attach joint", summary["attach_joint"] or "none"),
         ("made by", summary["recipe"] or "unknown"),
+        *[("neural rig", f"{link['file']}, {link['state']}") for link in [summary["neural_rig"]] if link],
         ("attribution", summary["attribution"] or "none"),
     ]
     width = max(len(name) for name, _ in facts)

@@ -1,6 +1,6 @@
 """Neural rig: what a rig does, learned from examples of it."""
 
-from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport, neural_rig_recipe
+from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport
 from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.inverse_report import ControlReport, InverseReport
@@ -10,6 +10,7 @@ from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
 from facepipe.processors.neural_rig.read_motion import ReadMotion
+from facepipe.processors.neural_rig.recipe import NeuralRigRecipe, neural_rig_recipe, read_neural_rig_recipe
 from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
 from facepipe.processors.neural_rig.sample_motion import SampleMotion
 from facepipe.processors.neural_rig.train_encoder import (
@@ -39,6 +40,7 @@ __all__ = [
     "InvertNeuralRigOptions",
     "InvertedMotion",
     "Motion",
+    "NeuralRigRecipe",
     "NeuralRigReport",
     "ReadClips",
     "ReadMotion",
@@ -54,6 +56,7 @@ __all__ = [
     "load_encoder",
     "load_neural_rig",
     "neural_rig_recipe",
+    "read_neural_rig_recipe",
     "save_neural_rig",
     "with_neural_rig",
 ]

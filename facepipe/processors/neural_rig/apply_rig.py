@@ -6,9 +6,7 @@ import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from facepipe import __version__
 from facepipe.digests import digest
-from facepipe.options import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.neural_rig.attach import AttachNeuralRig, AttachOptions
 from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig
@@ -17,9 +15,7 @@ from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.files import relative_path
 from facepipe.stage.neural_rig_link import author_neural_rig_link
-from facepipe.stage.recipes import source_digest
 
-VERB = "neural-rig"
 _NO_LINK = ("a .usdz can't hold a neural rig: it has no link to the file",)
 
 
@@ -71,20 +67,3 @@ class ApplyNeuralRig:
             authored=authored,
             warnings=(*attached.warnings, *(_NO_LINK if packed else ())),
         )
-
-
-def neural_rig_recipe(
-    face: str | os.PathLike[str], rig: Path, out: str | os.PathLike[str], options: AttachOptions
-) -> Recipe:
-    """The recipe to author on the face of a path, saved as `out`: its sources are the face and the rig.
-
-    :raises InputError: a source can't be read
-    """
-    files, folder = (os.fspath(face), os.fspath(rig)), Path(out).absolute().parent
-    return Recipe(
-        verb=VERB,
-        sources=tuple(relative_path(one, folder) for one in files),
-        digests=tuple(source_digest(Path(one)) for one in files),
-        options=to_json(options),
-        version=__version__,
-    )

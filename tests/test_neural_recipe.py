@@ -1,0 +1,102 @@
+"""Recipes of faces with a neural rig: what they give back, damaged ones, and what a stage says of its rig."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from neural_faces import face
+from test_cli import run
+from test_neural_apply import applied, saved
+
+import facepipe
+from facepipe.errors import InputError, SchemaError
+from facepipe.parts import Recipe
+from facepipe.processors.neural_rig import (
+    ApplyNeuralRig,
+    AttachOptions,
+    neural_rig_recipe,
+    read_neural_rig_recipe,
+    save_neural_rig,
+)
+from facepipe.stage import save_parts
+
+
+@pytest.mark.parametrize("bones", [True, False])
+@pytest.mark.parametrize("name", ["neural.usda", "neural.usdc", "flat.usda"])
+def test_a_recipe_gives_the_same_bytes_again(
+    name: str, bones: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved(tmp_path, face(), bones=bones)
+    (tmp_path / "out").mkdir()
+    out = tmp_path / "out" / name
+    flat = ("--flatten",) * (name == "flat.usda")
+    applied(tmp_path, capsys, "-o", out, "--offset-tolerance-mm", 0.02, *flat)
+    first, recipe = out.read_bytes(), read_neural_rig_recipe(out)
+    assert (recipe.face, recipe.rig) == (tmp_path / "head.usda", tmp_path / "head.fpnr")
+    assert recipe.options == AttachOptions(offset_tolerance_mm=0.02)
+    assert recipe.standalone == bool(flat)
+    assert recipe.warnings == ()
+    out.unlink()
+    again = neural_rig_recipe(recipe.face, recipe.rig, out, recipe.options)
+    with facepipe.open(recipe.face).deriving(out, flatten=recipe.standalone) as one:
+        ApplyNeuralRig(file=recipe.rig, options=recipe.options)(one, out, recipe=again)
+    assert out.read_bytes() == first
+
+
+def test_every_source_that_changes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, out = saved(tmp_path, face(), bones=True), tmp_path / "neural.usda"
+    applied(tmp_path, capsys, "-o", out)
+    save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
+    assert read_neural_rig_recipe(out).warnings == ("head.fpnr changed since neural.usda was made",)
+    (tmp_path / "head.usda").write_text((tmp_path / "head.usda").read_text() + "\n# a line\n")
+    assert [line.split()[0] for line in read_neural_rig_recipe(out).warnings] == ["head.usda", "head.fpnr"]
+    (tmp_path / "head.fpnr").unlink()
+    with pytest.raises(InputError, match=r"source 2: .*head.fpnr: no such file, expected it there \(or RIG\)"):
+        read_neural_rig_recipe(out)
+
+
+def damaged(good: Recipe) -> dict[str, Recipe]:
+    return {
+        "recipe of 'blend'": replace(good, verb="blend"),
+        "one digest per source": replace(good, digests=good.digests[:1]),
+        "1 sources, expected": replace(good, sources=good.sources[:1], digests=good.digests[:1]),
+        "option 'sky' is unknown": replace(good, options={"sky": 1.0}),
+        "offset_tolerance_mm: 'a', expected": replace(good, options={"offset_tolerance_mm": "a"}),
+        "offset_tolerance_mm: is 2.0": replace(good, options={"offset_tolerance_mm": 2.0}),
+        "made by facepipe 99.0": replace(good, version="99.0"),
+    }
+
+
+def test_damaged_recipes_are_refused_in_one_line(tmp_path: Path) -> None:
+    saved(tmp_path, face(), bones=True)
+    bad = tmp_path / "bad.usda"
+    good = neural_rig_recipe(tmp_path / "head.usda", tmp_path / "head.fpnr", bad, AttachOptions())
+    for message, recipe in damaged(good).items():
+        save_parts(replace(face(), recipe=recipe), bad)
+        with pytest.raises((InputError, SchemaError)) as caught:
+            read_neural_rig_recipe(bad)
+        assert message in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_inspect_tells_the_rig_and_whether_it_is_what_was_applied(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, out = saved(tmp_path, face(), bones=True), tmp_path / "neural.usda"
+    applied(tmp_path, capsys, "-o", out)
+
+    def told(path: Path) -> tuple[object, bool]:
+        found = json.loads(run(capsys, "inspect", path, "--json")[1])["neural_rig"]
+        shown = run(capsys, "inspect", path)[1]
+        return found, found is not None and f"{found['file']}, {found['state']}" in shown
+
+    assert told(out) == ({"file": "./head.fpnr", "state": "as applied"}, True)
+    save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
+    assert told(out) == ({"file": "./head.fpnr", "state": "changed since"}, True)
+    (tmp_path / "head.fpnr").unlink()
+    assert told(out) == ({"file": "./head.fpnr", "state": "lost"}, True)
+    assert told(tmp_path / "head.usda") == (None, False)
+    assert "neural rig" not in run(capsys, "inspect", tmp_path / "head.usda")[1]
