@@ -234,7 +234,10 @@ def test_a_killed_training_goes_on_to_the_same_end(motion: Motion, trained: Trai
     assert found.report == trained.report
     for name in ("linear", "hidden", "last"):
         assert np.array_equal(getattr(found.rig, name), getattr(trained.rig, name))
-    assert not kept.exists()
+    ended = kept.stat().st_mtime_ns
+    again = TrainNeuralRig(options=OPTIONS)(motion, checkpoint=kept)
+    assert np.array_equal(again.rig.last, trained.rig.last)
+    assert kept.stat().st_mtime_ns == ended  # no step was taken: what has ended is not trained again
 
 
 def test_the_curve_is_of_frames_learned_and_watched_and_drawn(trained: TrainedNeuralRig, tmp_path: Path) -> None:

@@ -91,11 +91,13 @@ def _train(arguments: argparse.Namespace) -> int:
     motion = _motion(arguments)
     with progress("train", options.steps) as bar:
         trained = TrainNeuralRig(options=options)(motion, bar.update, arguments.checkpoint)
-    _draw(arguments.plot, trained)
     encoded = _encoder(arguments, motion)
     report = json.loads(trained.report.to_json())
     report["encoder"] = json.loads(encoded.report.to_json()) if encoded else None
+    _draw(arguments.plot, trained)  # now, so that a killed command finds no picture in its way
     save_neural_rig(trained.rig, out, report, encoded.encoder if encoded else None)
+    if arguments.checkpoint is not None:
+        arguments.checkpoint.unlink(missing_ok=True)
     warn(trained.report.warnings)
     text = [_text(out, trained.report), *([_encoder_text(encoded.report)] if encoded else [])]
     emit({"path": str(out), **report}, "\n".join(text), as_json=arguments.json)
@@ -126,7 +128,7 @@ def _encoder(arguments: argparse.Namespace, motion: Motion) -> TrainedEncoder | 
         return None
     options = options_from(arguments, TrainEncoderOptions)
     with progress("encoder", options.encoder_steps) as bar:
-        return TrainEncoder(options=options)(motion, bar.update)
+        return TrainEncoder(options=options)(motion, bar.update, arguments.checkpoint)
 
 
 def _motion(arguments: argparse.Namespace) -> Motion:

@@ -12,6 +12,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.learn.training_state import restore_state, state_of
+
 Array = npt.NDArray[Any]
 
 BATCH = 256
@@ -19,7 +21,6 @@ FIRST_RATE, LAST_RATE = 1e-2, 1e-5
 CHECK_EVERY, KEEP_EVERY = 100, 500  # steps
 
 _ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
-_STATE = ("exp_avg", "exp_avg_sq")
 
 
 class Network:
@@ -117,7 +118,7 @@ class Descent:
         """Go on to the end, and restore the best network.
 
         :param done: called once for each step, of those before too
-        :param keep: called with the state every `KEEP_EVERY` steps
+        :param keep: called with the state every `KEEP_EVERY` steps and in the end
         """
         for _ in range(self._now.step):
             done()
@@ -128,6 +129,8 @@ class Descent:
             if self._now.step % KEEP_EVERY == 0:
                 keep(self.state())
             done()
+        if self._now.step % KEEP_EVERY:
+            keep(self.state())
         self._network.restore(self._kept)
 
     def _stale(self) -> bool:
@@ -158,16 +161,9 @@ class Descent:
 
     def state(self) -> dict[str, Array]:
         """All that going on takes."""
-        found: dict[str, Array] = {
-            "random": self._random.get_state().numpy().astype(np.int32),
-            "numbers": np.array([self._now.step, self._now.best, self._now.best_step, self._now.summed]),
-            "curve": self.curve,
-        }
-        for number, (one, kept) in enumerate(zip(self._network.parameters, self._kept, strict=True)):
-            found |= {f"now.{number}": one.detach().cpu().numpy().copy(), f"best.{number}": kept.cpu().numpy()}
-            own = self._optimiser.state[one]
-            found |= {f"{name}.{number}": own[name].cpu().numpy().copy() for name in _STATE}
-        return found
+        numbers = np.array([self._now.step, self._now.best, self._now.best_step, self._now.summed])
+        found = state_of(self._network.parameters, self._kept, self._optimiser, self._random)
+        return found | {"numbers": numbers, "curve": self.curve}
 
     def go_on(self, state: Mapping[str, Array]) -> None:
         """Be as `state` says.
@@ -176,12 +172,7 @@ class Descent:
         """
         step, best, best_step, summed = (float(one) for one in state["numbers"])
         curve = np.asarray(state["curve"]).reshape(-1, 3).tolist()
-        self._network.restore([torch.tensor(state[f"now.{number}"]) for number in range(4)])
-        self._kept = [torch.tensor(state[f"best.{number}"]).to(one) for number, one in enumerate(self._kept)]
-        for number, one in enumerate(self._network.parameters):
-            moments = {name: torch.tensor(state[f"{name}.{number}"]).to(one).reshape(one.shape) for name in _STATE}
-            self._optimiser.state[one] = {"step": torch.tensor(step, dtype=torch.float32), **moments}
-        self._random.set_state(torch.as_tensor(np.asarray(state["random"]).astype(np.uint8)))
+        self._kept = restore_state(state, self._network.parameters, self._optimiser, self._random, int(step))
         self._now = _Progress(
             step=int(step),
             best=best,

@@ -8,55 +8,67 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.processors.database.array_file import read_arrays, write_arrays
+from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
 from facepipe.processors.neural_rig.motion import Motion
 
 Array = npt.NDArray[Any]
 
-KIND = "facepipe neural rig training 1"
-_NAMES = ("numbers", "curve", "random")
+KIND = "facepipe neural rig training 2"
+_NAMES = ("numbers", "random")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """The file of one training: of these frames, with these options."""
+    """One part of a training's file: of these frames, with these options. Parts don't touch each other."""
 
     path: Path
+    part: str
     key: str  # digest of frames and options
 
     @classmethod
-    def of(cls, path: Path, motion: Motion, options: Any) -> Checkpoint:
+    def of(cls, path: Path, part: Literal["rig", "encoder"], motion: Motion, options: Any) -> Checkpoint:
         """:param options: a dataclass of plain values"""
         found = hashlib.sha256(json.dumps(dataclasses.asdict(options), sort_keys=True).encode())
         for array in (motion.values, motion.points, motion.blocks, motion.coefficients):
             found.update(b"" if array is None else np.ascontiguousarray(array).data)
-        return cls(path=path, key=found.hexdigest())
+        return cls(path=path, part=part, key=found.hexdigest())
 
     def state(self) -> Mapping[str, Array] | None:
         """What was kept last; None where nothing was yet.
 
         :raises InputError: a damaged file, or one of other frames or options
         """
-        if not self.path.exists():
+        file = self._file()
+        key = _keys(file).get(self.part)
+        if key is None:
             return None
-        found = read_arrays(self.path, KIND)
-        if found.content.get("key") != self.key:
-            raise InputError(self.path, "a training of other frames or options, expected these (or another file)")
-        lacking = [name for name in _NAMES if name not in found.arrays]
+        if key != self.key:
+            what = f"a training of other frames or options ({self.part})"
+            raise InputError(self.path, f"{what}, expected these (or another file)")
+        prefix = f"{self.part}."
+        found = {name.removeprefix(prefix): one for name, one in file.arrays.items() if name.startswith(prefix)}
+        lacking = [name for name in _NAMES if name not in found]
         if lacking:
-            raise InputError(self.path, f"lacks {lacking[0]}, expected a training")
-        return found.arrays
+            raise InputError(self.path, f"lacks {prefix}{lacking[0]}, expected a training")
+        return found
 
     def keep(self, state: Mapping[str, Array]) -> None:
-        """Write, whole or not at all."""
-        write_arrays(self.path, KIND, {"key": self.key}, state)
+        """Write, whole or not at all; the other parts stay as they are."""
+        file, prefix = self._file(), f"{self.part}."
+        others = {name: one for name, one in file.arrays.items() if not name.startswith(prefix)}
+        own = {f"{prefix}{name}": one for name, one in state.items()}
+        write_arrays(self.path, KIND, {"keys": {**_keys(file), self.part: self.key}}, others | own)
 
-    def done(self) -> None:
-        """The training has ended: the file goes."""
-        self.path.unlink(missing_ok=True)
+    def _file(self) -> Content:
+        return read_arrays(self.path, KIND) if self.path.exists() else Content({}, {})
+
+
+def _keys(file: Content) -> dict[str, str]:
+    keys = file.content.get("keys")
+    return keys if isinstance(keys, dict) else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,13 +14,15 @@ from facepipe.errors import InputError
 from facepipe.geometry.ridge import ridge
 from facepipe.geometry.telling_points import well_placed
 from facepipe.options import check_ranges
+from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.reports import Report
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import inputs
 
 if TYPE_CHECKING:
-    from facepipe.learn.encoder_fit import EncoderSamples, EncoderSize
+    from facepipe.learn.encoder_fit import EncoderSamples
+    from facepipe.learn.encoder_network import EncoderSize
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -103,42 +106,50 @@ class TrainEncoder:
 
     options: TrainEncoderOptions = field(default_factory=TrainEncoderOptions)
 
-    def __call__(self, motion: Motion, done: Callable[[], object] = lambda: None) -> TrainedEncoder:
+    def __call__(
+        self, motion: Motion, done: Callable[[], object] = lambda: None, checkpoint: Path | None = None
+    ) -> TrainedEncoder:
         """Train on some blocks of frames, and measure on the others.
 
         :param done: called once for each step
-        :raises InputError: no control or no point that moves, or a single block of frames
+        :param checkpoint: as `TrainNeuralRig` has it, whose part of the same file stays as it is
+        :raises InputError: no control or no point that moves, a single block of frames, or a checkpoint of another
+            training
         """
-        from facepipe.learn.encoder_fit import EncoderLimits, train_encoder
+        from facepipe.learn.encoder_descent import EncoderLimits
+        from facepipe.learn.encoder_fit import train_encoder
 
         options, still = self.options, motion.constant
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
-        motion = motion.without(still)
-        learned, checked = motion.split(options.held_out, options.seed)
+        moving = motion.without(still)
+        learned, checked = moving.split(options.held_out, options.seed)
         chosen, size = _chosen(learned, options)
         several = len(np.unique(learned.blocks)) > 1
         taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
+        kept = Checkpoint.of(checkpoint, "encoder", motion, options) if checkpoint else None
         pairs = [_pairs(one, chosen) for one in (taught, watched)]
         fitted = train_encoder(
             pairs[0],
             pairs[1],
-            motion.rest[chosen],
+            moving.rest[chosen],
             _straight(pairs[0], options),
             size=size,
             noise=options.noise_mm,
             seed=options.seed,
             limits=EncoderLimits(steps=options.encoder_steps, patience=options.encoder_patience),
             done=done,
+            state=kept.state() if kept else None,
+            keep=kept.keep if kept else lambda _: None,
         )
-        encoder = _encoder(motion, chosen, fitted.weights)
+        encoder = _encoder(moving, chosen, fitted.weights)
         report = _report(encoder, _pairs(learned, chosen), _pairs(checked, chosen), options)
         return TrainedEncoder(encoder=encoder, report=replace(report, steps=fitted.steps, left_out=still))
 
 
 def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, EncoderSize]:
     """Whole points in the order of the sequence, and the network for them: all tokens have as many points."""
-    from facepipe.learn.encoder_fit import EncoderSize
+    from facepipe.learn.encoder_network import EncoderSize
 
     moving = np.flatnonzero(np.abs(motion.points - motion.rest).max(axis=(0, 2)) > _STILL)
     if not len(moving):

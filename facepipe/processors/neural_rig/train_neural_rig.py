@@ -110,8 +110,8 @@ class TrainNeuralRig:
         """Train on some blocks of frames, and measure on the others; on a GPU where torch has one.
 
         :param done: called once for each step
-        :param checkpoint: a file that tells now and then where the training stands; it goes on from there if it is
-            there, and gives the same. In the end the file is removed
+        :param checkpoint: a file that tells now and then where the training stands, and in the end that it has ended;
+            it goes on from there if it is there, and gives the same. Whoever is done with it removes it
         :raises InputError: no control that moves, a single block of frames, or a checkpoint of another training
         """
         from facepipe.learn.devices import best_device
@@ -121,7 +121,7 @@ class TrainNeuralRig:
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
         learned, checked = motion.without(still).split(options.held_out, options.seed)
-        kept = Checkpoint.of(checkpoint, motion, options) if checkpoint else None
+        kept = Checkpoint.of(checkpoint, "rig", motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
         basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes, options.detail)
         trained = train(
@@ -141,8 +141,6 @@ class TrainNeuralRig:
         rig = _assembled(learned, basis, trained)
         report = replace(_report(rig, learned, checked, options), steps=trained.steps, left_out=still)
         report = replace(report, source=motion.source, warnings=motion.warnings)
-        if kept:
-            kept.done()
         return TrainedNeuralRig(rig=rig, report=report, curve=trained.curve)
 
 

@@ -1,0 +1,53 @@
+"""All that a descent takes to go on after it was stopped, as named arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+Array = npt.NDArray[Any]
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")  # of Adam
+
+
+def state_of(
+    parameters: list[Tensor], kept: list[Tensor], optimiser: torch.optim.Optimizer, random: torch.Generator
+) -> dict[str, Array]:
+    """Parameters, the best of them so far, Adam's moments and the draws to come.
+
+    :param optimiser: Adam or AdamW, one step or more on its way
+    """
+    found: dict[str, Array] = {"random": random.get_state().numpy().astype(np.int32)}
+    for number, (one, best) in enumerate(zip(parameters, kept, strict=True)):
+        found |= {f"now.{number}": one.detach().cpu().numpy().copy(), f"best.{number}": best.cpu().numpy()}
+        own = optimiser.state[one]
+        found |= {f"{name}.{number}": own[name].cpu().numpy().copy() for name in _MOMENTS}
+    return found
+
+
+def restore_state(
+    state: Mapping[str, Array],
+    parameters: list[Tensor],
+    optimiser: torch.optim.Optimizer,
+    random: torch.Generator,
+    steps: int,
+) -> list[Tensor]:
+    """Be as `state_of` said; the best parameters are returned.
+
+    :param steps: that the optimiser had taken
+    :raises KeyError, RuntimeError, ValueError: the state of another network
+    """
+    kept = []
+    for number, one in enumerate(parameters):
+        with torch.no_grad():
+            one.copy_(torch.tensor(state[f"now.{number}"]).reshape(one.shape))
+        kept.append(torch.tensor(state[f"best.{number}"]).to(one).reshape(one.shape))
+        moments = {name: torch.tensor(state[f"{name}.{number}"]).to(one).reshape(one.shape) for name in _MOMENTS}
+        optimiser.state[one] = {"step": torch.tensor(steps, dtype=torch.float32), **moments}
+    random.set_state(torch.as_tensor(np.asarray(state["random"]).astype(np.uint8)))
+    return kept

@@ -1,0 +1,113 @@
+"""Trainings of neural rigs with their encoders that are killed, and go on to the same end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import run
+from test_neural_rig import KilledError, turning_face
+
+import facepipe
+from facepipe.errors import InputError
+from facepipe.processors.database.array_file import read_arrays, write_arrays
+from facepipe.processors.neural_rig import (
+    Motion,
+    SampleMotion,
+    SampleMotionOptions,
+    TrainEncoder,
+    TrainEncoderOptions,
+    TrainNeuralRig,
+    TrainNeuralRigOptions,
+)
+from facepipe.processors.neural_rig.checkpoint import KIND
+from facepipe.stage import save_parts
+
+torch = pytest.importorskip("torch")
+SAMPLES = SampleMotionOptions(spread=60, sweep=5, together=20)
+RIG = TrainNeuralRigOptions(width=8, steps=130)
+ENCODER = TrainEncoderOptions(points=16, encoder_steps=250)
+WORDS = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 130)
+WORDS += ("--points", 16, "--encoder-steps", 250)
+
+
+@pytest.fixture(scope="module")
+def face(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("face") / "head.usda"
+    save_parts(turning_face(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def motion(face: Path) -> Motion:
+    return SampleMotion(options=SAMPLES)(facepipe.open(face).parts(), str(face))
+
+
+def killer(step: int) -> Callable[[], None]:
+    """Kills at a step."""
+    steps = iter(range(1, step + 1))
+
+    def kill() -> None:
+        if next(steps) == step:
+            raise KilledError
+
+    return kill
+
+
+def killed_in_the_encoder(motion: Motion, path: Path) -> None:
+    """The file of a training whose rig is whole and whose encoder was at step 170."""
+    TrainNeuralRig(options=RIG)(motion, checkpoint=path)
+    with pytest.raises(KilledError):
+        TrainEncoder(options=ENCODER)(motion, killer(170), path)
+
+
+def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, tmp_path: Path) -> None:
+    kept = tmp_path / "head.training"
+    killed_in_the_encoder(motion, kept)
+    rig = {name: one for name, one in read_arrays(kept, KIND).arrays.items() if name.startswith("rig.")}
+    assert rig
+    with pytest.raises(InputError, match=r"head.training: a training of other frames or options \(encoder\)"):
+        TrainEncoder(options=replace(ENCODER, seed=1))(motion, checkpoint=kept)
+    writes: list[int] = []  # the file's time at each step
+    found = TrainEncoder(options=ENCODER)(motion, lambda: writes.append(kept.stat().st_mtime_ns), kept)
+    assert len(writes) == found.report.steps == 250
+    assert writes[0] == writes[198] < writes[199]  # from step 100 on: those before are told at once
+    whole = TrainEncoder(options=ENCODER)(motion)
+    assert found.report == whole.report
+    for name in ("point", "token", "places", "reduce", "last", "straight", "offset"):
+        assert np.array_equal(getattr(found.encoder, name), getattr(whole.encoder, name))
+    after = read_arrays(kept, KIND).arrays
+    assert all(np.array_equal(one, after[name]) for name, one in rig.items())
+    ended = kept.stat().st_mtime_ns
+    assert TrainEncoder(options=ENCODER)(motion, checkpoint=kept).report == whole.report
+    assert kept.stat().st_mtime_ns == ended
+
+
+def test_the_command_goes_on_in_the_encoder(
+    face: Path, motion: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, plot = tmp_path / "head.training", tmp_path / "curve.png"
+    killed_in_the_encoder(motion, kept)
+    words = ("neural-rig", "train", face, *WORDS)
+    code, _, err = run(capsys, *words, "-o", tmp_path / "new.fpnr", "--checkpoint", kept, "--plot", plot)
+    assert code == 0, err
+    assert not kept.exists()
+    code, _, err = run(capsys, *words, "-o", tmp_path / "whole.fpnr")
+    assert code == 0, err
+    assert (tmp_path / "new.fpnr").read_bytes() == (tmp_path / "whole.fpnr").read_bytes()
+
+
+def test_files_that_are_no_such_training_are_told(motion: Motion, tmp_path: Path) -> None:
+    kept = tmp_path / "head.training"
+    kept.write_bytes(b"something else")
+    with pytest.raises(InputError, match=r"head.training: is no neural rig training"):
+        TrainEncoder(options=ENCODER)(motion, checkpoint=kept)
+    killed_in_the_encoder(motion, tmp_path / "whole.training")
+    found = read_arrays(tmp_path / "whole.training", KIND)
+    lacking = {name: one for name, one in found.arrays.items() if name != "encoder.numbers"}
+    write_arrays(kept, KIND, found.content, lacking)
+    with pytest.raises(InputError, match=r"head.training: lacks encoder.numbers, expected a training"):
+        TrainEncoder(options=ENCODER)(motion, checkpoint=kept)
