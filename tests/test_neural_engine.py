@@ -200,7 +200,26 @@ def test_flags_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFix
     head, file = tmp_path / "head.usda", tmp_path / "head.fpnr"
     save_parts(face(), head)
     save_neural_rig(neural_rig(face(), bones=True), file, {})
-    words = ("export", head, "--neural", file, "--sliders", "--distil", "-o", tmp_path / "rig.onnx")
-    code, _, err = run(capsys, *words)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "--neural: given with --distil, expected one of them" in err
+    for words, told in (
+        (("--neural", file, "--sliders", "--distil"), "--neural: given with --distil, expected one of them"),
+        (("--offset-tolerance-mm", 0.1), "--offset-tolerance-mm: given without --neural, expected both"),
+    ):
+        code, _, err = run(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx")
+        assert (code, err.count("\n")) == (2, 1)
+        assert told in err
+
+
+def test_what_shapes_leave_out_makes_a_smaller_file_and_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head, file, out = tmp_path / "head.usda", tmp_path / "head.fpnr", tmp_path / "rig.glb"
+    save_parts(face(), head)
+    save_neural_rig(neural_rig(face(), bones=True), file, {})
+    found = []
+    for tolerance in (0.0, 1.0):
+        words = ("export", head, "--neural", file, "--offset-tolerance-mm", tolerance, "-o", out, "--force", "--json")
+        code, text, err = run(capsys, *words)
+        assert code == 0, err
+        found.append(json.loads(text))
+    assert found[1]["bytes"] < found[0]["bytes"]
+    assert 0.0 == found[0]["dropped_mm"] < found[1]["dropped_mm"]

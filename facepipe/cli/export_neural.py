@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.cli.parser import add_options, options_from
 from facepipe.errors import InputError
 from facepipe.reports import ExportReport
 
@@ -25,15 +26,20 @@ class NeuralExportReport(ExportReport):
 
 
 def add_neural_option(parser: argparse.ArgumentParser) -> None:
-    """`--neural`."""
+    """`--neural` and what of its shapes is kept."""
+    from facepipe.processors.neural_rig import AttachOptions
+
     text = "neural rig (.fpnr) in place of the sliders and shapes of FACE; a .onnx is the graph of its controls"
     parser.add_argument("--neural", type=Path, metavar="RIG", help=text)
+    add_options(parser, AttachOptions, "options of --neural", sparse=True)
 
 
 def check_neural(arguments: argparse.Namespace) -> None:
     """:raises InputError: flags that don't go together"""
     if arguments.neural is not None and arguments.distil:
         raise InputError("--neural", "given with --distil, expected one of them")
+    if arguments.neural is None and hasattr(arguments, "offset_tolerance_mm"):
+        raise InputError("--offset-tolerance-mm", "given without --neural, expected both")
 
 
 def neural_face(arguments: argparse.Namespace, face: Face, options: Any) -> AttachedNeuralRig | None:
@@ -44,9 +50,10 @@ def neural_face(arguments: argparse.Namespace, face: Face, options: Any) -> Atta
     """
     if arguments.neural is None or getattr(options, "encoder", False):
         return None
-    from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
+    from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions, load_neural_rig
 
-    return AttachNeuralRig()(face.parts(), load_neural_rig(arguments.neural), str(arguments.face))
+    attach = AttachNeuralRig(options=options_from(arguments, AttachOptions))
+    return attach(face.parts(), load_neural_rig(arguments.neural), str(arguments.face))
 
 
 def neural_options(arguments: argparse.Namespace, options: Any) -> Any:

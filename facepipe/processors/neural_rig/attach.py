@@ -30,7 +30,7 @@ class AttachOptions:
     """What of the shapes is kept."""
 
     offset_tolerance_mm: float = field(
-        default=1e-4,
+        default=1e-2,
         metadata={
             "help": "a shape leaves out points that it moves by less than this",
             "range": (0.0, 1.0),
