@@ -8,6 +8,12 @@ from pathlib import Path
 from facepipe.errors import InputError
 
 
+def check_input(path: Path) -> None:
+    """:raises InputError: `path` is a pipe or a device, which a reader could wait on without end"""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(path, "is not a regular file")
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of at most `most` bytes.
 

@@ -43,6 +43,7 @@ COMMANDS = {
     "neural-rig": "learn what a rig does, as one small network",
     "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
+    "cook": "bring faces up to date with what they are made of",
     "schema-path": "print the folder of the USD schemas",
 }
 

@@ -19,9 +19,10 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import check_input, output_of
+from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import FacepipeError, InputError
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.parts import Recipe

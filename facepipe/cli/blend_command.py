@@ -31,7 +31,6 @@ from facepipe.cli.blend_request import Request, request_of
 from facepipe.cli.blend_text import as_text, match_text
 from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -115,21 +114,18 @@ def _match(session: BlendSession, target: Face, request: Request) -> MatchReport
 
 def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendReport:
     """Blend, author, save; the picture is drawn before anything is saved."""
-    from facepipe.processors.blend import Blend, blend_recipe
+    from facepipe.pipeline.blend import make
     from facepipe.render import save_png
-    from facepipe.stage import Face
 
-    recipe = blend_recipe(request.sources, request.out, weights, request.options)
-    blend = Blend(weights=weights, options=request.options)
-    base = session.faces[0]
-    with base.deriving(request.out, flatten=request.flatten) as face, progress("blend", len(session.sculpts)) as bar:
-        try:
-            report = blend(face, session, recipe=recipe, done=bar.update)
-        except FacepipeError as error:  # the layer being made has no file yet
-            raise error.under(request.out) if error.where.startswith("<") else error from None
-        image = None if request.picture is None else _draw(Face(face.stage, face.prim))
-    if image is not None and request.picture is not None:
-        save_png(image, request.picture)
+    images: list[Image] = []
+
+    def seen(face: Face) -> None:
+        if request.picture is not None:
+            images.append(_draw(face))
+
+    report = make(session, request.sources, weights, request.out, progress, flatten=request.flatten, seen=seen)
+    if images and request.picture is not None:
+        save_png(images[0], request.picture)
     return report
 
 

@@ -26,10 +26,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.database_text import as_json, as_text
-from facepipe.cli.parser import Parser, add_options, add_output, check_input, options_from, output_of
+from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
 from facepipe.locks import locked
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.processors.database import AddOptions, FaceDatabase, Quality

@@ -30,23 +30,21 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from facepipe.atomic import replacing
 from facepipe.cli.fit_bones_request import Request, request_of
 from facepipe.cli.fit_bones_text import as_text
-from facepipe.cli.parser import add_options, check_input
+from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError, InputError
+from facepipe.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from facepipe.parts import FaceParts
     from facepipe.payload import Precision
-    from facepipe.processors.fit_bones import FitBones, FitBonesReport, Target
+    from facepipe.processors.fit_bones import FitBonesReport, Target
     from facepipe.stage import Face
 
 _PICTURES = 12  # of a heat map's sheet
@@ -85,21 +83,20 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, author, report."""
     import facepipe
-    from facepipe.processors.fit_bones import initial_coefficients, read_targets
+    from facepipe.pipeline.fit_bones import targets_of
 
     request = request_of(arguments)
     warn(request.warnings)
-    face = facepipe.open(request.rig)
-    initial = None if request.initial is None else initial_coefficients(face, request.initial)
-    targets = read_targets(face, request.targets, lambda path: _load(path, face))
+    face = facepipe.open(request.job.rig)
+    targets = targets_of(face, request.job.targets)
     if request.payload is not None and len(targets) > 1 and any(target.times is not None for target in targets):
         raise InputError(request.payload, "holds one clip or several poses, expected a single --target with times")
-    made = _author(face, replace(request.fit, initial=initial), targets, request, arguments.precision)
-    report = made.report
+    made = _make(face, targets, request, arguments.precision)
+    report, out = made.report, request.job.out
     warn(report.warnings)
-    result = {"path": str(request.out), **json.loads(report.to_json())}
+    result = {"path": str(out), **json.loads(report.to_json())}
     result["warnings"] = [*request.warnings, *report.warnings]
-    text = [as_text(request.out, report)]
+    text = [as_text(out, report)]
     if made.drawn:
         result["picture"] = str(request.picture)
         text.append(str(request.picture))
@@ -110,17 +107,6 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if report.missed else 0
 
 
-def _load(path: Path, face: Face) -> FaceParts:
-    """An OBJ in the units and axes of the face, or a glTF in its own."""
-    from facepipe.importers import load, obj
-
-    check_input(path)
-    if path.suffix.lower() == ".obj":
-        up_axis = "Z" if face.up_axis == "Z" else "Y"
-        return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts  # type: ignore[arg-type]
-    return load("gltf", path).parts
-
-
 class _Made(NamedTuple):
     """What is on the saved stage, and beside it."""
 
@@ -129,33 +115,28 @@ class _Made(NamedTuple):
     payload: dict[str, Any] | None  # report of the payload
 
 
-def _author(face: Face, fit: FitBones, targets: Sequence[Target], request: Request, precision: Precision) -> _Made:
+def _make(face: Face, targets: Sequence[Target], request: Request, precision: Precision) -> _Made:
     """Fit and save: the stage, picture and payload, or none of them."""
-    from facepipe.processors.fit_bones import fit_bones_recipe
-    from facepipe.stage import Face
+    from facepipe.pipeline.fit_bones import make
 
-    recipe = fit_bones_recipe(request.rig, request.targets, request.out, fit, request.initial)
-    frames, payload = sum(len(target.points) for target in targets), None
+    payloads: list[dict[str, Any]] = []
     with ExitStack() as files:
         picture, coefficients = (
             None if path is None else files.enter_context(replacing(path))
             for path in (request.picture, request.payload)
         )
-        derived = files.enter_context(face.deriving(request.out, flatten=request.flatten))
-        try:
-            with progress("fit", frames) as bar:
-                report = fit(derived, targets, recipe=recipe, done=bar.update)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(request.rig) if error.where.startswith(("<", "/")) else error from None
-        result = Face(derived.stage, derived.prim)
-        if picture is not None and request.picture is not None:
-            with _named(request.picture):
-                _draw(result, targets, report, picture)
-        if coefficients is not None and request.payload is not None:
-            with _named(request.payload):
-                payload = _payload(result, report, precision, coefficients)
-            payload["path"] = str(request.payload)
-    return _Made(report, picture is not None, payload)
+
+        def seen(result: Face, report: FitBonesReport) -> None:
+            if picture is not None and request.picture is not None:
+                with _named(request.picture):
+                    _draw(result, targets, report, picture)
+            if coefficients is not None and request.payload is not None:
+                with _named(request.payload):
+                    payloads.append(_payload(result, report, precision, coefficients))
+                payloads[0]["path"] = str(request.payload)
+
+        report = make(request.job, face, targets, progress, seen)
+    return _Made(report, picture is not None, payloads[0] if payloads else None)
 
 
 @contextmanager

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import check_input, given_options, output_of, output_or_edited, pairs, picture_of
+from facepipe.cli.parser import given_options, output_of, output_or_edited, pairs, picture_of
 from facepipe.errors import InputError
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
+    from facepipe.pipeline.fit_bones import FitJob
     from facepipe.processors.fit_bones import FitBones, FitBonesRecipe
     from facepipe.processors.fit_bones.recipe import Part
 
@@ -20,12 +22,7 @@ if TYPE_CHECKING:
 class Request:
     """A fit to make."""
 
-    rig: Path
-    targets: tuple[str, ...]
-    fit: FitBones  # without coefficients to start from, which need the rig
-    initial: str | None  # what these are read from
-    out: Path
-    flatten: bool
+    job: FitJob
     payload: Path | None  # of the coefficients
     picture: Path | None  # of the targets that are missed most
     warnings: tuple[str, ...] = ()
@@ -36,6 +33,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
 
     :raises InputError: flags that don't go together, files that can't be read or written, options out of range
     """
+    from facepipe.pipeline.fit_bones import FitJob
     from facepipe.stage.files import check_suffix
 
     recipe = _recipe(arguments)
@@ -46,13 +44,16 @@ def request_of(arguments: argparse.Namespace) -> Request:
     check_suffix(out)
     inputs += [arguments.edit] if recipe else []
     payload, picture = _extras(arguments, inputs, out)
-    return Request(
+    job = FitJob(
         rig=rig,
         targets=targets,
         fit=_fit(arguments, recipe),
         initial=initial,
         out=out,
         flatten=arguments.flatten or (recipe is not None and recipe.standalone),
+    )
+    return Request(
+        job=job,
         payload=payload,
         picture=picture,
         warnings=recipe.warnings if recipe else (),

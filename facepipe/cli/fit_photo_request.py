@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from facepipe.cli.fit_photo_folder import check_folder
-from facepipe.cli.parser import check_input, given_options, output_or_edited
+from facepipe.cli.parser import given_options, output_or_edited
 from facepipe.errors import InputError
 from facepipe.options import from_json, to_json
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.photo_options import PhotoFitOptions

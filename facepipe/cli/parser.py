@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.errors import InputError
+from facepipe.reading import check_input
 
 
 class Parser(argparse.ArgumentParser):
@@ -166,12 +167,6 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
     if out is not None and picture.absolute() == out.absolute():
         raise InputError(picture, "is the output too, expected another file")
     return picture
-
-
-def check_input(path: Path) -> None:
-    """:raises InputError: `path` is a pipe or a device, which a reader could wait on without end"""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise InputError(path, "is not a regular file")
 
 
 def _check_not_needed(output: Path, inputs: Sequence[Path]) -> None:

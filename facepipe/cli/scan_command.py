@@ -25,9 +25,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import add_options, add_output, check_input, options_from, output_of
+from facepipe.cli.parser import add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.processors.scan_photos import PhotoScan, ScanPhotosReport

@@ -31,11 +31,12 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import check_input, output_of, pairs
-from facepipe.cli.show import emit, table, warn
-from facepipe.cli.sliders_from_network import listed, network_author, network_json, network_text
-from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, make, shape_flags
-from facepipe.errors import FacepipeError, InputError
+from facepipe.cli.parser import output_of, pairs
+from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.sliders_from_network import listed, network_json, network_text
+from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, maker_of, shape_flags
+from facepipe.errors import InputError
+from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Recipe, Slider
@@ -108,8 +109,10 @@ def _setting(arguments: argparse.Namespace) -> str:
 
 
 def _make(arguments: argparse.Namespace) -> int:
+    from facepipe.pipeline.sliders import make
+
     out = _output(arguments, [arguments.face, *limit_files(arguments)])
-    report = make(arguments, out)
+    report = make(arguments.face, out, maker_of(arguments), progress, flatten=arguments.flatten)
     warn(report.warnings)
     emit({"path": str(out), **dataclasses.asdict(report)}, as_text(out, report), as_json=arguments.json)
     return 1 if report.left_out else 0
@@ -192,6 +195,7 @@ def _author(arguments: argparse.Namespace) -> int:
 
 def _learn(arguments: argparse.Namespace) -> int:
     import facepipe
+    from facepipe.pipeline.sliders import network_author
     from facepipe.processors.sliders import slider_recipe
 
     out = _output(arguments, [arguments.face, arguments.from_network])
@@ -226,12 +230,8 @@ def _output(arguments: argparse.Namespace, inputs: list[Path]) -> Path:
 def _derive(
     arguments: argparse.Namespace, out: Path, processor: AuthorSliders | AuthorNetwork | SetSliders, recipe: Recipe
 ) -> Any:
-    import facepipe
+    from facepipe.pipeline.sliders import derive
 
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        try:
-            report = processor(face, recipe=recipe)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith("<") else error from None
+    report = derive(arguments.face, out, lambda face: processor(face, recipe=recipe), flatten=arguments.flatten)
     warn(report.warnings)
     return report

@@ -5,25 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.errors import InputError
-
 if TYPE_CHECKING:
     from facepipe.parts import SliderNetwork
-    from facepipe.processors.sliders import AuthorNetwork, AuthorNetworkReport
-    from facepipe.stage import Face
-
-
-def network_author(face: Face, file: Path) -> AuthorNetwork:
-    """The processor that authors the network of a file.
-
-    :raises InputError: another suffix, or as `read_network` does
-    """
-    from facepipe.importers.slider_network import read_network
-    from facepipe.processors.sliders import AuthorNetwork
-
-    if file.suffix.lower() != ".npz":
-        raise InputError(file, f"suffix '{file.suffix[:20]}', expected .npz")
-    return AuthorNetwork(network=read_network(file, face.skeleton.joints, face.shapes))
+    from facepipe.processors.sliders import AuthorNetworkReport
 
 
 def network_text(out: Path, report: AuthorNetworkReport) -> str:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, given_options
-from facepipe.cli.show import progress, table
-from facepipe.errors import FacepipeError, InputError
+from facepipe.cli.show import table
 
 if TYPE_CHECKING:
     from facepipe.processors.sliders import MadeSlider, ShapeSlidersReport, SlidersFromShapes
@@ -54,25 +53,6 @@ def maker_of(arguments: argparse.Namespace) -> SlidersFromShapes:
         drop=arguments.replace,
         **given_options(arguments, ShapeSliderOptions),
     )
-
-
-def make(arguments: argparse.Namespace, out: Path) -> ShapeSlidersReport:
-    """Fit, author and save."""
-    import facepipe
-    from facepipe.processors.sliders import slider_recipe
-
-    maker = maker_of(arguments)
-    recipe = slider_recipe(arguments.face, out, shapes=maker)
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        try:
-            with progress("fit", len(maker.chosen(face))) as bar:
-                report = maker(face, recipe=recipe, done=bar.update)
-            if not report.sliders:
-                what = "bones reach no shape, expected some that they can (or --residual, or a lower --least-reach)"
-                raise InputError(face.where, what)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith(("<", "/")) else error from None
-    return report
 
 
 def as_text(out: Path, report: ShapeSlidersReport) -> str:

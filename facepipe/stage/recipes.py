@@ -53,12 +53,17 @@ def recipe_of(path: Path, verb: str) -> tuple[Recipe, bool]:
         raise InputError(path, f"has no recipe, {expected}")
     if recipe.verb != verb:
         raise InputError(path, f"has a recipe of '{recipe.verb[:40]}', {expected}")
-    where, count = f"{path} -> recipe", len(recipe.sources)
+    check_recipe(f"{path} -> recipe", recipe)
+    return recipe, standalone
+
+
+def check_recipe(where: str, recipe: Recipe) -> None:
+    """:raises SchemaError: a recipe of a newer facepipe, without sources, or without a digest for each"""
     _check_version(where, recipe.version)
+    count = len(recipe.sources)
     if not count or len(recipe.digests) != count:
         what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
         raise SchemaError(where, what)
-    return recipe, standalone
 
 
 def _check_version(where: str, version: str) -> None:
@@ -97,11 +102,16 @@ def source_digest(path: Path) -> str:
 
     :raises InputError: a file can't be read
     """
+    return digest(source_files(path))
+
+
+def source_files(path: Path) -> set[Path]:
+    """The files that `source_digest` reads."""
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
-        return digest({one.resolve() for one in layers})
-    return digest({path, *(_buffers(path) if suffix == ".gltf" else ())})
+        return {one.resolve() for one in layers}
+    return {path, *(_buffers(path) if suffix == ".gltf" else ())}
 
 
 def _buffers(path: Path) -> set[Path]:

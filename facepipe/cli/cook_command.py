@@ -1,0 +1,82 @@
+"""Bring faces up to date: evaluate again every recipe whose sources have changed.
+
+facepipe writes a recipe on what it makes: the files that went in, their digests, and all options. From each STAGE cook
+follows the layers that it stands on and the sources of recipes, and goes through the files with recipes in the order
+that they depend on each other. Those are made anew whose sources are not what they were, or whose layers are lost, to
+the bytes that their commands would write; what is up to date is left alone. A file that comes out as it was leaves what
+depends on it up to date. Killed at any moment, it is just begun again.
+
+What was edited by hand in a result is lost when that is cooked. Own edits go into a layer above it, which cook never
+writes: only files with recipes are.
+
+Exit code 1: done, but a threshold was missed, a file can't be made again from its recipe, --dry-run found something to
+cook, or --validate found errors.
+
+examples:
+  facepipe cook shot.usda
+  facepipe cook shot.usda --dry-run --json
+  facepipe cook characters/*.usda --validate
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.cli.parser import add_options, options_from
+from facepipe.cli.show import emit, progress, warn
+
+if TYPE_CHECKING:
+    from facepipe.pipeline import CookReport, NodeReport
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    from facepipe.pipeline.options import CookOptions
+
+    parser.add_argument("stages", nargs="+", type=Path, metavar="STAGE", help="face stage, or one that stands on some")
+    add_options(parser, CookOptions)
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Cook, telling of each file once it is done."""
+    from facepipe.pipeline import CookOptions, cook
+
+    def told(node: NodeReport) -> None:
+        warn(node.warnings)
+        if not arguments.json:
+            print(_line(node), flush=True)
+
+    report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, told=told)
+    result = {"good": report.good, **json.loads(report.to_json())}
+    emit(result, "\n".join([*_findings(report), _summary(report)]), as_json=arguments.json)
+    return 0 if report.good else 1
+
+
+def _line(node: NodeReport) -> str:
+    from facepipe.pipeline.graph import shown
+
+    why = f" ({'; '.join(node.why)})" if node.why else ""
+    seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""
+    missed = ", a threshold is missed" if node.missed else ""
+    return f"{shown(node.file)}: {node.verb}: {node.action}{seconds}{missed}{why}"
+
+
+def _findings(report: CookReport) -> list[str]:
+    return [
+        f"{one.severity}: {one.check}: {one.where}: {one.message}"
+        for found in report.findings.values()
+        for one in found
+    ]
+
+
+def _summary(report: CookReport) -> str:
+    counts = {action: sum(node.action == action for node in report.nodes) for action in _ACTIONS}
+    told = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
+    return f"{len(report.nodes)} file(s) with recipes{f': {told}' if told else ''}"
+
+
+_ACTIONS = {"cooked": "cooked", "stale": "to be cooked", "left": "left as they are", "up to date": "up to date"}

@@ -1,0 +1,122 @@
+"""Recipes evaluated again where what they are made of has changed, in the order that files depend on each other."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from facepipe.errors import FacepipeError
+from facepipe.locks import locked
+from facepipe.pipeline.freshness import Digests, changes, waiting
+from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
+from facepipe.pipeline.options import CookOptions
+from facepipe.pipeline.report import CookReport, NodeReport
+from facepipe.pipeline.verbs import NotCookable, Watch, cooker, unwatched
+
+AnyPath = str | os.PathLike[str]
+
+
+def cook(
+    paths: Sequence[AnyPath],
+    options: CookOptions | None = None,
+    *,
+    watch: Watch = unwatched,
+    told: Callable[[NodeReport], object] = lambda node: None,
+) -> CookReport:
+    """Bring the faces at `paths`, and all that they are made of, up to date.
+
+    A file with a recipe is made anew where the digest of a source is not that of the recipe, or a layer that it stands
+    on is lost; with the bytes that its command would write. What was cooked to the same bytes as before stops there.
+    Each file is written whole or not at all, by one process at a time: a cook that was killed is just begun again.
+
+    :param watch: shows progress: called with a label and a number of steps for a context manager whose `update()` is
+        called after each
+    :param told: called with what was done about each file, once it is
+    :raises FacepipeError: what can't be read or cooked; files that were cooked before it stay
+    """
+    start, options = time.perf_counter(), options or CookOptions()
+    files = [Path(path) for path in paths]
+    run = _Run(read_graph(files), options, watch)
+    nodes = []
+    for node in run.graph.cookable():
+        nodes.append(run.node(node))
+        told(nodes[-1])
+    findings = {}
+    if options.validate and not options.dry_run:
+        from facepipe.validate import validate
+
+        findings = {str(path): validate(path) for path in files}
+    warnings = tuple(f"{shown(one.file)}: {line}" for one in nodes for line in one.warnings)
+    seconds = time.perf_counter() - start
+    return CookReport(nodes=tuple(nodes), findings=findings, seconds=seconds, warnings=warnings)
+
+
+class _Run:
+    """One cook: what was written so far, and what is left."""
+
+    def __init__(self, graph: Graph, options: CookOptions, watch: Watch) -> None:
+        self.graph, self._options, self._watch = graph, options, watch
+        self._digests = Digests()
+        self._cooked: set[Path] = set()
+        self._stale: set[Path] = set()
+        self._left: set[Path] = set()
+
+    def node(self, node: Node) -> NodeReport:
+        """:raises FacepipeError: what can't be read or cooked"""
+        key = node.path.resolve()
+        waits = waiting(self.graph, node, self._left, "is not up to date")
+        why = self._why(node)
+        if waits:
+            self._left.add(key)
+            return _report(node, "left", (*why, *waits))
+        if not why:
+            return _report(node, "up to date")
+        if self._options.dry_run:
+            self._stale.add(key)
+            return _report(node, "stale", why)
+        with locked(node.path, waiting=self._digests.forget_all):
+            return self._cook(node, key)
+
+    def _why(self, node: Node) -> tuple[str, ...]:
+        """Why `node` is to be cooked; nothing where it is up to date."""
+        found = changes(self.graph, node, self._digests, self._cooked)
+        found += waiting(self.graph, node, self._stale, "is to be cooked")
+        return found or (("forced",) if self._options.force else ())
+
+    def _cook(self, node: Node, key: Path) -> NodeReport:
+        """With the lock of the file: another process may have cooked it before."""
+        start, node = time.perf_counter(), read_node(node.path)
+        why = self._why(node)
+        if not why or node.recipe is None:
+            self._wrote(key)
+            return _report(node, "up to date", ("another process cooked it",))
+        try:
+            cooked = cooker(node.recipe.verb)(node.path, self._watch)
+        except NotCookable as error:
+            self._left.add(key)
+            return _report(node, "left", (*why, str(error)))
+        except FacepipeError as error:
+            raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
+        self._wrote(key)
+        done = _report(node, "cooked", why)
+        return replace(
+            done,
+            seconds=time.perf_counter() - start,
+            missed=cooked.missed,
+            warnings=cooked.report.warnings,
+            report=json.loads(cooked.report.to_json()),
+        )
+
+    def _wrote(self, key: Path) -> None:
+        self._cooked.add(key)
+        self._digests.forget(key)
+        self.graph.nodes[key] = read_node(self.graph.nodes[key].path)  # it may stand on other layers now
+
+
+def _report(node: Node, action: str, why: tuple[str, ...] = ()) -> NodeReport:
+    verb = node.recipe.verb if node.recipe else ""
+    return NodeReport(file=node.path, verb=verb, action=action, why=why)  # type: ignore[arg-type]

@@ -1,0 +1,41 @@
+"""What a cook did, file by file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from facepipe.reports import Finding, Report
+
+Action = Literal["up to date", "cooked", "stale", "left"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeReport:
+    """What was done about one file with a recipe, and why."""
+
+    file: Path
+    verb: str  # of its recipe
+    action: Action  # stale: a dry run would have cooked it; left: it can't be cooked, or what it is made of can't
+    why: tuple[str, ...] = ()  # one line each; none where it is up to date
+    seconds: float = 0.0
+    missed: bool = False  # done, but a check or threshold was missed
+    warnings: tuple[str, ...] = ()
+    report: Mapping[str, Any] | None = None  # of the command, where it was cooked
+
+
+@dataclass(frozen=True, kw_only=True)
+class CookReport(Report):
+    """All files with recipes, in the order that they depend on each other."""
+
+    nodes: tuple[NodeReport, ...]
+    findings: Mapping[str, tuple[Finding, ...]]  # file -> what checks found, where they were asked for
+    seconds: float
+
+    @property
+    def good(self) -> bool:
+        """Whether everything is up to date now, no threshold was missed and no check found an error."""
+        errors = [one for found in self.findings.values() for one in found if one.severity == "error"]
+        return not errors and not any(one.missed or one.action in ("stale", "left") for one in self.nodes)
