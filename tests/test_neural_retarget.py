@@ -24,6 +24,7 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
+from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, RetargetOptions
 from facepipe.rig.neural_rig import NeuralRig
@@ -201,3 +202,36 @@ def test_noise_that_is_taken_off_leaves_what_is_likely() -> None:
         assert 0.0 < float(one[:, 1].mean()) < 3.0
     assert float(found[1][:, 1].mean()) < float(found[0][:, 1].mean())
     assert float(found[0][:, 0].std()) < 0.5  # less than the noise that was added
+
+
+def test_bones_that_go_further_are_told_from_few_frames(rig: NeuralRig) -> None:
+    """A person who opens 1.4 times as far beside other shapes; one control that no frame moves stays as it was."""
+    jaw, eye = turning_face().sliders
+    jaw = replace(jaw, channels=tuple((*one[:2], 1.4 * one[2]) for one in jaw.channels))
+    face = replace(second_face(), sliders=(jaw, eye))
+    subject = Subject.of(face, "second.usda")
+    seen, unseen = (SampleMotion(options=one)(face, "second.usda") for one in (replace(FRAMES, spread=20), OTHERS))
+    look = [one.name for one in rig.controls].index("look")
+    still = seen.values[:, look] == 0.0
+    assert still.sum() >= 8
+    base, values, points = carried(rig, subject), seen.values[still], seen.points[still]
+    found, bones = with_own_gains(base, values, points), slice(len(base.shapes), None)
+    gains = np.linalg.norm(found.linear[:, bones], axis=1) / np.linalg.norm(base.linear[:, bones], axis=1)
+    names = dict(zip((one.name for one in rig.controls), gains, strict=True))
+    assert names["open"] == pytest.approx(1.4, abs=0.03)
+    assert names["look"] == pytest.approx(1.0, abs=1e-9)
+    assert np.array_equal(found.linear[:, : bones.start], base.linear[:, : bones.start])
+    whole = RetargetNeuralRig()(rig, subject, seen.points, seen.values).rig
+    assert off(whole, unseen) < 0.2 * off(base, unseen)
+
+
+def test_what_points_share_is_told_beside_what_is_their_own() -> None:
+    """What all points share is found, though maps of their own do almost the same; least squares mistakes it."""
+    random = np.random.default_rng(1)
+    inputs, ways = random.random((15, 4)), random.normal(size=(200, 3))
+    slopes = inputs[:, 0, None, None] * ways + 0.1 * random.normal(size=(15, 200, 3))
+    moved = 2.0 * inputs[:, 0, None, None] * ways - 0.7 * slopes
+    examples = Examples(inputs=inputs, own=np.zeros((15, 200, 3)), strengths=np.full((4, 200), 3.0), moved=moved)
+    matrix, away = examples.normal(slopes[:, None], 0.01)
+    assert float(-away[0] / matrix[0, 0]) == pytest.approx(0.7, abs=0.02)
+    assert float(-(slopes * moved).sum() / np.square(slopes).sum()) < -0.7

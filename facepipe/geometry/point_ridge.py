@@ -56,32 +56,59 @@ class Examples:
             by_own[points] = np.einsum("fni,nfj->nij", self.own[:, points], duals)
         return PointMaps(by_input=by_input, by_own=by_own)
 
+    def normal(self, slopes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+        """What all points say together on unknowns that they share, where each also has maps of its own.
+
+        Generalised least squares of ``moved + slopes unknowns``: the covariance of a point's examples is that of its
+        maps and of the noise (Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, section 2.7).
+
+        :param slopes: (f, k, n, 3) how the examples' points answer to k unknowns
+        :param noise: as of `maps`
+        :returns: (k, k) second and (k,) first derivatives of half the squares, in squares of the noise, a point
+        """
+        unknowns, count = slopes.shape[1], self.moved.shape[1]
+        matrix, off = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        everything = np.arange(len(self.inputs))
+        for points in _chunks(count):
+            products = self._products(everything, everything, points) + noise**2 * np.eye(len(everything))
+            own = slopes[:, :, points].transpose(2, 0, 1, 3).reshape(len(points), len(everything), -1)
+            both = np.concatenate([own, self.moved[:, points].transpose(1, 0, 2)], axis=2)
+            weighed = np.linalg.solve(np.linalg.cholesky(products), both)
+            parts = weighed.reshape(len(points), len(everything), unknowns + 1, 3).transpose(2, 0, 1, 3)
+            flat = parts.reshape(unknowns + 1, -1)
+            matrix += flat[:-1] @ flat[:-1].T / count
+            off += flat[:-1] @ flat[-1] / count
+        return matrix, off
+
     def best_noise(self, noises: FloatArray) -> float:
         """The noise of least mean distance where a fifth of the examples in a row is left out, then the next."""
         points = np.arange(0, self.moved.shape[1], max(1, self.moved.shape[1] // _MOST))
         parts = np.array_split(np.arange(len(self.inputs)), min(_PARTS, len(self.inputs)))
-        return float(
-            noises[int(np.argmin([sum(self._missed(one, points, noise) for one in parts) for noise in noises]))]
-        )
+        return float(noises[int(np.argmin(sum(self._missed(one, points, noises) for one in parts)))])
 
-    def _missed(self, left_out: IntArray, points: IntArray, noise: float) -> float:
-        """Sum of distances, at left-out examples, from what the others say."""
+    def _missed(self, left_out: IntArray, points: IntArray, noises: FloatArray) -> FloatArray:
+        """For each noise the sum of distances, at left-out examples, from what the others say."""
         kept = np.setdiff1d(np.arange(len(self.inputs)), left_out)
-        duals = self._duals(kept, points, noise)
-        told = np.einsum("nfg,ngi->fni", self._products(left_out, kept, points), duals)
-        return float(np.linalg.norm(told - self.moved[left_out][:, points], axis=2).sum())
+        products, across = self._products(kept, kept, points), self._products(left_out, kept, points)
+        moved = self.moved[left_out][:, points].transpose(1, 0, 2)
+        told = (across @ self._solved(products, kept, points, noise) for noise in noises)
+        return np.array([np.linalg.norm(one - moved, axis=2).sum() for one in told])
 
     def _duals(self, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
         """(p, f, 3) solutions of the points' own systems."""
-        products = self._products(examples, examples, points)
-        products[:, np.arange(len(examples)), np.arange(len(examples))] += noise**2
-        return np.asarray(np.linalg.solve(products, self.moved[examples][:, points].transpose(1, 0, 2)))
+        return self._solved(self._products(examples, examples, points), examples, points, noise)
+
+    def _solved(self, products: FloatArray, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
+        """(p, f, 3) of systems (p, f, f) without their noise."""
+        noisy = products + noise**2 * np.eye(len(examples))
+        return np.asarray(np.linalg.solve(noisy, self.moved[examples][:, points].transpose(1, 0, 2)))
 
     def _products(self, one: IntArray, other: IntArray, points: IntArray) -> FloatArray:
         """(p, f, g) inner products of examples at each point."""
         squares = self.strengths[:, points].T ** 2
         found = (self.inputs[one][None] * squares[:, None]) @ self.inputs[other].T
-        return np.asarray(found + np.einsum("fni,gni->nfg", self.own[one][:, points], self.own[other][:, points]))
+        own = self.own[:, points].transpose(1, 0, 2)
+        return np.asarray(found + own[:, one] @ own[:, other].transpose(0, 2, 1))
 
 
 def _chunks(count: int) -> Iterator[IntArray]:

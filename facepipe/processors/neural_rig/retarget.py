@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
-from facepipe.geometry.point_ridge import Examples
 from facepipe.options import check_ranges
+from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried, over
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
-from facepipe.rig.neural_rig import NeuralRig, from_default
+from facepipe.processors.neural_rig.subject_examples import subject_examples
+from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -143,14 +144,8 @@ class RetargetNeuralRig:
     def _fitted(
         self, base: NeuralRig, values: FloatArray, points: FloatArray, noise: float = -1.0
     ) -> tuple[NeuralRig, float]:
-        outputs = base.outputs(values)
-        own = base.morphed(outputs) - base.rest
-        examples = Examples(
-            inputs=from_default(base.controls, values),
-            own=own,
-            strengths=_strengths(base),
-            moved=_morphed(base, outputs, points) - base.rest - own,
-        )
+        base = with_own_gains(base, values, points)
+        examples = subject_examples(base, values, points)
         if self.options.mode == "network":
             return self._by_network(base, values, examples.moved), 0.0
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
@@ -178,30 +173,3 @@ def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: 
             raise TopologyError(f"{subject.where} -> {what}", f"shape {np.shape(found)}, expected {shape}")
         if found is not None:
             require_finite(found, subject.where, what)
-
-
-def _strengths(rig: NeuralRig) -> FloatArray:
-    """(c, n) millimetres that each control alone moves each point, at the further one of its limits."""
-    rest = rig.values({})
-    found = np.zeros((len(rig.controls), len(rig.rest)))
-    still = rig.points(rest)
-    for number, control in enumerate(rig.controls):
-        for limit in (control.minimum, control.maximum):
-            moved = rest.copy()
-            moved[number] = limit
-            found[number] = np.maximum(found[number], np.linalg.norm(rig.points(moved) - still, axis=1))
-    return found
-
-
-def _morphed(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> FloatArray:
-    """(f, n, 3) frames before the rig's bones moved them."""
-    bones = rig.bones
-    if bones is None:
-        return np.asarray(points, dtype=np.float64)
-    local = map(bones.local_transforms, rig.coefficients(outputs))
-    return np.stack(
-        [
-            bones.unskin(np.asarray(frame, np.float64), bones.skinning_matrices(one))
-            for frame, one in zip(points, local, strict=True)
-        ]
-    )
