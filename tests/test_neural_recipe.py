@@ -58,6 +58,24 @@ def test_every_source_that_changes_is_told(tmp_path: Path, capsys: pytest.Captur
         read_neural_rig_recipe(out)
 
 
+@pytest.mark.parametrize("name", ["neural.usda", "flat.usda"])
+def test_a_changed_rig_is_cooked_to_the_bytes_that_apply_writes(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, out, flat = saved(tmp_path, face(), bones=True), tmp_path / name, ("--flatten",) * (name == "flat.usda")
+    words = ("-o", out, "--offset-tolerance-mm", 0.02, *flat)
+    applied(tmp_path, capsys, *words)
+    first = out.read_bytes()
+    assert run(capsys, "cook", out, "--dry-run")[0] == 0
+    save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
+    code, told, err = run(capsys, "cook", out, "--json")
+    assert code == 0, err
+    assert json.loads(told)["nodes"][0]["why"] == ["head.fpnr changed"]
+    cooked = out.read_bytes()
+    applied(tmp_path, capsys, *words, "--force")
+    assert out.read_bytes() == cooked != first
+
+
 def damaged(good: Recipe) -> dict[str, Recipe]:
     return {
         "recipe of 'blend'": replace(good, verb="blend"),

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, warn
-from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import ApplyNeuralRigReport
@@ -31,19 +30,14 @@ def add_apply(actions: argparse._SubParsersAction[Parser]) -> None:
 
 def apply(arguments: argparse.Namespace) -> int:
     """Open, author, save."""
-    import facepipe
-    from facepipe.processors.neural_rig import ApplyNeuralRig, AttachOptions, neural_rig_recipe
+    from facepipe.pipeline.neural_rig import make
+    from facepipe.processors.neural_rig import AttachOptions
     from facepipe.stage.files import check_suffix
 
     out = output_of(arguments, [arguments.face, arguments.rig])
     check_suffix(out)
     options = options_from(arguments, AttachOptions)
-    recipe = neural_rig_recipe(arguments.face, arguments.rig, out, options)
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        try:
-            report = ApplyNeuralRig(file=arguments.rig, options=options)(face, out, recipe=recipe)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith("<") else error from None
+    report = make(arguments.face, arguments.rig, options, out, flatten=arguments.flatten)
     warn(report.warnings)
     emit({"path": str(out), **json.loads(report.to_json())}, _text(out, report), as_json=arguments.json)
     return 0

@@ -16,6 +16,7 @@ from facepipe.reports import Report
 VERBS = {
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
+    "neural-rig": "facepipe.pipeline.neural_rig",
     "sliders": "facepipe.pipeline.sliders",
 }
 
