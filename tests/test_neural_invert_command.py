@@ -8,15 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracle import played
 from pxr import Sdf, Usd, UsdGeom, Vt
 from test_cli import run
-from test_neural_inverse import made, moving, turning_face
+from test_neural_inverse import frames, made, moving, turning_face
 
+import facepipe
 from facepipe.errors import InputError, TopologyError
+from facepipe.parts import Animation
 from facepipe.processors.database import Topology
-from facepipe.processors.neural_rig import ReadClips, save_neural_rig
+from facepipe.processors.neural_rig import Motion, ReadClips, TrainEncoder, TrainEncoderOptions, save_neural_rig
 from facepipe.processors.neural_rig.read_targets import read_targets
+from facepipe.rig import rest_coefficients
+from facepipe.rig.control_shares import share_limits, values_of
 from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.stage import save_parts
+from facepipe.stage.animation_source import play
 from facepipe.stage.author_controls import save_controls
 from facepipe.stage.read_controls import read_controls
 
@@ -84,6 +91,106 @@ def test_a_pose_becomes_values_without_time(rig: NeuralRig, tmp_path: Path, caps
     found = [tracks[control.name].values for control in rig.controls]
     assert np.allclose(np.array(found)[:, 0], values[0], atol=2e-3)
     assert all(len(track.codes) == 0 for track in tracks.values())
+
+
+def with_encoder(path: Path) -> NeuralRig:
+    """A rig so bent that its defaults lie in other valleys than many of its frames, with an encoder of what it does."""
+    rig = made(None, seed=3)
+    rig = replace(rig, last=4.0 * rig.last, hidden=3.0 * rig.hidden, topology=TOPOLOGY.digest)
+    random, count = np.random.default_rng(3), 600
+    x = random.uniform(*share_limits(rig.controls), (count, 5)) * (random.random((count, 5)) < 0.7)
+    values = values_of(rig.controls, x)
+    motion = Motion(
+        where="made",
+        topology=TOPOLOGY,
+        controls=rig.controls,
+        values=values,
+        points=rig.points(values),
+        rest=rig.rest,
+        blocks=np.arange(count),
+    )
+    trained = TrainEncoder(options=TrainEncoderOptions(points=64, encoder_steps=300))(motion)
+    save_neural_rig(rig, path, {}, trained.encoder)
+    return rig
+
+
+def test_the_encoder_of_the_rig_starts_near_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the defaults frames end in poor valleys; the encoder's guess is in the right one, and fewer steps away."""
+    pytest.importorskip("torch")
+    rig = with_encoder(tmp_path / "one.fpnr")
+    clip = baked(tmp_path / "clip.usdc", rig.points(frames(rig)), [*np.arange(24.0)])
+    words = ("neural-rig", "invert", tmp_path / "one.fpnr", clip, "--starts", 1, "--smoothness", 0, "--json")
+    reports = []
+    for number, more in enumerate(((), ("--no-encoder",))):
+        code, told, err = run(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
+        assert code == 0, err
+        reports.append(json.loads(told))
+    guessed, still = reports
+    print([(one["steps"], one["worst_frame_mm"]) for one in reports])
+    assert guessed["steps"] < 0.5 * still["steps"]
+    assert guessed["worst_frame_mm"] < 0.01
+    assert still["worst_frame_mm"] > 1.0
+
+
+def animated(path: Path, *clips: Animation) -> Path:
+    """The face in other units and Z up, with animations that nothing plays yet."""
+    save_parts(replace(turning_face(), meters_per_unit=0.02, up_axis="Z", animations=clips), path)
+    return path
+
+
+def talk(name: str, seed: int) -> Animation:
+    """Four samples of joints that turn and stretch, and of shapes."""
+    random = np.random.default_rng(seed)
+    skeleton = turning_face().skeleton
+    coefficients = rest_coefficients(len(skeleton.joints)) + 0.2 * random.normal(size=(4, len(skeleton.joints), 9))
+    coefficients[..., 6:] = np.round(64.0 * coefficients[..., 6:]) / 64.0  # exact in the halves of SkelAnimation
+    shapes = ("jawOpen", "smile")
+    times = np.array([1.0, 2.0, 3.0, 10.0]) / 24.0
+    weights = random.random((4, 2))
+    return Animation(
+        name=name,
+        times=times,
+        joints=skeleton.joints,
+        coefficients=coefficients,
+        shapes=shapes,
+        shape_weights=weights,
+    )
+
+
+def test_faces_that_an_animation_moves_are_read_as_usd_skel_moves_them(rig: NeuralRig, tmp_path: Path) -> None:
+    face = animated(tmp_path / "head.usda", talk("one", 1))
+    expected = played(face, np.array([1.0, 2.0, 3.0, 10.0]) / 24.0, "one")
+    targets = read_targets(face, rig)
+    assert targets.codes.tolist() == [1.0, 2.0, 3.0, 10.0]
+    assert targets.blocks.tolist() == [0, 0, 0, 1]
+    turned = 20.0 * np.stack([expected[..., 0], expected[..., 2], -expected[..., 1]], axis=-1)
+    rest = read_targets(animated(tmp_path / "rest.usda"), rig).points[0]
+    height = np.ptp(rest[:, 1])
+    assert np.abs(targets.points - rest).max() > 0.05 * height
+    assert np.abs(targets.points - turned).max() < 1e-5 * height
+
+
+def test_of_several_animations_the_one_that_is_played_counts(rig: NeuralRig, tmp_path: Path) -> None:
+    both = animated(tmp_path / "both.usda", talk("one", 1), talk("two", 2))
+    with pytest.raises(InputError, match=r"2 animations over time \(one, two\), expected one, or one that"):
+        read_targets(both, rig)
+    face = facepipe.open(both)
+    play(face, "two")
+    face.stage.GetRootLayer().Save()
+    alone = read_targets(animated(tmp_path / "alone.usda", talk("two", 2)), rig)
+    assert np.array_equal(read_targets(both, rig).points, alone.points)
+    still = talk("two", 2)
+    coefficients, weights = np.asarray(still.coefficients), np.asarray(still.shape_weights)
+    still = replace(still, times=None, coefficients=coefficients[:1], shape_weights=weights[:1])
+    pose = facepipe.open(animated(tmp_path / "pose.usda", still))
+    assert np.array_equal(
+        read_targets(tmp_path / "pose.usda", rig).points, read_targets(animated(tmp_path / "rest.usda"), rig).points
+    )
+    play(pose, "two")
+    pose.stage.GetRootLayer().Save()
+    found = read_targets(tmp_path / "pose.usda", rig)
+    assert len(found.codes) == 0
+    assert np.array_equal(found.points[0], alone.points[0])
 
 
 def test_a_missed_threshold_and_bad_input_are_told(

@@ -7,7 +7,8 @@ over time, and a point cache (docs/neural_rig.md). It needs the extra train (tor
 apply puts a neural rig on a face of the meshes that it was learned on, in place of its sliders and shapes: an override
 layer that links the rig. `facepipe export --neural` writes what an engine loads.
 
-invert finds the controls of points, of a pose or of a point cache over time, on the meshes that the rig was learned on.
+invert finds the controls of points, of a pose, of a point cache over time or of a face that a SkelAnimation moves, on
+the meshes that the rig was learned on.
 
 retarget carries a rig to another person, of some frames of that person: the same controls drive both.
 

@@ -28,7 +28,7 @@ def add_invert(actions: argparse._SubParsersAction[Parser]) -> None:
     text = "find controls for points: a pose, or a point cache over time"
     parser = actions.add_parser("invert", help=text, epilog=example)
     parser.add_argument("rig", type=Path, metavar="RIG", help="neural rig: .fpnr")
-    target = "stage with the meshes that it was learned on, posed or with points over time: .usda .usdc .usd .usdz"
+    target = "stage with the meshes that it was learned on, posed, animated or with points over time: .usda .usdc ..."
     parser.add_argument("target", type=Path, metavar="TARGET", help=target)
     add_output(parser, "stage of controls over time to write: .usda .usdc .usd .usdz")
     threshold = "exit 1 where the mean error of a frame is above this [mm]"

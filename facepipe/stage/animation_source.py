@@ -6,9 +6,12 @@ import numpy as np
 from pxr import UsdSkel
 
 from facepipe.errors import InputError
-from facepipe.parts import FloatArray
+from facepipe.finite import require_finite
+from facepipe.parts import Animation, FloatArray
 from facepipe.stage.face import Face
+from facepipe.stage.guard import usd_errors
 from facepipe.stage.opinions import editable
+from facepipe.stage.read_skeleton import read_animation
 from facepipe.stage.traversal import prims_below
 
 
@@ -23,6 +26,27 @@ def play(face: Face, name: str) -> None:
         raise InputError(face.where, f"no animation '{name}'")
     skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))
     UsdSkel.BindingAPI.Apply(editable(skeleton)).CreateAnimationSourceRel().SetTargets([found.GetPath()])
+
+
+def moving_animation(face: Face) -> Animation | None:
+    """What moves a face: the animation that its skeleton plays, else the only one over time; None where there is none.
+
+    :raises InputError: NaN, or several over time of which the skeleton plays none
+    :raises TopologyError: arrays that don't fit the joints or shapes
+    """
+    skeleton = next(prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Skeleton))
+    with usd_errors(face.where):
+        source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
+    if source and source.IsA(UsdSkel.Animation):
+        played = read_animation(source)
+        require_finite(played, f"{face.where} -> {source.GetPath()}")
+        return played
+    moving = [one for one in face.animations if one.times is not None]
+    if len(moving) > 1:
+        some = ", ".join(one.name for one in moving[:6])
+        what = f"{len(moving)} animations over time ({some})"
+        raise InputError(face.where, f"{what}, expected one, or one that the skeleton plays")
+    return moving[0] if moving else None
 
 
 def on_frames(face: Face, seconds: FloatArray) -> FloatArray:

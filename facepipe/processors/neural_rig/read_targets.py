@@ -9,16 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import FaceParts
+from facepipe.parts import Animation, FaceParts
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.database import Topology
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import NeuralRig
+from facepipe.stage import open_face
+from facepipe.stage.animation_source import moving_animation
 from facepipe.stage.point_cache import read_point_cache
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_DIGITS = 9  # of time codes: what going by seconds has rounded comes back
 _GAP = 2.0  # steps without a frame: more, and another clip begins
 
 
@@ -40,22 +44,54 @@ class Targets:
 
 
 def read_targets(path: Path, rig: NeuralRig) -> Targets:
-    """The meshes of a stage at their time samples, or as they are without time; skins and blendshapes are left out.
+    """The meshes of a stage at their time samples. Without these a face is what its rig makes of the animation that
+    moves it, and any other stage what its points are without time; then skins and blendshapes are left out.
 
-    :raises InputError: no readable USD, no mesh, or NaN
+    :raises InputError: no readable USD, no mesh, NaN, or several animations of which the skeleton plays none
     :raises TopologyError: other meshes than the rig was learned on
     """
     cache = read_point_cache(path)
     if not cache.meshes:
         raise InputError(path, "no mesh, expected those that the neural rig was learned on")
-    placed = cached_points(cache, path)
-    topology = Topology.of(FaceParts(meshes=placed.meshes))
-    if topology.digest != rig.topology:
-        what = f"meshes {', '.join(topology.names[:4])} of {topology.point_count:,} points"
-        expected = f"expected those that the neural rig was learned on, of {len(rig.rest):,} points, with their faces"
-        raise TopologyError(path, f"{what}, {expected}")
+    codes: FloatArray = cache.codes
+    animated = None
+    if cache.has_face and not len(codes):
+        face = open_face(path)
+        animation = moving_animation(face)
+        if animation is not None:
+            animated = _Animated(face.parts(), animation)
+            codes = animated.codes(cache.codes_per_second)
+    placed = animated or cached_points(cache, path)
+    _check(path, Topology.of(FaceParts(meshes=placed.meshes)), rig)
     to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
     points = np.empty((placed.count, len(rig.rest), 3), np.float32)
     for number, own in enumerate(points):
         own[:] = placed.sample(number) @ to[:3, :3].T + to[:3, 3]
-    return Targets(points=points, codes=cache.codes, codes_per_second=cache.codes_per_second)
+    return Targets(points=points, codes=codes, codes_per_second=cache.codes_per_second)
+
+
+def _check(path: Path, topology: Topology, rig: NeuralRig) -> None:
+    """:raises TopologyError: another one than the rig's"""
+    if topology.digest != rig.topology:
+        what = f"meshes {', '.join(topology.names[:4])} of {topology.point_count:,} points"
+        expected = f"expected those that the neural rig was learned on, of {len(rig.rest):,} points, with their faces"
+        raise TopologyError(path, f"{what}, {expected}")
+
+
+class _Animated:
+    """World points of a face that an animation moves, in stage units."""
+
+    def __init__(self, parts: FaceParts, animation: Animation) -> None:
+        self.meshes = parts.meshes
+        self.count = 1 if animation.times is None else len(animation.times)
+        self._rig, self._skeleton, self._animation = build(parts), parts.skeleton, animation
+
+    def codes(self, codes_per_second: float) -> FloatArray:
+        """(f,) time codes of the samples; none of a pose."""
+        times = self._animation.times
+        return np.zeros(0) if times is None else np.round(np.asarray(times) * codes_per_second, _DIGITS)
+
+    def sample(self, number: int) -> FloatArray:
+        """(n, 3)."""
+        local = sample_transforms(self._skeleton, self._animation, number)
+        return self._rig.evaluate(sample_weights(self._animation, number), joint_transforms=local)
