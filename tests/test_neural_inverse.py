@@ -18,7 +18,8 @@ from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
 from facepipe.rig.bones import bones_in
 from facepipe.rig.control_shares import share_limits, values_of
-from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives, with_orthonormal_shapes
+from facepipe.rig.neural_basis import with_orthonormal_shapes
+from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
 from facepipe.rig.neural_rig import Control, NeuralRig, from_default
 
 FRAMES = 24

@@ -16,9 +16,6 @@ from facepipe.rig.rig import Rig
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
-_ORTHONORMAL = 1e-5  # what float32 files may take from it
-_FLAT = 1e-12  # of the largest square: a shape that others make
-
 
 def output_derivatives(rig: NeuralRig, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(f, r + m) outputs of (f, c) shares of ranges from defaults, within limits, and their derivatives
@@ -37,25 +34,6 @@ def with_points(rig: NeuralRig, chosen: IntArray) -> NeuralRig:
         influences = sparse.csr_array(bones.influences[chosen])
         bones = dataclasses.replace(bones, points=bones.points[chosen], influences=influences)
     return dataclasses.replace(rig, rest=rig.rest[chosen], shapes=rig.shapes[:, chosen], bones=bones)
-
-
-def with_orthonormal_shapes(rig: NeuralRig) -> NeuralRig:
-    """The same rig without bones, by shapes whose activations are as far apart as the points that they make."""
-    flat = rig.shapes.reshape(len(rig.shapes), -1)
-    products = flat @ flat.T
-    if np.allclose(products, np.eye(len(flat)), atol=_ORTHONORMAL):
-        return rig
-    sizes, ways = np.linalg.eigh(products)
-    kept = sizes > _FLAT * sizes.max(initial=0.0)
-    lengths, ways = np.sqrt(sizes[kept]), ways[:, kept]
-    to_new = ways * lengths  # (r, new)
-    return dataclasses.replace(
-        rig,
-        shapes=((ways / lengths).T @ flat).reshape(-1, *rig.rest.shape),
-        linear=rig.linear @ to_new,
-        last=to_new.T @ rig.last,
-        last_bias=rig.last_bias @ to_new,
-    )
 
 
 class SkinnedPoints:

@@ -15,6 +15,7 @@ from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sli
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
 from facepipe.rig.bones import bones_in
+from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
@@ -22,7 +23,6 @@ FloatArray = npt.NDArray[np.floating]
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
 _MATRIX = 1e-3  # millimetres, or of a rotation, by which joints may differ
 _WEIGHT = 1e-5  # of a skin weight, float32 and half way between
-_PROBES = 512  # random values of all controls that the activations of shapes are measured at, and as many corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,20 +133,10 @@ def _spaces(parts: FaceParts, rig: NeuralRig) -> list[FloatArray]:
     ]
 
 
-def _activation_ranges(rig: NeuralRig) -> FloatArray:
-    """(r,) largest activation of every shape, millimetres, over random values and corners of the controls' ranges."""
-    random = np.random.default_rng(0)
-    low, high = (np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum"))
-    shares = random.random((2 * _PROBES, len(rig.controls)))
-    shares[_PROBES:] = shares[_PROBES:] < 0.5
-    found = np.abs(rig.activations(low + shares * (high - low))).max(axis=0, initial=0.0)
-    return np.asarray(np.where(found > 0, found, 1.0))
-
-
 def _kept(rig: NeuralRig, tolerance: float) -> tuple[NeuralRig, FloatArray, npt.NDArray[np.bool_]]:
     """The rig with the shapes that move some point, (r,) their largest activations, and (r, n) whether they move it."""
-    scales = _activation_ranges(rig)
-    moved = _reach(rig, scales) > tolerance
+    scales = reach(rig)[: len(rig.shapes)]
+    moved = _moves(rig, scales) > tolerance
     used = moved.any(axis=1)
     outputs = np.concatenate([used, np.ones(len(rig.channels), bool)])
     kept = replace(
@@ -159,15 +149,15 @@ def _kept(rig: NeuralRig, tolerance: float) -> tuple[NeuralRig, FloatArray, npt.
     return kept, scales[used], moved[used]
 
 
-def _reach(rig: NeuralRig, scales: FloatArray) -> FloatArray:
+def _moves(rig: NeuralRig, scales: FloatArray) -> FloatArray:
     """(r, n) millimetres that every shape moves every point at its largest activation."""
     return np.asarray(np.linalg.norm(rig.shapes, axis=2) * scales[:, None])
 
 
 def _left_out(rig: NeuralRig, tolerance: float) -> float:
     """Millimetres, of the point that lacks most, all shapes together."""
-    reach = _reach(rig, _activation_ranges(rig))
-    return float(np.where(reach > tolerance, 0.0, reach).sum(axis=0).max(initial=0.0))
+    moves = _moves(rig, reach(rig)[: len(rig.shapes)])
+    return float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0))
 
 
 def _shapes(offsets: FloatArray, own: npt.NDArray[np.bool_], linear: FloatArray) -> tuple[Blendshape, ...]:

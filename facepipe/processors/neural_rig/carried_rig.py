@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from facepipe.errors import TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build
 from facepipe.rig.bone_coefficients import CHANNELS
 from facepipe.rig.bones import bones_in
+from facepipe.rig.neural_basis import over, reach
 from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
@@ -80,42 +80,6 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         last_bias=rig.last_bias * scale,
     )
     return over(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
-
-
-def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: float, most: int) -> NeuralRig:
-    """The rig with other shapes for its activations, and shapes that its controls bring, over an orthonormal basis.
-
-    :param shapes: (r, n, 3) in place of the rig's own
-    :param by_control: (c, n, 3) of a control its whole range from its default
-    :param tolerance: millimetres that the basis may leave of any of these at its largest, RMS
-    :param most: shapes of the basis
-    """
-    count = len(shapes)
-    sizes = np.concatenate([reach(rig)[:count], np.ones(len(by_control))])
-    rows = np.concatenate([shapes, by_control])
-    basis, amounts = motion_basis(rows * sizes[:, None, None], tolerance, most)
-    amounts = amounts / sizes[:, None]
-    to_new, to_controls = amounts[:count], amounts[count:]
-    return replace(
-        rig,
-        shapes=basis,
-        linear=np.concatenate([rig.linear[:, :count] @ to_new + to_controls, rig.linear[:, count:]], axis=1),
-        last=np.concatenate([to_new.T @ rig.last[:count], rig.last[count:]]),
-        last_bias=np.concatenate([rig.last_bias[:count] @ to_new, rig.last_bias[count:]]),
-    )
-
-
-def reach(rig: NeuralRig) -> FloatArray:
-    """(r + m,) how far each output goes as controls go to their limits one by one, and all at random."""
-    low, high, rest = (
-        np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")
-    )
-    random = np.random.default_rng(0).random((256, len(rest)))
-    alone = np.repeat(rest[None], 2 * len(rest), axis=0)
-    each = np.arange(len(rest))
-    alone[each, each], alone[len(rest) + each, each] = low, high
-    found = np.abs(rig.outputs(np.concatenate([alone, low + random * (high - low)]))).max(axis=0)
-    return np.asarray(np.maximum(found, np.finfo(np.float32).eps))
 
 
 def _size(points: FloatArray) -> float:

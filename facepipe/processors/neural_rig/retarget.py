@@ -13,11 +13,12 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.bone_gains import with_own_gains
-from facepipe.processors.neural_rig.carried_rig import Subject, carried, over
+from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.processors.neural_rig.subject_examples import subject_examples
+from facepipe.rig.neural_basis import over
 from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
