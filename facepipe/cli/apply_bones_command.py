@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError, InputError
+from facepipe.errors import InputError
 from facepipe.reading import check_input
 
 if TYPE_CHECKING:
-    from facepipe.parts import Recipe
     from facepipe.payload import Header, PayloadContent
     from facepipe.stage import Face
 
@@ -74,23 +73,19 @@ def _refuse_flags(arguments: argparse.Namespace, beside: str, names: tuple[str, 
 
 def _author(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
     from facepipe.names import identifier
-    from facepipe.processors.apply_bones import ApplyBones
+    from facepipe.pipeline.apply_bones import ApplyJob, ApplyOptions, make, missed
 
     name = arguments.name if arguments.name is not None else identifier(arguments.coefficients.stem)
     if identifier(name) != name:
         raise InputError(f"--name {name}", f"no name of a prim, expected one like {identifier(name)}")
-    with face.deriving(out, flatten=arguments.flatten) as derived:
-        try:
-            report = ApplyBones(content=content, name=name, clamp=arguments.clamp)(
-                derived, recipe=_recipe(arguments, name, out)
-            )
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith(("<", "/")) else error from None
+    options = ApplyOptions(name=name, clamp=arguments.clamp)
+    files = {"face": arguments.face, "coefficients": arguments.coefficients}
+    report = make(ApplyJob(**files, out=out, options=options, flatten=arguments.flatten), face, content)
     names = ", ".join(report.animations[:4]) + (" ..." if len(report.animations) > 4 else "")
     text = f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"
     warn(report.warnings)
     emit({"path": str(out), **dataclasses.asdict(report)}, text, as_json=arguments.json)
-    return 1 if report.beyond_limits and not arguments.clamp else 0
+    return 1 if missed(report, options) else 0
 
 
 def _points(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
@@ -178,19 +173,3 @@ def _ranges_text(ranges: dict[str, Any]) -> list[str]:
         f"moves by at most {ranges['translation']:g} units, {ranges['rotation']:g} radians, scales {scales}",
         *([f"times {times[0]:g} to {times[1]:g} s"] if times else []),
     ]
-
-
-def _recipe(arguments: argparse.Namespace, name: str, out: Path) -> Recipe:
-    from facepipe import __version__
-    from facepipe.digests import digest
-    from facepipe.parts import Recipe
-    from facepipe.stage.files import relative_path
-
-    sources = (arguments.face, arguments.coefficients)
-    return Recipe(
-        verb="apply-bones",
-        sources=tuple(relative_path(str(source), out.absolute().parent) for source in sources),
-        digests=tuple(digest([source]) for source in sources),
-        options={"name": name, "clamp": arguments.clamp},
-        version=__version__,
-    )

@@ -10,14 +10,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_output, output_of
 from facepipe.cli.show import emit
-from facepipe.errors import InputError
-
-if TYPE_CHECKING:
-    from facepipe.parts import Recipe
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -33,39 +28,12 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read the file, author the layer."""
-    import facepipe
-    from facepipe.importers.landmark_file import read_landmarks
-    from facepipe.processors.landmarks import SetLandmarks, mesh_of
-    from facepipe.stage.author_skeleton import author_recipe
+    from facepipe.pipeline.landmarks import LandmarkOptions, make
 
     out = output_of(arguments, [arguments.face, arguments.source])
-    source = facepipe.open(arguments.face)
-    schemes = read_landmarks(arguments.source, len(mesh_of(source, arguments.mesh).points))
-    if arguments.scheme and len(schemes) > 1:
-        raise InputError(arguments.source, f"{len(schemes)} schemes, expected one where --scheme names it")
-    with source.deriving(out, flatten=arguments.flatten) as face:
-        reports = [
-            SetLandmarks(scheme=arguments.scheme or scheme, landmarks=landmarks, mesh=arguments.mesh)(face)
-            for scheme, landmarks in schemes.items()
-        ]
-        author_recipe(face.prim, _recipe(arguments, out))
-    result = {"path": str(out), "schemes": {one.scheme: one.count for one in reports}, "mesh": reports[0].mesh}
-    lines = [f"{out}: {one.count} landmarks of {one.scheme} on {one.mesh}" for one in reports]
+    options = LandmarkOptions(scheme=arguments.scheme, mesh=arguments.mesh)
+    report = make(arguments.face, arguments.source, out, options, flatten=arguments.flatten)
+    result = {"path": str(out), "schemes": report.schemes, "mesh": report.mesh}
+    lines = [f"{out}: {count} landmarks of {scheme} on {report.mesh}" for scheme, count in report.schemes.items()]
     emit(result, "\n".join(lines), as_json=arguments.json)
     return 0
-
-
-def _recipe(arguments: argparse.Namespace, out: Path) -> Recipe:
-    from facepipe import __version__
-    from facepipe.digests import digest
-    from facepipe.parts import Recipe
-    from facepipe.stage.files import relative_path
-
-    sources = (arguments.face, arguments.source)
-    return Recipe(
-        verb="landmarks",
-        sources=tuple(relative_path(str(source), out.parent) for source in sources),
-        digests=tuple(digest([source]) for source in sources),
-        options={"scheme": arguments.scheme, "mesh": arguments.mesh},
-        version=__version__,
-    )

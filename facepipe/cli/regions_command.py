@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from, output_of, picture_of
 from facepipe.cli.show import emit, table, warn
-from facepipe.errors import FacepipeError, InputError
+from facepipe.errors import InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from facepipe.parts import Recipe
-    from facepipe.processors.regions import RegionCount, RegionsReport, SetRegions
+    from facepipe.processors.regions import RegionCount, RegionsReport
     from facepipe.stage import Face
 
 
@@ -87,31 +86,27 @@ def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> in
 
 
 def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> int:
-    import facepipe
     from facepipe.geometry.region_map import MapSampling
-    from facepipe.importers.region_image import read_region_image
-    from facepipe.processors.region_legend import read_legend
-    from facepipe.processors.regions import SetRegions
-    from facepipe.stage import Face
-    from facepipe.stage.author_skeleton import author_recipe
+    from facepipe.pipeline.regions import RegionJob, RegionPlace, make
 
-    set_regions = SetRegions(
-        image=read_region_image(arguments.map),
-        legend=read_legend(arguments.legend),
-        mesh=arguments.mesh,
-        uv_set=arguments.uv_set,
-        where=str(arguments.map),
+    job = RegionJob(
+        face=arguments.face,
+        map=arguments.map,
+        legend=arguments.legend,
+        out=out,
+        place=RegionPlace(mesh=arguments.mesh, uv_set=arguments.uv_set),
         sampling=options_from(arguments, MapSampling),
+        flatten=arguments.flatten,
     )
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        try:
-            report = set_regions(face)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith("<") else error from None
-        author_recipe(face.prim, _recipe(arguments, set_regions, out))
-        image = _draw(Face(face.stage, face.prim)) if picture else None
-    if image is not None and picture is not None:
-        _save(image, picture)
+    images: list[Image] = []
+
+    def seen(face: Face) -> None:
+        if picture is not None:
+            images.append(_draw(face))
+
+    report = make(job, seen)
+    if images and picture is not None:
+        _save(images[0], picture)
     warn(report.warnings)
     result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
     emit(result, _text(out, picture, report), as_json=arguments.json)
@@ -150,23 +145,3 @@ def _table(regions: Any) -> str:
 
 def _plain(regions: dict[str, RegionCount]) -> dict[str, Any]:
     return {name: dataclasses.asdict(one) for name, one in regions.items()}
-
-
-def _recipe(arguments: argparse.Namespace, set_regions: SetRegions, out: Path) -> Recipe:
-    from facepipe import __version__
-    from facepipe.digests import digest
-    from facepipe.parts import Recipe
-    from facepipe.stage.files import relative_path
-
-    sources = (arguments.face, arguments.map, arguments.legend)
-    return Recipe(
-        verb="regions",
-        sources=tuple(relative_path(str(source), out.parent) for source in sources),
-        digests=tuple(digest([source]) for source in sources),
-        options={
-            "mesh": arguments.mesh,
-            "uv_set": arguments.uv_set,
-            **dataclasses.asdict(set_regions.sampling),
-        },
-        version=__version__,
-    )

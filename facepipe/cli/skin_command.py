@@ -34,12 +34,12 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError, InputError
+from facepipe.errors import InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from facepipe.processors.skin import SkinOptions, SkinReport
+    from facepipe.processors.skin import SkinReport
     from facepipe.stage import Face
 
 
@@ -61,9 +61,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, skin, author the layer."""
-    import facepipe
-    from facepipe.processors.skin import SkinFace, SkinOptions, read_joints, skin_recipe
-    from facepipe.stage import Face
+    from facepipe.pipeline.skin import SkinJob, make
+    from facepipe.processors.skin import SkinOptions
     from facepipe.stage.files import check_suffix
 
     inputs = [arguments.face, arguments.joints or arguments.source]
@@ -71,26 +70,26 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix(out)
     _check_flags(arguments)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
-    options: SkinOptions = options_from(arguments, SkinOptions)
-    skin = SkinFace(
-        joints=None if arguments.joints is None else read_joints(arguments.joints),
-        source=None if arguments.source is None else facepipe.open(arguments.source),
+    job = SkinJob(
+        face=arguments.face,
+        joints=arguments.joints,
+        source=arguments.source,
+        out=out,
         optimise=arguments.optimise,
-        options=options,
+        options=options_from(arguments, SkinOptions),
+        flatten=arguments.flatten,
     )
-    way = {"joints": arguments.joints, "source": arguments.source}
-    recipe = skin_recipe(arguments.face, out, **way, optimise=arguments.optimise, options=options)
-    with facepipe.open(arguments.face).deriving(out, flatten=arguments.flatten) as face:
-        try:
-            with progress("optimise", options.iterations if arguments.optimise else 0) as bar:
-                report = skin(face, bar.update, recipe=recipe)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(arguments.face) if error.where.startswith("<") else error from None
-        image = _draw(Face(face.stage, face.prim)) if picture else None
-    if image is not None and picture is not None:
+    images: list[Image] = []
+
+    def seen(face: Face) -> None:
+        if picture is not None:
+            images.append(_draw(face))
+
+    report = make(job, progress, seen)
+    if images and picture is not None:
         from facepipe.render import save_png
 
-        save_png(image, picture)
+        save_png(images[0], picture)
     warn(report.warnings)
     result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
     emit(result, _text(out, picture, report), as_json=arguments.json)

@@ -14,7 +14,7 @@ from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
 from facepipe.stage.recipes import check_recipe, file_recipe
 
-_GIVEN = ("sample", "import ")  # verbs whose faces are taken as they are
+_IMPORT = "import "  # its faces are taken as they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +123,8 @@ def read_node(path: Path) -> Node:
     """
     links = layer_links(path)
     recipe = file_recipe(path).recipe if links.has_recipe else None
-    if recipe is None or recipe.verb.startswith(_GIVEN):
+    made_of = recipe is not None and (recipe.sources or recipe.digests)
+    if recipe is None or not made_of or recipe.verb.startswith(_IMPORT):
         return Node(path=path, recipe=None, layers=links.layers)
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)

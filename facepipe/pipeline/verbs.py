@@ -14,9 +14,13 @@ from facepipe.reports import Report
 
 # verb of a recipe -> its module
 VERBS = {
+    "apply-bones": "facepipe.pipeline.apply_bones",
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
+    "landmarks": "facepipe.pipeline.landmarks",
     "neural-rig": "facepipe.pipeline.neural_rig",
+    "regions": "facepipe.pipeline.regions",
+    "skin": "facepipe.pipeline.skin",
     "sliders": "facepipe.pipeline.sliders",
 }
 
