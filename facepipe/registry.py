@@ -1,7 +1,8 @@
-"""Exporters by file suffix, found through the entry-point group ``facepipe.exporters``.
+"""Exporters by file suffix and hosts by name, found through entry points.
 
-An exporter is a module with a frozen dataclass ``Options``, ``export(face, path, options) -> ExportReport`` and
-``validate(path) -> sequence of Finding``.
+An exporter (``facepipe.exporters``) is a module with a frozen dataclass ``Options``, ``export(face, path, options) ->
+ExportReport`` and ``validate(path) -> sequence of Finding``. A host (``facepipe.hosts``) is a module that brings faces
+into another program; its command says what it calls there.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 from facepipe.errors import InputError
 
 GROUP = "facepipe.exporters"
+HOSTS = "facepipe.hosts"
 
 
 def suffixes() -> tuple[str, ...]:
@@ -31,3 +33,13 @@ def exporter(path: str | Path) -> Any:
             return entry.load()
     expected = " ".join(f".{one}" for one in suffixes())
     raise InputError(path, f"suffix '.{suffix}', expected one of {expected}")
+
+
+def host(name: str) -> Any:
+    """The host module that is called `name`.
+
+    :raises InputError: it is not installed
+    """
+    for entry in entry_points(group=HOSTS, name=name):
+        return entry.load()
+    raise InputError(f"facepipe {name}", "is not part of this installation, expected facepipe installed anew")

@@ -1,0 +1,11 @@
+"""Web: faces in a browser. A runtime module for game pages and tools (`src/runtime`), and a viewer served from here.
+
+`view` serves the viewer's page for a face; `facepipe_web.build` makes what it serves. Nothing comes from other hosts.
+"""
+
+from __future__ import annotations
+
+from facepipe_web.options import Options
+from facepipe_web.viewer import Viewer, view
+
+__all__ = ["Options", "Viewer", "view"]

@@ -1,0 +1,26 @@
+"""What the user can ask of the viewer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from facepipe.errors import InputError
+
+_PORTS = (0, 65535)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the viewer."""
+
+    port: int = field(
+        default=0, metadata={"help": "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", "range": _PORTS}
+    )
+
+    def check(self) -> None:
+        """Check the values.
+
+        :raises InputError: a value out of range
+        """
+        if not _PORTS[0] <= self.port <= _PORTS[1]:
+            raise InputError("--port", f"is {self.port}, expected a number from {_PORTS[0]} to {_PORTS[1]}")

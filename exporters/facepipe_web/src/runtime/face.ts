@@ -1,0 +1,195 @@
+/** A face in a three.js scene, driven by sliders, shape weights and bone coefficients. */
+import { type Group, Matrix4 } from "three";
+import { localMotions } from "./coefficients";
+import { FaceError } from "./errors";
+import type { FaceMesh, LoadedGlb } from "./glb";
+import { Joints } from "./joints";
+import { type Metadata, output, sliderInput } from "./metadata";
+import type { Network } from "./network";
+import { jointsHash, type Payload } from "./payload";
+import { readPoints } from "./read_points";
+import { setFromGraph, setFromShapes, shapesOf } from "./targets";
+
+export interface SliderInfo {
+  name: string;
+  group: string;
+  minimum: number;
+  maximum: number;
+  /** value of the neutral */
+  default: number;
+  /** value that is set on the face */
+  value: number;
+  mirror: string | null;
+}
+
+/** What a GLB alone does not tell; the metadata of the graph does. */
+export interface JointFacts {
+  paths: string[];
+  /** 4 rows: units and axes of the stage -> glTF */
+  axes: number[][];
+}
+
+export class Face {
+  /** to be added to a scene; metres, Y up */
+  readonly root: Group;
+  readonly meshes: FaceMesh[];
+  readonly joints: Joints | null;
+  readonly sliders: SliderInfo[];
+  readonly shapes: string[];
+  readonly copyright: string;
+  private readonly shapeWeights = new Map<string, number>();
+  private motions: Matrix4[] | null = null; // of a payload, in place of those of the graph
+  private dirty = false;
+  private running: Promise<void> | null = null;
+
+  constructor(
+    glb: LoadedGlb,
+    readonly network: Network | null,
+    private readonly facts: JointFacts | null = null,
+  ) {
+    this.root = glb.root;
+    this.meshes = glb.meshes;
+    this.copyright = glb.copyright;
+    this.joints = glb.skeleton && new Joints(glb.skeleton, glb.root);
+    const metadata = network?.metadata;
+    this.sliders = metadata ? described(metadata) : [];
+    this.shapes = metadata ? (metadata.inputs.find((one) => one.name === "weights")?.names ?? []) : shapesOf(glb.meshes);
+    const moved = metadata && output(metadata, "skinning_matrices");
+    if (moved) {
+      this.joints?.follow(moved);
+      this.facts ??= { paths: moved.joints!, axes: axesOf(moved) };
+    }
+  }
+
+  /**
+   * Set sliders by name, in their own units; the others stay. Resolves when the face has taken them.
+   * @throws FaceError an unknown slider, or a number that is not finite
+   */
+  setSliders(values: Record<string, number>): Promise<void> {
+    for (const [name, value] of Object.entries(values)) {
+      const place = this.sliders.findIndex((one) => one.name === name);
+      if (place < 0) throw new FaceError("sliders", `no slider '${name}'`);
+      this.network!.values("sliders")[place] = finite(name, value);
+    }
+    return this.update();
+  }
+
+  /**
+   * Set shape weights by name, 0 the neutral, 1 the sculpt; they add to what sliders drive.
+   * @throws FaceError an unknown shape, or a number that is not finite
+   */
+  setShapes(weights: Record<string, number>): Promise<void> {
+    for (const [name, weight] of Object.entries(weights)) {
+      const place = this.shapes.indexOf(name);
+      if (place < 0) throw new FaceError("shapes", `no shape '${name}'`);
+      this.shapeWeights.set(name, finite(name, weight));
+      if (this.network) this.network.values("weights")[place] = weight;
+    }
+    return this.update();
+  }
+
+  /**
+   * Put the joints where bone coefficients say, until `setPayload(null)`; shapes stay with sliders and weights.
+   * @param frame of the payload
+   * @throws FaceError a payload for other joints, or no such frame
+   */
+  async setPayload(payload: Payload | null, frame = 0): Promise<void> {
+    if (payload === null) {
+      this.motions = null;
+      return this.update();
+    }
+    await this.checkPayload(payload);
+    const coefficients = payload.frames[frame];
+    if (!coefficients) throw new FaceError("payload", `no frame ${frame}, expected one below ${payload.frames.length}`);
+    const axes = new Matrix4().fromArray(this.facts!.axes.flat()).transpose();
+    this.motions = localMotions(coefficients, axes, this.joints!.rest.map(() => new Matrix4()));
+    return this.update();
+  }
+
+  /** All sliders at the neutral, all shapes off, no payload. */
+  reset(): Promise<void> {
+    const sliders = this.network?.values("sliders");
+    this.sliders.forEach((one, i) => (sliders![i] = one.default));
+    this.network?.values("weights").fill(0);
+    this.shapeWeights.clear();
+    this.motions = null;
+    return this.update();
+  }
+
+  /**
+   * Points of a mesh as they are now, read back on the CPU: 3 numbers a point of the stage, metres, Y up.
+   * @throws FaceError no such mesh
+   */
+  points(mesh: string): Float32Array {
+    const own = this.meshes.find((one) => one.name === mesh);
+    if (!own) throw new FaceError("points", `no mesh '${mesh}', expected one of ${this.meshes.map((one) => one.name).join(", ")}`);
+    return readPoints(this.root, own);
+  }
+
+  /** Free what the face holds on the GPU and in WebAssembly. */
+  async dispose(): Promise<void> {
+    this.root.removeFromParent();
+    for (const primitive of this.meshes.flatMap((mesh) => mesh.primitives)) primitive.geometry.dispose();
+    await this.running;
+    await this.network?.release();
+  }
+
+  /** One evaluation at a time; what is set meanwhile is taken by the next. */
+  private update(): Promise<void> {
+    this.dirty = true;
+    this.running ??= this.evaluate();
+    return this.running;
+  }
+
+  private async evaluate(): Promise<void> {
+    try {
+      while (this.dirty) {
+        this.dirty = false;
+        const found = await this.network?.run();
+        if (this.motions) this.joints!.setLocals(this.motions);
+        else if (found?.matrices) this.joints?.setSkinning(found.matrices);
+        else this.joints?.setLocals(this.joints.rest.map(() => new Matrix4()));
+        if (found?.morphs) setFromGraph(this.meshes, this.network!.metadata, found.morphs);
+        else if (!this.network) setFromShapes(this.meshes, this.shapeWeights);
+      }
+    } finally {
+      this.running = null;
+    }
+  }
+
+  private async checkPayload(payload: Payload): Promise<void> {
+    if (!this.joints) throw new FaceError("payload", "this face has no joints");
+    if (!this.facts) throw new FaceError("payload", "a GLB alone does not tell its joints' paths, expected its ONNX too");
+    const hash = await jointsHash(this.facts.paths);
+    if (payload.jointCount !== this.facts.paths.length || payload.jointsHash !== hash) {
+      const own = `${this.facts.paths.length}, hash ${hash}`;
+      throw new FaceError("payload", `made for other joints (${payload.jointCount}, hash ${payload.jointsHash}), expected ${own}`);
+    }
+  }
+}
+
+function described(metadata: Metadata): SliderInfo[] {
+  const input = sliderInput(metadata);
+  return input.names.map((name, i) => ({
+    name,
+    group: input.groups[i],
+    minimum: input.range[i][0],
+    maximum: input.range[i][1],
+    default: input.default[i],
+    value: input.values[i],
+    mirror: metadata.sliders[i]?.mirror ?? null,
+  }));
+}
+
+/** Units and axes of the stage with the skeleton's scale, from the constants of the graph. */
+function axesOf(moved: { gltf_from_world?: number[][]; skeleton_from_gltf?: number[][] }): number[][] {
+  const world = new Matrix4().fromArray(moved.gltf_from_world!.flat()).transpose();
+  const back = new Matrix4().fromArray(moved.skeleton_from_gltf!.flat()).transpose();
+  const scale = Math.cbrt(1 / Math.abs(back.determinant())) / Math.cbrt(Math.abs(world.determinant()));
+  return moved.gltf_from_world!.map((row, i) => row.map((value, k) => (i < 3 && k < 3 ? value * scale : +(i === k))));
+}
+
+function finite(name: string, value: number): number {
+  if (!Number.isFinite(value)) throw new FaceError(name, `is ${value}, expected a finite number`);
+  return value;
+}

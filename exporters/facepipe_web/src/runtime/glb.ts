@@ -1,0 +1,88 @@
+/** The GLB of a face in three.js: its meshes, and what they are called in the file. */
+import { type BufferGeometry, Group, type Mesh, type Object3D, type Skeleton, type SkinnedMesh } from "three";
+import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+import { FaceError, fetched } from "./errors";
+
+/** One mesh of the face: a primitive for each of its materials. */
+export interface FaceMesh {
+  name: string;
+  /** points on the stage; several vertices may stand for one */
+  pointCount: number;
+  targets: string[];
+  /** target -> its knots (shape weight, target weight), of shapes with inbetweens */
+  curves: Record<string, [number, number][]>;
+  /** inbetween target -> shape */
+  inbetweens: Record<string, { shape: string; weight: number }>;
+  primitives: Mesh[];
+}
+
+export interface LoadedGlb {
+  root: Group;
+  meshes: FaceMesh[];
+  skeleton: Skeleton | null;
+  quantised: boolean;
+  copyright: string;
+}
+
+interface MeshRecord {
+  name?: string;
+  extras?: {
+    targetNames?: string[];
+    facepipe?: { pointCount?: number; curves?: FaceMesh["curves"]; inbetweens?: FaceMesh["inbetweens"] };
+  };
+}
+
+/**
+ * @throws FaceError no GLB, or one without meshes
+ */
+export async function readGlb(url: string): Promise<LoadedGlb> {
+  const bytes = await (await fetched(url)).arrayBuffer();
+  const gltf = await new GLTFLoader().parseAsync(bytes, url.slice(0, url.lastIndexOf("/") + 1)).catch((error: Error) => {
+    throw new FaceError(url, `is no GLB that three.js reads: ${error.message.split("\n")[0]}`);
+  });
+  const { associations } = gltf.parser;
+  const json = gltf.parser.json as { meshes?: MeshRecord[]; extensionsRequired?: string[]; asset: { copyright?: string } };
+  const found = new Map<number, FaceMesh>();
+  let skeleton: Skeleton | null = null;
+  gltf.scene.traverse((object: Object3D) => {
+    const mesh = object as SkinnedMesh;
+    const number = mesh.isMesh ? associations.get(mesh)?.meshes : undefined;
+    if (number === undefined) return;
+    const entry = found.get(number) ?? described(json.meshes?.[number] ?? {}, mesh.geometry);
+    entry.primitives.push(mesh);
+    found.set(number, entry);
+    mesh.frustumCulled = false; // its bounds are those of the neutral
+    if (mesh.isSkinnedMesh) skeleton = mesh.skeleton;
+  });
+  if (!found.size) throw new FaceError(url, "holds no mesh, expected a face");
+  const root = new Group();
+  root.add(gltf.scene);
+  root.updateMatrixWorld(true);
+  return {
+    root,
+    meshes: [...found].sort(([a], [b]) => a - b).map(([, mesh]) => mesh),
+    skeleton,
+    quantised: json.extensionsRequired?.includes("KHR_mesh_quantization") ?? false,
+    copyright: json.asset.copyright ?? "",
+  };
+}
+
+function described(record: MeshRecord, geometry: BufferGeometry): FaceMesh {
+  const own = record.extras?.facepipe;
+  const targets = geometry.morphAttributes.position?.length ?? 0;
+  return {
+    name: record.name ?? "mesh",
+    pointCount: own?.pointCount ?? geometry.attributes.position.count,
+    targets: record.extras?.targetNames ?? Array.from({ length: targets }, (_, i) => `target${i}`),
+    curves: own?.curves ?? {},
+    inbetweens: own?.inbetweens ?? {},
+    primitives: [],
+  };
+}
+
+/** Point of the face that each vertex of a primitive stands for. */
+export function pointNumbers(primitive: Mesh): ArrayLike<number> {
+  const { attributes } = primitive.geometry;
+  const own = attributes._facepipe_point;
+  return own ? own.array : Array.from({ length: attributes.position.count }, (_, i) => i);
+}

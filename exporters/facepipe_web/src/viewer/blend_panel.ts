@@ -1,0 +1,117 @@
+/** Weights of a blended face, blended again while they are moved. */
+import { h, throttled } from "./dom";
+import { say, sayError } from "./messages";
+import type { Page } from "./page";
+import { section } from "./panels";
+import { setPositions } from "./positions";
+import { Row } from "./rows";
+import { type FaceEntry, ViewedFace } from "./viewed_face";
+
+/** The blend in viewer.json. */
+export interface BlendEntry {
+  sources: string[];
+  /** region -> a weight for each source; "default" holds everywhere else */
+  weights: Record<string, number[]>;
+  locked: Record<string, number>;
+  /** what makes the result on the command line, without weights */
+  command: string;
+}
+
+const URL = "blend";
+
+export class BlendPanel {
+  readonly element: HTMLElement;
+  private readonly weights: Record<string, number[]>;
+  private readonly command = h("input", { type: "text", readOnly: true, "aria-label": "Command that keeps these weights" });
+  private readonly preview = throttled(30, () => void this.move());
+  private busy = false;
+  private again = false;
+  private settled = 0;
+
+  constructor(
+    private readonly entry: BlendEntry,
+    private readonly page: Page,
+  ) {
+    this.weights = structuredClone(entry.weights);
+    const folds = Object.keys(this.weights).sort(defaultFirst).map((region, number) => this.fold(region, number === 0));
+    this.element = section("Blend", null, ...folds, this.command);
+    this.tell();
+  }
+
+  private fold(region: string, open: boolean): HTMLElement {
+    const title = region === "default" ? "everywhere else" : region;
+    const lock = this.entry.locked[region];
+    if (lock) return h("p", {}, `${title}: locked to ${this.entry.sources[lock - 1]}`);
+    const rows = this.entry.sources.map((name, source) => {
+      const change = (value: number) => {
+        this.weights[region][source] = value;
+        this.preview();
+      };
+      const value = this.weights[region][source];
+      return new Row({ name, minimum: 0, maximum: 1, rest: value, value, change, settle: () => void this.settle() });
+    });
+    return h("details", { open }, h("summary", {}, title), h("div", { class: "rows" }, ...rows.map((row) => row.element)));
+  }
+
+  /** New neutral points, as fast as the server gives them. */
+  private async move(): Promise<void> {
+    this.tell();
+    if (this.busy) {
+      this.again = true;
+      return;
+    }
+    this.busy = true;
+    try {
+      const answer = await this.ask("points");
+      if (answer) {
+        setPositions(this.page.own, new Float32Array(await answer.arrayBuffer()));
+        this.page.changed();
+      }
+    } finally {
+      this.busy = false;
+    }
+    if (this.again) {
+      this.again = false;
+      await this.move();
+    }
+  }
+
+  /** The whole face with its shapes, joints and sliders. */
+  private async settle(): Promise<void> {
+    const number = ++this.settled;
+    const answer = await this.ask("face");
+    if (!answer || number !== this.settled) return;
+    try {
+      const face = await ViewedFace.load((await answer.json()) as FaceEntry);
+      if (number === this.settled) await this.page.replace(face);
+    } catch (error) {
+      sayError(error);
+    }
+  }
+
+  private async ask(wanted: "points" | "face"): Promise<Response | null> {
+    const body = JSON.stringify({ weights: this.weights, wanted });
+    try {
+      const answer = await fetch(URL, { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      if (answer.ok) return answer;
+      say(await answer.text());
+    } catch {
+      say("facepipe view has ended: start it again to blend.");
+    }
+    return null;
+  }
+
+  private tell(): void {
+    const words = Object.entries(this.weights)
+      .filter(([region]) => !this.entry.locked[region])
+      .map(([region, row]) => {
+        const numbers = row.map((value) => +value.toFixed(3)).join(",");
+        return region === "default" ? `--default ${numbers}` : `--set ${region}=${numbers}`;
+      });
+    this.command.value = `${this.entry.command} ${words.join(" ")}`;
+  }
+}
+
+function defaultFirst(a: string, b: string): number {
+  return +(b === "default") - +(a === "default") || a.localeCompare(b);
+}

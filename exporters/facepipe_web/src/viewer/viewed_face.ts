@@ -1,0 +1,46 @@
+/** A face of the page: the runtime's face, and what the server tells beside it. */
+import { Face, loadFace } from "../runtime";
+import { Look } from "./look";
+
+/** A face in viewer.json. */
+export interface FaceEntry {
+  label: string;
+  glb: string;
+  onnx: string | null;
+  details: string | null;
+}
+
+export interface Details {
+  regions: { names: string[]; masks: string } | null;
+  joints: { paths: string[]; axes: number[][] } | null;
+  /** point counts of all meshes of the stage, in its order */
+  meshes: { name: string; points: number }[];
+  notes: string[];
+}
+
+export class ViewedFace {
+  private constructor(
+    readonly entry: FaceEntry,
+    readonly face: Face,
+    readonly details: Details | null,
+    readonly masks: Uint8Array | null,
+    readonly look: Look,
+  ) {}
+
+  /** @throws FaceError files that don't load, or are of different faces */
+  static async load(entry: FaceEntry): Promise<ViewedFace> {
+    const details = entry.details ? ((await (await fetch(entry.details)).json()) as Details) : null;
+    const regions = details?.regions;
+    const masks = regions ? new Uint8Array(await (await fetch(regions.masks)).arrayBuffer()) : null;
+    const face = await loadFace(entry.glb, entry.onnx, { joints: details?.joints ?? undefined });
+    await face.reset();
+    const look = new Look(face, details, masks);
+    const values = Object.fromEntries(face.sliders.map((one) => [one.name, one.value]));
+    await face.setSliders(values);
+    return new ViewedFace(entry, face, details, masks, look);
+  }
+
+  get regionNames(): string[] {
+    return this.details?.regions?.names ?? [];
+  }
+}

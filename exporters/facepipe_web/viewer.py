@@ -1,0 +1,96 @@
+"""The viewer: faces made ready in a temporary folder, and served with the page."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import facepipe
+from facepipe.errors import InputError
+from facepipe_web.assets import given_assets, write_assets
+from facepipe_web.blending import Blending, blending_of
+from facepipe_web.options import Options
+from facepipe_web.server import Server
+
+Json = dict[str, Any]
+
+
+class Viewer:
+    """A page that is served until `close`."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self.url = server.url
+
+    def serve(self) -> None:
+        """Answer the browser until `close` or KeyboardInterrupt."""
+        self._server.serve_forever(poll_interval=0.2)
+
+    def close(self) -> None:
+        """End `serve`, from another thread."""
+        self._server.shutdown()
+
+
+@contextmanager
+def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> Iterator[Viewer]:
+    """A viewer of a face stage or GLB, and of a second one to compare it with; its files are gone when the block ends.
+
+    :param onnx: sliders of a GLB
+    :raises InputError: no build, a port that is not free, or files that can't be shown
+    :raises SchemaError, ExportError: a stage without a face, or one that a format can't hold
+    """
+    from facepipe_web.built import page_files
+
+    options.check()
+    files = page_files()
+    with tempfile.TemporaryDirectory(prefix="facepipe-view-", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        server = Server(options.port, files, {})
+        try:
+            entries = [_entry(path, onnx, folder, number, server) for number, path in enumerate(faces)]
+            blending = blending_of(faces[0], folder, server)
+            _write_content(folder, server, entries, blending)
+            yield Viewer(server)
+        finally:
+            server.server_close()
+
+
+def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Server) -> Json:
+    """Make one face ready."""
+    if path.suffix.lower() == ".glb":
+        _check_start(path, b"glTF", "a GLB")
+        if onnx is not None:
+            _check_start(onnx.with_name(f"{onnx.name}.json"), b"{", "the sidecar of an ONNX file")
+            _check_start(onnx, b"", "an ONNX file")
+        entry, files = given_assets(path.name, path, onnx, f"faces/{number}")
+    else:
+        if onnx is not None:
+            raise InputError(onnx, f"is for a GLB, expected one in place of {path.name}")
+        parts = facepipe.open(path).parts()
+        entry, files = write_assets(parts, path.name, folder / str(number), f"faces/{number}")
+    server.files |= files
+    return entry
+
+
+def _check_start(path: Path, start: bytes, what: str) -> None:
+    try:
+        with path.open("rb") as file:
+            found = file.read(4)
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror}), expected {what}") from None
+    if not found.startswith(start):
+        raise InputError(path, f"is not {what}")
+
+
+def _write_content(folder: Path, server: Server, entries: Sequence[Json], blending: Blending | None) -> None:
+    """viewer.json, which tells the page what there is."""
+    content = {"faces": entries, "blend": None if blending is None else blending.entry}
+    file = folder / "viewer.json"
+    file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    server.files["/viewer.json"] = file
+    if blending is not None:
+        server.actions["/blend"] = blending.answer

@@ -1,0 +1,60 @@
+"""Look at a face in the browser: sliders, shapes, bones, regions, distances, a second face beside it.
+
+FACE is a face stage, or a GLB as it is (with --onnx its sliders too). A second one is compared with the first. A face
+that `facepipe blend` made shows its weights, and is blended again while they are moved. The page is served to this
+machine alone, until Ctrl-C.
+
+examples:
+  facepipe view head.usda
+  facepipe view head.usda other.usda --port 8000
+  facepipe view head.glb --onnx sliders.onnx --no-browser
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+
+from facepipe import registry
+from facepipe.cli.parser import add_options, options_from
+from facepipe.cli.show import progress
+from facepipe.reading import check_input
+
+_HOST = "view"
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage or .glb")
+    parser.add_argument("other", type=Path, nargs="?", metavar="OTHER", help="another to compare it with")
+    parser.add_argument("--onnx", type=Path, metavar="ONNX", help="sliders of a .glb, of `facepipe export --sliders`")
+    parser.add_argument("--no-browser", action="store_true", help="open no browser, only tell where the page is")
+    add_options(parser, registry.host(_HOST).Options)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make the files, serve, open."""
+    host = registry.host(_HOST)
+    faces = [arguments.face, *([arguments.other] if arguments.other else [])]
+    for path in (*faces, *([arguments.onnx] if arguments.onnx else [])):
+        check_input(path)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its files are removed then too
+    try:
+        options = options_from(arguments, host.Options)
+        with progress("view", 1) as bar, host.view(faces, options, arguments.onnx) as page:
+            bar.update()
+            bar.close()
+            print(f"{page.url}  (Ctrl-C ends)", flush=True)
+            if not arguments.no_browser:
+                _open(page.url)
+            page.serve()
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+def _open(url: str) -> None:
+    import webbrowser
+
+    webbrowser.open(url)

@@ -1,0 +1,86 @@
+"""A blended face whose weights are moved: its sources read and factored once, then solved for any weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+import facepipe
+from facepipe.parts import FaceParts
+from facepipe.processors.blend import BlendRecipe, BlendSession, Weights, read_blend_recipe
+from facepipe.processors.blend.recipe import VERB
+from facepipe.processors.blend.result import result_parts
+from facepipe.processors.blend.weights_json import weights_from_json
+
+_DEFAULT = "default"
+
+
+class LiveBlend:
+    """The blend that a recipe describes. Calls from several threads wait for each other."""
+
+    def __init__(self, recipe: BlendRecipe) -> None:
+        """:param recipe: of `read_blend_recipe`"""
+        self.sources, self.weights, self._recipe = recipe.sources, recipe.weights, recipe
+        self._lock = threading.Lock()
+
+    @classmethod
+    def of(cls, path: Path) -> LiveBlend | None:
+        """The blend of a face stage; None where the face was not made by a blend.
+
+        :raises InputError: a source of the recipe is gone
+        :raises SchemaError: a stage without a face, or a damaged recipe
+        """
+        recipe = facepipe.open(path).parts().recipe
+        return cls(read_blend_recipe(path)) if recipe is not None and recipe.verb == VERB else None
+
+    @cached_property
+    def session(self) -> BlendSession:
+        """The warm session; made when it is first needed, which takes seconds for a large face."""
+        return BlendSession([facepipe.open(path) for path in self.sources], self._recipe.options)
+
+    @cached_property
+    def base(self) -> FaceParts:
+        """The first source."""
+        return facepipe.open(self.sources[0]).parts()
+
+    @property
+    def rows(self) -> dict[str, list[float]]:
+        """A row of weights, one for each source, for every region and for ``default``, all other points."""
+        count = len(self.sources)
+        default = [float(one) for one in self.weights.default or [1.0 / count] * count]
+        names = sorted({name for mesh in self.base.meshes for name in mesh.regions})
+        given = {name: [float(one) for one in row] for name, row in self.weights.regions.items()}
+        return {_DEFAULT: default} | {name: given.get(name, default) for name in names}
+
+    def points(self, rows: Mapping[str, object], axes: Sequence[Sequence[float]]) -> bytes:
+        """Points (n, 3) of the neutral's meshes one after another at bind time, float32.
+
+        :param rows: as `rows`
+        :param axes: (4, 4) from world space of the stage to that of the points
+        :raises InputError: weights that can't be blended
+        """
+        weights = self._weights(rows)
+        with self._lock:
+            found = self.session.neutral(weights).points
+        matrix = np.asarray(axes, dtype=np.float64) @ self.base.skeleton.transform
+        return bytes((found @ matrix[:3, :3].T + matrix[:3, 3]).astype("<f4").tobytes())
+
+    def face(self, rows: Mapping[str, object]) -> FaceParts:
+        """The whole blended face, as `facepipe blend` would author it.
+
+        :raises InputError: weights that can't be blended
+        """
+        weights = self._weights(rows)
+        with self._lock:
+            return result_parts(self.session, self.session.solve(weights))
+
+    def _weights(self, rows: Mapping[str, object]) -> Weights:
+        """The recipe's weights with other rows; gains and locks stay."""
+        own = {name: row for name, row in rows.items() if name not in self.weights.locked}
+        given = weights_from_json(own, "weights")
+        return dataclasses.replace(self.weights, regions=given.regions, default=given.default)

@@ -1,0 +1,239 @@
+"""The viewer's server: what it gives out, to whom, and how it ends. The page itself is made up."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from facepipe_web import Options, build, view
+from facepipe_web.server import Server
+from faces import tiny_face
+
+from facepipe.cli import main
+from facepipe.errors import InputError
+from facepipe.stage import save_parts
+
+SECRET = b"not for the page"
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A built page, and a file beside its folder."""
+    dist = tmp_path / "dist"
+    (dist / "licences").mkdir(parents=True)
+    for name in ("index.html", "viewer.js", "style.css", "a.mjs", "a.wasm", "licences/three.txt"):
+        (dist / name).write_text(name)
+    (dist / build.STAMP).write_text(json.dumps({"sources": build.sources_digest()}))
+    (tmp_path / "secret.txt").write_bytes(SECRET)
+    monkeypatch.setattr(build, "DIST", dist)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def face(page: Path) -> Path:
+    save_parts(tiny_face(), page / "face.usda")
+    return page / "face.usda"
+
+
+@pytest.fixture
+def server(face: Path) -> Iterator[int]:
+    """The port of a viewer."""
+    with view([face], Options()) as viewer:
+        thread = threading.Thread(target=viewer.serve)
+        thread.start()
+        yield int(viewer.url.rstrip("/").rpartition(":")[2])
+        viewer.close()
+        thread.join()
+
+
+def get(port: int, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest("GET", path, skip_host="Host" in headers)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    found = answer.status, dict(answer.headers.items()), answer.read()
+    connection.close()
+    return found
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../secret.txt",
+        "/%2e%2e/secret.txt",
+        "/licences/../../secret.txt",
+        "/licences/..%2f..%2fsecret.txt",
+        "/..\\secret.txt",
+        "//secret.txt",
+        "secret.txt",
+        "/licences",
+        "/licences/",
+        "/dist/index.html",
+        "/etc/passwd",
+        "file:///etc/passwd",
+    ],
+)
+def test_nothing_beside_its_files(server: int, path: str) -> None:
+    status, _, content = get(server, path)
+    assert (status, SECRET in content) == (404, False)
+
+
+def test_mime_types_and_headers(server: int) -> None:
+    expected = {
+        "/": "text/html; charset=utf-8",
+        "/viewer.js?v=1": "text/javascript; charset=utf-8",
+        "/a.mjs": "text/javascript; charset=utf-8",
+        "/style.css": "text/css; charset=utf-8",
+        "/a.wasm": "application/wasm",
+        "/viewer.json": "application/json",
+        "/faces/0/face.glb": "model/gltf-binary",
+    }
+    for path, kind in expected.items():
+        status, headers, content = get(server, path)
+        assert (status, headers["Content-Type"], int(headers["Content-Length"])) == (200, kind, len(content)), path
+        assert headers["Cross-Origin-Opener-Policy"] == "same-origin"
+        assert headers["Cross-Origin-Embedder-Policy"] == "require-corp"
+        assert "default-src 'self'" in headers["Content-Security-Policy"]
+
+
+def test_listens_on_this_machine_alone(face: Path) -> None:
+    server = Server(0, {}, {})
+    try:
+        assert server.socket.getsockname()[0] == "127.0.0.1"
+    finally:
+        server.server_close()
+
+
+@pytest.mark.parametrize("header", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}])
+def test_other_sites_get_nothing(server: int, header: dict[str, str]) -> None:
+    assert get(server, "/viewer.json", **header)[0] == 403
+
+
+def test_viewer_json_names_files_that_are_there(server: int) -> None:
+    content = json.loads(get(server, "/viewer.json")[2])
+    assert content["blend"] is None
+    (entry,) = content["faces"]
+    assert (entry["label"], entry["onnx"]) == ("face.usda", None)  # it has no sliders
+    details = json.loads(get(server, f"/{entry['details']}")[2])
+    assert details["regions"]["names"] == ["mouth", "neck"]
+    masks = get(server, f"/{details['regions']['masks']}")[2]
+    assert len(masks) == 2 * sum(mesh["points"] for mesh in details["meshes"]) == 2 * 45
+    assert details["joints"]["paths"] == ["root", "root/jaw", "root/jaw/lip"]
+    assert get(server, f"/{entry['glb']}")[2][:4] == b"glTF"
+
+
+def test_its_files_are_gone_in_the_end(face: Path) -> None:
+    with view([face], Options()) as viewer:
+        folder = viewer._server.files["/viewer.json"].parent
+        assert folder.is_dir()
+    assert not folder.exists()
+
+
+def test_port_in_use(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["view", str(face), "--port", str(port), "--no-browser"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", f"facepipe: --port {port}: is in use, expected a free one (0 takes any)\n")
+
+
+def test_without_a_build(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (build.DIST / build.STAMP).unlink()
+    assert main(["view", str(face), "--no-browser"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "python -m facepipe_web.build" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.glb"], "none.glb: can't be read"),
+        (["secret.glb"], "secret.glb: is not a GLB"),
+        (["face.usda", "--port", "70000"], "--port: is 70000"),
+        (["face.usda", "--onnx", "x.onnx"], "x.onnx: is for a GLB"),
+        (["none.usda"], "none.usda"),
+    ],
+)
+def test_bad_input(face: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    Path("secret.glb").write_bytes(SECRET)
+    assert main(["view", *words, "--no-browser"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert said in err
+
+
+def test_unknown_requests_are_refused(server: int) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", server, timeout=10)
+    connection.request("POST", "/blend", b"{}", {"Content-Type": "application/json"})
+    assert connection.getresponse().status == 404  # no blend behind this face
+    connection.close()
+
+
+def test_actions_take_json_alone(face: Path) -> None:
+    def refuse(sent: bytes) -> tuple[str, bytes]:
+        if sent != b"{}":
+            raise InputError("weights", "none")
+        return "text/plain", b"taken"
+
+    server = Server(0, {}, {"/do": refuse})
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        for content, kind, status in (
+            (b"{}", "application/json", 200),
+            (b"[]", "application/json", 400),
+            (b"{}", "text/plain", 415),
+        ):
+            connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+            connection.request("POST", "/do", content, {"Content-Type": kind})
+            assert connection.getresponse().status == status
+            connection.close()
+        connection.putrequest("POST", "/do")
+        connection.putheader("Content-Length", str(1 << 40))
+        connection.endheaders()
+        assert connection.getresponse().status == 413
+        connection.close()
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="consoles there send other signals")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_ends_cleanly(face: Path, tmp_path: Path, name: str) -> None:
+    program = f"""
+import pathlib, sys
+from facepipe.cli import main
+from facepipe_web import build
+build.DIST = pathlib.Path({str(build.DIST)!r})
+sys.exit(main(["view", "face.usda", "--no-browser"]))
+"""
+    files = tmp_path / "temporary"
+    files.mkdir()
+    environment = os.environ | {"TMPDIR": str(files)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("http://127.0.0.1:")
+    assert any(files.iterdir())
+    process.send_signal(getattr(signal, name))
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (0, "", "")
+    assert not any(files.iterdir())
