@@ -1,8 +1,9 @@
 """What a neural rig costs an engine: bytes and milliseconds of its graphs and GLB, beside dense blendshapes.
 
 The teacher is that of neural_rig.py, and errors are those of frames drawn by another seed than those that are learned.
-The peer is one dense blendshape a control, of least squared error on the same frames. Graphs run in onnxruntime on one
-thread; the teacher runs in numpy.
+The peer is one dense blendshape a control, of least squared error on the same frames. To compare bytes at equal error,
+small neural rigs come down to what it errs, and correctives of pairs of controls bring it nearer. Graphs run in
+onnxruntime on one thread; the teacher runs in numpy.
 
     python benchmarks/neural_rig_engine.py
     python benchmarks/neural_rig_engine.py --rig head.fpnr --json engine.json
@@ -20,16 +21,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from arguments import add_common
 from neural_rig_teacher import HEAD, Teacher, teacher
 from onnx_timing import median, start
+from pair_correctives import pair_correctives
 from tables import aligned
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import Motion
     from facepipe.rig.neural_rig import NeuralRig
 
+FloatArray = npt.NDArray[np.floating]
+
 WEIGHTS = ("float32", "float16", "int8")
+SMALL = {"small, with bones": (8, 32), "small, without bones": (36, 128)}  # shapes and units of about the peer's error
+SMALL_STEPS = 3000
+CORRECTIVES = 128
 
 
 @dataclass(frozen=True)
@@ -78,14 +86,19 @@ def main() -> int:
 
 
 def _shares(rows: list[Row]) -> Iterator[str]:
-    """Each rig's shapes and graph of matrices together, beside the shapes of the dense blendshapes."""
+    """Each rig's shapes and graph of matrices together, and its error, beside those of the dense blendshapes."""
     sizes: dict[str, float] = {}
+    off: dict[str, float] = {}
     for row in rows:
         if row.way.startswith(("shapes", "matrices, float32")):
             sizes[row.of] = sizes.get(row.of, 0.0) + (row.kilobytes or 0.0)
+        if row.mean_mm is not None:
+            off[row.of] = row.mean_mm
     peer = sizes.pop("blendshapes")
-    for name, size in sizes.items():
-        yield f"{name}: shapes and matrices {size:,.0f} KB, {size / peer:.2f} of those of the blendshapes"
+    for name in dict.fromkeys(row.of for row in rows if row.way == "points" and row.of in sizes):
+        size = sizes[name]
+        told = f"{name}: shapes and matrices {size:,.0f} KB, {size / peer:.2f} of those of the blendshapes"
+        yield f"{told}; {off[name]:.3f} mm, {off[name] / off['blendshapes']:.2f} of theirs"
 
 
 def _cell(value: float | None) -> str:
@@ -99,6 +112,7 @@ def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterat
         TrainNeuralRigOptions,
         load_neural_rig,
     )
+    from facepipe.processors.neural_rig.peers import best_blendshapes
     from facepipe.rig import build
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
@@ -114,42 +128,76 @@ def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterat
     if not rigs:
         options = TrainNeuralRigOptions(steps=arguments.steps) if arguments.steps else TrainNeuralRigOptions()
         rigs["neural rig"] = TrainNeuralRig(options=options)(learned).rig
-    for name, one in {"blendshapes": _straight(learned), **rigs}.items():
+    peer = best_blendshapes(learned).shapes.reshape(-1, *learned.rest.shape)
+    for name, one in {"blendshapes": _of_shapes(learned, peer), **rigs, **_small(learned, arguments.steps)}.items():
         yield from _measured(name, one, first, unseen, folder, arguments.runs)
+    yield _corrected(first, learned, unseen, folder)
 
 
-def _straight(learned: Motion) -> NeuralRig:
-    """The best blendshapes, one a control, as a rig without units that matter."""
-    from facepipe.processors.neural_rig.peers import best_blendshapes
+def _of_shapes(learned: Motion, shapes: FloatArray) -> NeuralRig:
+    """Shapes of the controls, an offset, and shapes of pairs, as a rig that moves the first."""
     from facepipe.rig.neural_rig import NeuralRig
 
-    shapes = best_blendshapes(learned).shapes.reshape(-1, *learned.rest.shape)
     count = len(learned.controls)
+    used = np.delete(shapes, count, axis=0)
     return NeuralRig(
         controls=learned.controls,
-        rest=learned.rest + shapes[-1],
-        shapes=shapes[:-1],
-        linear=np.eye(count),
+        rest=learned.rest + shapes[count],
+        shapes=used,
+        linear=np.eye(count, len(used)),
         hidden=np.zeros((1, count)),
         hidden_bias=np.zeros(1),
-        last=np.zeros((count, 1)),
-        last_bias=np.zeros(count),
+        last=np.zeros((len(used), 1)),
+        last_bias=np.zeros(len(used)),
         topology=learned.topology.digest,
     )
 
 
-def _measured(name: str, rig: NeuralRig, first: Teacher, unseen: Motion, folder: Path, runs: int) -> Iterator[Row]:
+def _small(learned: Motion, steps: int) -> dict[str, NeuralRig]:
+    """Neural rigs of few shapes and units."""
+    from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions
+
+    found = {}
+    for name, (shapes, width) in SMALL.items():
+        options = TrainNeuralRigOptions(shapes=shapes, width=width, steps=min(steps or SMALL_STEPS, SMALL_STEPS))
+        frames = replace(learned, bones=None, coefficients=None) if "without" in name else learned
+        found[name] = TrainNeuralRig(options=options)(frames).rig
+    return found
+
+
+def _corrected(first: Teacher, learned: Motion, unseen: Motion, folder: Path) -> Row:
+    """The blendshapes with shapes of the pairs of controls that tell most."""
+    found = pair_correctives(learned, CORRECTIVES)
+    off = np.stack([found.points(values) for values in unseen.values]) - unseen.points
+    off = np.linalg.norm(off, axis=2)
+    size = _shape_bytes(_of_shapes(learned, found.shapes), first, folder) / 1000.0
+    name = f"blendshapes and {CORRECTIVES} correctives"
+    return Row(name, "shapes of the GLB", size, mean_mm=float(off.mean()), max_mm=float(off.max()))
+
+
+def _shape_bytes(rig: NeuralRig, first: Teacher, folder: Path) -> int:
+    """What shapes add to a GLB."""
     import facepipe_gltf
+
+    from facepipe.processors.neural_rig import with_neural_rig
+
+    parts = with_neural_rig(first.parts, rig, "teacher")
+    bare = replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
+    sizes = [int(facepipe_gltf.export(Held(one), folder / "face.glb").bytes) for one in (parts, bare)]
+    return sizes[0] - sizes[1]
+
+
+def _measured(name: str, rig: NeuralRig, first: Teacher, unseen: Motion, folder: Path, runs: int) -> Iterator[Row]:
     from facepipe_onnx import Options, export_parts
 
     from facepipe.processors.neural_rig import with_neural_rig
 
     parts = with_neural_rig(first.parts, rig, name)
-    bare = replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
-    sizes = [facepipe_gltf.export(Held(one), folder / "face.glb").bytes for one in (parts, bare)]
     dense = 12 * len(rig.shapes) * len(rig.rest)
-    yield Row(name, f"shapes of the GLB ({dense / 1000.0:,.0f} KB of points)", (sizes[0] - sizes[1]) / 1000.0)
-    for weights in WEIGHTS if name != "blendshapes" else WEIGHTS[:1]:
+    yield Row(
+        name, f"shapes of the GLB ({dense / 1000.0:,.0f} KB of points)", _shape_bytes(rig, first, folder) / 1000.0
+    )
+    for weights in WEIGHTS[:1] if name in ("blendshapes", *SMALL) else WEIGHTS:
         path = folder / f"{weights}.onnx"
         report = export_parts(parts, path, Options(sliders=True, weights=weights))  # type: ignore[arg-type]
         way = f"matrices, {weights}" + (" (mm from float32)" if report.error_mm is not None else "")

@@ -72,6 +72,11 @@ def test_neural_rigs_in_the_engine_are_less_and_nearer_than_dense_blendshapes(tm
         for of in ("neural rig", "blendshapes")
     ]
     assert sizes[0] < sizes[1]
+    small = [rows["small, with bones", way] for way in ("shapes of the GLB", "matrices, float32")]
+    assert sum(row["kilobytes"] for row in small) < 0.5 * sizes[1]
+    assert rows["small, with bones", "points"]["mean_mm"] < rows["blendshapes", "points"]["mean_mm"]
+    corrected = rows["blendshapes and 128 correctives", "shapes of the GLB"]
+    assert corrected["kilobytes"] > sizes[1]
 
 
 def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path) -> None:
