@@ -86,6 +86,23 @@ def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
     assert (view.image, view.width, view.height) == ("front.png", SIZE, SIZE)
 
 
+def test_a_cook_fits_again_where_landmarks_were_mended(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """To the bytes of the command, and the exit code of a threshold that is missed."""
+    words = (*ONE, "-o", "person.usda", *SOON, "--expression", "jawOpen")
+    assert fit_photo(*words) == 0
+    before = contents(studio)
+    mended = json.loads(Path("front.json").read_text())
+    mended["multipie68"] = (np.array(mended["multipie68"]) + np.eye(68, 2) * 40).tolist()
+    Path("front.json").write_text(json.dumps(mended))
+    assert main(["cook", "person.usda", "--dry-run"]) == 1
+    code = main(["cook", "person.usda"])
+    assert "person.usda: fit-photo: cooked" in capsys.readouterr().out
+    cooked = contents(studio)
+    assert cooked != before
+    assert fit_photo(*words, "--force") == code
+    assert contents(studio) == cooked
+
+
 def test_the_report_is_a_folder_of_what_was_found(fitted: Path) -> None:
     folder = fitted / "report"
     expected = {"report.json", "sheet.png", "front.landmarks.json", "front.render.png", "front.overlay.png"}

@@ -34,24 +34,17 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from facepipe.atomic import replacing_folder
-from facepipe.cli.fit_photo_request import MODELS, Request, request_of
-from facepipe.cli.fit_photo_text import as_text, off_landmarks
+from facepipe.cli.fit_photo_request import Request, request_of
+from facepipe.cli.fit_photo_text import as_text
 from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from facepipe.learn.features.description import Kind
-    from facepipe.learn.features.extractor import Extractor
-    from facepipe.learn.photo.landmark_fit import State
-    from facepipe.learn.photo.result import PhotoFit
-    from facepipe.parts import FaceParts, Recipe
-    from facepipe.processors.photo_fit import Landmarks68, Photo, PhotoFitReport
+    from facepipe.pipeline.fit_photo import Fitted, PhotoInputs
+    from facepipe.processors.photo_fit import PhotoFitReport
     from facepipe.stage import Face
 
 INTERMIXED = True  # photos and their landmarks may be given in turn
@@ -60,6 +53,7 @@ INTERMIXED = True  # photos and their landmarks may be given in turn
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     from facepipe.photo_options import PhotoFitOptions
+    from facepipe.pipeline.photo_job import MODELS
 
     add, absent = parser.add_argument, argparse.SUPPRESS
     add("files", nargs="*", type=Path, metavar="PHOTO ... FACE", help="photos of one person, then the face stage")
@@ -92,149 +86,47 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, author, report."""
     import facepipe
+    from facepipe.pipeline.fit_photo import missed, read_inputs
 
     begin, request = time.perf_counter(), request_of(arguments)
     warn(request.warnings)
-    recipe = _recipe(request)
-    face = facepipe.open(request.face)
-    inputs = _read(request)
+    inputs = read_inputs(request.job)
+    face = facepipe.open(request.job.face)
     warn(inputs.warnings)
-    parts = face.parts()
-    fit = _fit(parts, inputs, request)
-    report = _author(face, parts, fit, inputs, request, recipe)
+    report = _make(face, inputs, request)
     warn(report.warnings[len(request.warnings) + len(inputs.warnings) :])
-    seconds = time.perf_counter() - begin
-    result = {"path": str(request.out), "seconds": seconds, **json.loads(report.to_json())}
-    text = as_text(request.out, report, face.sliders, seconds)
+    seconds, out = time.perf_counter() - begin, request.job.out
+    result = {"path": str(out), "seconds": seconds, **json.loads(report.to_json())}
+    text = as_text(out, report, face.sliders, seconds)
     if request.report is not None:
         result["report"] = str(request.report)
         text += f"\n{request.report}"
     emit(result, text, as_json=arguments.json)
-    return 1 if report.missed or off_landmarks(report, request.threshold) else 0
+    return 1 if missed(report, request.job) else 0
 
 
-class _Inputs(NamedTuple):
-    """What is fitted to."""
+def _make(face: Face, inputs: PhotoInputs, request: Request) -> PhotoFitReport:
+    """Fit and save: the stage and its report, or none of them."""
+    from facepipe.pipeline.fit_photo import make
 
-    photos: list[Photo]
-    landmarks: list[Landmarks68]
-    extractors: Mapping[Kind, Extractor]  # by kind of features
-    warnings: tuple[str, ...]
-
-
-def _recipe(request: Request) -> Recipe:
-    from facepipe.processors.photo_fit import photo_recipe
-
-    return photo_recipe(
-        request.face,
-        request.photos,
-        request.out,
-        landmarks=request.landmarks,
-        files=request.files(),
-        options=request.settings(),
-    )
-
-
-def _read(request: Request) -> _Inputs:
-    """Photos, where their landmarks are, and the networks that compare them."""
-    from facepipe.processors.photo_fit import read_photo
-
-    photos = [read_photo(path) for path in request.photos]
-    landmarks = [_landmarks(photo, request, number) for number, photo in enumerate(photos)]
-    warnings = [f"{photo.path}: {line}" for photo in photos for line in photo.warnings]
-    warnings += [
-        f"{photo.path}: {line}" for photo, each in zip(photos, landmarks, strict=True) for line in each.warnings
-    ]
-    return _Inputs(photos, landmarks, _extractors(request), tuple(warnings))
-
-
-def _landmarks(photo: Photo, request: Request, number: int) -> Landmarks68:
-    from facepipe.processors.photo_fit import mediapipe_landmarks, own_landmarks, read_landmarks
-
-    file, index = request.landmarks[number], request.faces[number]
-    if file is not None:
-        return read_landmarks(file, photo, index=index)
-    if request.landmarker is not None:
-        return mediapipe_landmarks(photo, request.landmarker, index=index)
-    return own_landmarks(photo, index=index)
-
-
-def _extractors(request: Request) -> Mapping[Kind, Extractor]:
-    """The networks of the line, and facepipe's own for the other terms that are on."""
-    from facepipe.learn.features.extractor import load_extractor
-
-    given: dict[Kind, Extractor] = {
-        MODELS[name]: load_extractor(path, MODELS[name]) for name, path in request.models.items()
-    }
-    missing = [kind for kind in MODELS.values() if kind not in given and getattr(request.options, kind)]
-    if not missing or not request.options.iterations:
-        return given
-    from facepipe.learn.networks import own_extractors
-
-    return {**own_extractors(missing), **given}
-
-
-def _fit(parts: FaceParts, inputs: _Inputs, request: Request) -> PhotoFit:
-    from facepipe.learn.photo.fit import fit_photos
-
-    start = _start(parts, inputs, request)
-    try:
-        with progress("fit", request.options.iterations) as bar:
-            return fit_photos(
-                parts,
-                [photo.pixels for photo in inputs.photos],
-                [each.points for each in inputs.landmarks],
-                request.options,
-                expressions=request.expressions,
-                extractors=inputs.extractors,
-                start=start,
-                done=bar.update,
-            )
-    except FacepipeError as error:
-        raise error.under(request.face) from None
-
-
-def _start(parts: FaceParts, inputs: _Inputs, request: Request) -> State | None:
-    """Where a network guesses that the fit should start; None: at the defaults."""
-    if request.start is None:
-        return None
-    from facepipe.learn.photo.amortised.guess import load_start
-    from facepipe.learn.photo.fit import pose_space
-    from facepipe.learn.photo.subject import Subject
-
-    try:
-        subject = Subject.of(parts, request.expressions)
-        spaces = [pose_space(subject, photo.pixels.shape[1], photo.pixels.shape[0]) for photo in inputs.photos]
-    except FacepipeError as error:
-        raise error.under(request.face) from None
-    guess = load_start(request.start, subject)
-    return guess.together([photo.pixels for photo in inputs.photos], [each.points for each in inputs.landmarks], spaces)
-
-
-def _author(
-    face: Face, parts: FaceParts, fit: PhotoFit, inputs: _Inputs, request: Request, recipe: Recipe
-) -> PhotoFitReport:
-    """Save: the stage and its report, or none of them."""
-    from facepipe.processors.photo_fit import AuthorPhotoFit
+    def whole(report: PhotoFitReport) -> PhotoFitReport:
+        return replace(report, warnings=(*request.warnings, *report.warnings))
 
     with ExitStack() as files:
         folder = None if request.report is None else files.enter_context(replacing_folder(request.report))
-        derived = files.enter_context(face.deriving(request.out, flatten=request.flatten))
-        try:
-            report = AuthorPhotoFit()(derived, fit, inputs.photos, recipe=recipe)
-        except FacepipeError as error:  # the layer being made has no file yet: name its source
-            raise error.under(request.face) if error.where.startswith(("<", "/")) else error from None
-        warnings = (*report.warnings, *off_landmarks(report, request.threshold))
-        report = replace(report, warnings=(*request.warnings, *inputs.warnings, *warnings))
-        if folder is not None:
-            _write_report(folder, parts, fit, inputs, report)
-    return report
+
+        def seen(fitted: Fitted) -> None:
+            if folder is not None:
+                _write_report(folder, fitted, whole(fitted.report))
+
+        return whole(make(request.job, face, inputs, progress, seen))
 
 
-def _write_report(folder: Path, parts: FaceParts, fit: PhotoFit, inputs: _Inputs, report: PhotoFitReport) -> None:
+def _write_report(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
     from facepipe.cli.fit_photo_folder import write_folder
     from facepipe.cli.fit_photo_sheet import report_sheet
 
+    parts, fit, inputs, _ = fitted
     with progress("report", 1) as bar:
         write_folder(folder, report_sheet(parts, fit, inputs.photos), inputs.photos, inputs.landmarks, report)
         bar.update()

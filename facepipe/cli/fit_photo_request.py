@@ -4,74 +4,28 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING
 
 from facepipe.cli.fit_photo_folder import check_folder
 from facepipe.cli.parser import given_options, output_or_edited
 from facepipe.errors import InputError
-from facepipe.options import from_json, to_json
 from facepipe.reading import check_input
 
 if TYPE_CHECKING:
-    from facepipe.photo_options import PhotoFitOptions
+    from facepipe.pipeline.photo_job import PhotoJob, PhotoSettings
     from facepipe.processors.photo_fit import PhotoRecipe
-
-# option -> kind of features, and the weight of their term
-MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
-    "content_model": "content",
-    "identity_model": "identity",
-    "attribute_model": "attributes",
-}
-_THRESHOLD = 8.0  # percent of the distance of the outer eye corners
-_LANDMARKER, _START = "landmarker", "start"
-_SETTINGS = ("faces", "expressions", "landmark_threshold", "fit")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A fit to make."""
+    """A fit to make, and its report."""
 
-    face: Path
-    photos: tuple[Path, ...]
-    landmarks: tuple[Path | None, ...]  # one a photo; None: found in it
-    landmarker: Path | None  # MediaPipe's model; None: facepipe's own network
-    models: Mapping[str, Path]  # by their options
-    start: Path | None  # network that guesses where to start; None: the defaults
-    faces: tuple[int | None, ...]  # one a photo: which of several
-    expressions: tuple[str, ...] | None  # None: those with ARKit's names
-    options: PhotoFitOptions
-    threshold: float  # of the mean landmark error, percent of the distance of the outer eye corners
-    out: Path
+    job: PhotoJob
     report: Path | None  # folder
-    flatten: bool
     warnings: tuple[str, ...] = ()
-
-    def files(self) -> dict[str, Path]:
-        """Option -> file, beside photos and their landmarks."""
-        named = {_LANDMARKER: self.landmarker, _START: self.start}
-        return {**self.models, **{name: path for name, path in named.items() if path is not None}}
-
-    def settings(self) -> dict[str, Any]:
-        """All but files, as the recipe keeps it."""
-        return {
-            "faces": list(self.faces),
-            "expressions": None if self.expressions is None else list(self.expressions),
-            "landmark_threshold": self.threshold,
-            "fit": to_json(self.options),
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Settings:
-    """What `Request.settings` keeps."""
-
-    faces: tuple[int | None, ...] = ()
-    expressions: tuple[str, ...] | None = None
-    threshold: float = _THRESHOLD
-    options: PhotoFitOptions
 
 
 def request_of(arguments: argparse.Namespace) -> Request:
@@ -79,13 +33,14 @@ def request_of(arguments: argparse.Namespace) -> Request:
 
     :raises InputError: flags that don't go together, files that can't be written, options out of range
     """
+    from facepipe.pipeline.photo_job import START, PhotoJob
     from facepipe.stage.files import check_suffix
 
     recipe = _recipe(arguments)
     face, photos = _sources(arguments, recipe)
     landmarks, landmarker = _landmarks(arguments, recipe, len(photos))
     models = _models(arguments, recipe)
-    start = arguments.start or (recipe.files.get(_START) if recipe else None)
+    start = arguments.start or (recipe.files.get(START) if recipe else None)
     files = [*landmarks, landmarker, start, *models.values()]
     inputs = [face, *photos, *(one for one in files if one is not None)]
     out = output_or_edited(arguments, inputs)
@@ -94,7 +49,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
         taken = [*inputs, out, *([arguments.edit] if recipe else [])]
         check_folder(arguments.report, force=arguments.force, taken=taken)
     settings = _changed(arguments, _settings(arguments.edit, recipe), len(photos))
-    return Request(
+    job = PhotoJob(
         face=face,
         photos=photos,
         landmarks=landmarks,
@@ -106,13 +61,13 @@ def request_of(arguments: argparse.Namespace) -> Request:
         options=settings.options,
         threshold=settings.threshold,
         out=out,
-        report=arguments.report,
         flatten=arguments.flatten or (recipe is not None and recipe.standalone),
-        warnings=recipe.warnings if recipe else (),
     )
+    return Request(job=job, report=arguments.report, warnings=recipe.warnings if recipe else ())
 
 
 def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
+    from facepipe.pipeline.photo_job import LANDMARKER, MODELS, START
     from facepipe.processors.photo_fit import read_photo_recipe
 
     if arguments.edit is None:
@@ -122,7 +77,7 @@ def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
     replaced = ["FACE"] if arguments.files else []
     replaced += ["PHOTO"] if others else []
     replaced += ["--landmarks"] if others or arguments.landmark_files or arguments.landmarker else []
-    given = [name for name in (_LANDMARKER, _START, *MODELS) if getattr(arguments, name) is not None]
+    given = [name for name in (LANDMARKER, START, *MODELS) if getattr(arguments, name) is not None]
     replaced += [f"--{name.replace('_', '-')}" for name in given]
     replaced += ["--landmarker"] if arguments.landmark_files else []
     return read_photo_recipe(arguments.edit, replaced=replaced)
@@ -144,6 +99,8 @@ def _landmarks(
     arguments: argparse.Namespace, recipe: PhotoRecipe | None, count: int
 ) -> tuple[tuple[Path | None, ...], Path | None]:
     """The files of landmarks, one a photo, and MediaPipe's model where one is to find them."""
+    from facepipe.pipeline.photo_job import LANDMARKER
+
     files, landmarker = arguments.landmark_files, arguments.landmarker
     if files and landmarker is not None:
         raise InputError("--landmarks", "given with --landmarker, expected only one of them")
@@ -152,46 +109,27 @@ def _landmarks(
     if files:
         return tuple(files), None
     if landmarker is not None or recipe is None or len(arguments.files) > 1:
-        return (None,) * count, landmarker or (recipe.files.get(_LANDMARKER) if recipe else None)
-    return recipe.landmarks, recipe.files.get(_LANDMARKER)
+        return (None,) * count, landmarker or (recipe.files.get(LANDMARKER) if recipe else None)
+    return recipe.landmarks, recipe.files.get(LANDMARKER)
 
 
 def _models(arguments: argparse.Namespace, recipe: PhotoRecipe | None) -> dict[str, Path]:
+    from facepipe.pipeline.photo_job import MODELS
+
     kept = recipe.files if recipe else {}
     found = {name: getattr(arguments, name) or kept.get(name) for name in MODELS}
     return {name: path for name, path in found.items() if path is not None}
 
 
-def _settings(path: Path | None, recipe: PhotoRecipe | None) -> _Settings:
-    """Those of the recipe, or the defaults.
-
-    :raises InputError: settings that this command did not write
-    """
+def _settings(path: Path | None, recipe: PhotoRecipe | None) -> PhotoSettings:
+    """Those of the recipe, or the defaults."""
     from facepipe.photo_options import PhotoFitOptions
+    from facepipe.pipeline.photo_job import PhotoSettings, recipe_settings
 
-    if recipe is None:
-        return _Settings(options=PhotoFitOptions())
-    where, kept = f"{path} -> recipe", recipe.options
-    if tuple(sorted(kept)) != tuple(sorted(_SETTINGS)):
-        raise InputError(where, f"options {', '.join(sorted(kept))[:60]}, expected {', '.join(_SETTINGS)}")
-    faces, expressions, threshold, fit = (kept[name] for name in _SETTINGS)
-    if not isinstance(faces, list) or not all(one is None or type(one) is int for one in faces):
-        raise InputError(f"{where} -> faces", "damaged, expected a list of indices")
-    if expressions is not None and not (
-        isinstance(expressions, list) and all(isinstance(one, str) for one in expressions)
-    ):
-        raise InputError(f"{where} -> expressions", "damaged, expected a list of shapes")
-    if type(threshold) not in (int, float):
-        raise InputError(f"{where} -> landmark_threshold", "damaged, expected a number")
-    return _Settings(
-        faces=tuple(faces),
-        expressions=None if expressions is None else tuple(expressions),
-        threshold=threshold,
-        options=from_json(PhotoFitOptions, fit, f"{where} -> fit"),
-    )
+    return PhotoSettings(options=PhotoFitOptions()) if path is None or recipe is None else recipe_settings(path, recipe)
 
 
-def _changed(arguments: argparse.Namespace, settings: _Settings, photos: int) -> _Settings:
+def _changed(arguments: argparse.Namespace, settings: PhotoSettings, photos: int) -> PhotoSettings:
     """The settings with what the line says."""
     from facepipe.photo_options import PhotoFitOptions
 

@@ -11,7 +11,7 @@ from facepipe.cli.show import table
 
 if TYPE_CHECKING:
     from facepipe.parts import Slider
-    from facepipe.processors.photo_fit import PhotoFitReport, PhotoReport
+    from facepipe.processors.photo_fit import PhotoFitReport
 
 _SHOWN = 5  # names of a list
 _OFF = 0.01  # of a slider's range, or a weight: what counts as set
@@ -19,6 +19,8 @@ _OFF = 0.01  # of a slider's range, or a weight: what counts as set
 
 def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider], seconds: float) -> str:
     """How near each photo is, and what was found."""
+    from facepipe.processors.photo_fit.report import percent
+
     count = len(report.photos)
     total = report.losses.get("total")
     loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
@@ -37,21 +39,6 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider], second
     if report.beyond_limits:
         lines.append(f"beyond bone limits: {', '.join(report.beyond_limits[:_SHOWN])}")
     return "\n".join(lines)
-
-
-def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
-    """A line for each photo whose landmarks are off by more than `threshold` percent."""
-    return [
-        f"{name}: landmarks off by {percent(photo):.1f} % of the distance of the outer eye corners, "
-        f"expected at most {threshold:g} %"
-        for name, photo in report.photos.items()
-        if percent(photo) > threshold
-    ]
-
-
-def percent(photo: PhotoReport) -> float:
-    """The mean landmark error, percent of the distance of the outer eye corners."""
-    return 100 * photo.landmark_error_px / max(photo.eye_distance_px, 1e-9)
 
 
 def _largest(off: Mapping[str, float], spans: Mapping[str, float], values: Mapping[str, float] | None = None) -> str:

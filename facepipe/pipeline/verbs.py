@@ -17,6 +17,7 @@ VERBS = {
     "apply-bones": "facepipe.pipeline.apply_bones",
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
+    "fit-photo": "facepipe.pipeline.fit_photo",
     "landmarks": "facepipe.pipeline.landmarks",
     "neural-rig": "facepipe.pipeline.neural_rig",
     "regions": "facepipe.pipeline.regions",

@@ -52,6 +52,21 @@ class PhotoFitReport(Report):
         return self.stopped == "not-finite"
 
 
+def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
+    """A line for each photo whose landmarks are off by more than `threshold` percent."""
+    return [
+        f"{name}: landmarks off by {percent(photo):.1f} % of the distance of the outer eye corners, "
+        f"expected at most {threshold:g} %"
+        for name, photo in report.photos.items()
+        if percent(photo) > threshold
+    ]
+
+
+def percent(photo: PhotoReport) -> float:
+    """The mean landmark error, percent of the distance of the outer eye corners."""
+    return 100 * photo.landmark_error_px / max(photo.eye_distance_px, 1e-9)
+
+
 def loss_ends(history: Sequence[Mapping[str, float]]) -> dict[str, Loss]:
     """First and last value of each term, by name; steps with a loss that is not finite don't count."""
     found: dict[str, Loss] = {}
