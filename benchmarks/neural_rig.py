@@ -42,7 +42,7 @@ class Row:
     of: str
     way: str
     mean_mm: float
-    max_mm: float
+    max_mm: float | None = None
     kilobytes: float | None = None  # float32
     ms: float | None = None  # a frame in numpy
 
@@ -60,7 +60,10 @@ def main() -> int:
     first = teacher(arguments.data)
     rows, rig, share = _forward(first, arguments)
     for number, targets in enumerate(PERSONS[: arguments.persons]):
-        rows += _carried(rig, first, person(first, arguments.data, targets, seed=number), f"person {number + 1}")
+        second = person(first, arguments.data, targets, seed=number)
+        rows += _carried(rig, second, f"person {number + 1}")
+        if not number:
+            rows += _without_controls(rig, second, "person 1, best controls")
     print("\n".join(aligned([("frames of", "by", "mean mm", "max mm", "KB", "ms"), *map(_cells, rows)])))
     print(f"of the teacher's motion {100.0 * share:.1f} % is not straight in its controls (RMS)")
     if arguments.json:
@@ -102,8 +105,8 @@ def _evaluation(first: Teacher) -> Callable[[Any], Any]:
     return evaluate
 
 
-def _carried(rig: NeuralRig, first: Teacher, second: Teacher, name: str) -> list[Row]:
-    """A person whose frames have known controls, and whose controls the neural rig finds by itself."""
+def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
+    """A person whose frames have known controls."""
     from facepipe.geometry.deformation_transfer import Transfer
     from facepipe.processors.neural_rig import SampleMotionOptions
     from facepipe.processors.neural_rig.carried_rig import Subject, carried
@@ -135,6 +138,26 @@ def _carried(rig: NeuralRig, first: Teacher, second: Teacher, name: str) -> list
     return rows
 
 
+def _without_controls(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
+    """The person's frames alone; unseen ones are made with the controls that each way comes nearest with."""
+    from facepipe.processors.neural_rig import SampleMotionOptions
+    from facepipe.processors.neural_rig.carried_rig import Subject
+    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
+    from facepipe.processors.neural_rig.retarget_report import compared
+
+    seen, unseen = (
+        second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)
+    )
+    subject = Subject.of(second.parts, name)
+    found = RetargetNeuralRig()(rig, subject, seen.points).rig
+    off = compared(found, rig, subject, unseen.points, None)
+    return [
+        Row(name, "copied deltas", off.copy_mean_mm),
+        Row(name, "deformation transfer", off.transfer_mean_mm),
+        Row(name, f"{FRAMES} frames without controls", off.error_mean_mm, off.error_max_mm, _size(found) / 1000.0),
+    ]
+
+
 def _row(of: str, way: str, points: Callable[[Any], Any], unseen: Motion, size: float | None) -> Row:
     start = time.process_time()
     off = [
@@ -152,8 +175,9 @@ def _size(rig: NeuralRig) -> float:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
+    largest = "" if row.max_mm is None else f"{row.max_mm:.2f}"
     sizes = "" if row.kilobytes is None else f"{row.kilobytes:,.0f}"
-    return row.of, row.way, f"{row.mean_mm:.4f}", f"{row.max_mm:.2f}", sizes, f"{row.ms or 0.0:.1f}"
+    return row.of, row.way, f"{row.mean_mm:.4f}", largest, sizes, "" if row.ms is None else f"{row.ms:.1f}"
 
 
 if __name__ == "__main__":

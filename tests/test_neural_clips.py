@@ -127,6 +127,7 @@ def test_the_command_learns_from_clips_too(tmp_path: Path, capsys: pytest.Captur
     told = json.loads(out)
     assert told["source"] == "rig and clips"
     assert told["frames"] + told["held_out"] == 2 * (40 - 3 * 2) + 1
+    assert told["between"] == 2 * 3 * 2
     assert err.count("warning") == len(told["warnings"]) == 2
     for more, message in (
         (("--clip", head, "--source", "samples"), "--clip: given with --source samples"),

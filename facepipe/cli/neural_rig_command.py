@@ -180,7 +180,9 @@ def _text(out: Path, report: NeuralRigReport) -> str:
     rows += [("best blendshapes", f"{report.linear_mean_mm:.4f}", f"{report.linear_max_mm:.3f}")]
     own = "of the face's own rig"
     of = {"samples": "over time", "rig and clips": f"{own} and of clips"}.get(report.source, own)
-    learned = f"{out}: learned from {report.frames} frames {of}, checked on {report.held_out}; {report.shapes} shapes"
+    between = f", {report.between} between blocks left out" if report.between else ""
+    learned = f"{out}: learned from {report.frames} frames {of}, checked on {report.held_out}{between}"
+    learned += f"; {report.shapes} shapes"
     left = f"no frame moves {', '.join(report.left_out)}" if report.left_out else ""
     return "\n".join(line for line in (learned, table(rows), left) if line)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,10 +51,11 @@ def retarget(arguments: argparse.Namespace) -> int:
     processor = RetargetNeuralRig(options=options_from(arguments, RetargetOptions))
     with progress("retarget", processor.calls) as bar:
         found = processor(rig, subject, frames.points, frames.values, bar.update)
-    report = json.loads(found.report.to_json())
+    told = replace(found.report, between=frames.between)
+    report = json.loads(told.to_json())
     save_neural_rig(found.rig, out, report)
-    warn(found.report.warnings)
-    emit({"path": str(out), **report}, _text(out, found.report), as_json=arguments.json)
+    warn(told.warnings)
+    emit({"path": str(out), **report}, _text(out, told), as_json=arguments.json)
     return 0
 
 
@@ -62,5 +64,6 @@ def _text(out: Path, report: RetargetReport) -> str:
     rows += [("retargeted rig", f"{report.error_mean_mm:.4f}")]
     rows += [("deformation transfer", f"{report.transfer_mean_mm:.4f}")]
     rows += [("copied deltas", f"{report.copy_mean_mm:.4f}")]
-    learned = f"{out}: learned from {report.frames} frames, checked on {report.held_out}; controls {report.controls}"
-    return f"{learned}; {report.shapes} shapes\n{table(rows)}"
+    between = f", {report.between} between blocks left out" if report.between else ""
+    learned = f"{out}: learned from {report.frames} frames, checked on {report.held_out}{between}"
+    return f"{learned}; controls {report.controls}; {report.shapes} shapes\n{table(rows)}"

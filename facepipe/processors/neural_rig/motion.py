@@ -38,6 +38,7 @@ class Motion:
     bones: Rig | None = None  # in millimetres, without shapes; None: nothing is known of joints
     coefficients: FloatArray | None = None  # (f, j, 9) of the bones, translations in millimetres
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
+    between: int = 0  # other frames, left out where clips were cut into blocks
     warnings: tuple[str, ...] = ()  # on what of them was left out
 
     def __post_init__(self) -> None:

@@ -75,6 +75,7 @@ class ReadMotion:
             rest=rest,
             blocks=blocks,
             source="samples",
+            between=len(values) - len(chosen),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ class RecordedClips:
 
     values: FloatArray  # (f, c)
     blocks: IntArray  # (f,)
+    between: int = 0  # other frames, left out where clips were cut into blocks
     warnings: tuple[str, ...] = ()
 
     def after(self, values: FloatArray, blocks: IntArray) -> tuple[FloatArray, IntArray]:
@@ -56,10 +57,11 @@ class ReadClips:
             clips, told = _known(path, read_clips(path), controls)
             warnings += told
             for clip in clips:
-                values, blocks = _frames(clip, controls, self.options).after(found.values, found.blocks)
-                found = RecordedClips(values=values, blocks=blocks)
+                own = _frames(clip, controls, self.options)
+                values, blocks = own.after(found.values, found.blocks)
+                found = RecordedClips(values=values, blocks=blocks, between=found.between + own.between)
         held, beyond = _within(found.values, controls)
-        return RecordedClips(values=held, blocks=found.blocks, warnings=(*warnings, *beyond))
+        return replace(found, values=held, warnings=(*warnings, *beyond))
 
 
 def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tuple[list[Clip], list[str]]:
@@ -89,7 +91,7 @@ def _frames(clip: Clip, controls: Sequence[Control], options: FrameBlocksOptions
     for track in clip.tracks:
         rows[:, places[track.name]] = track.at(codes)
     kept, blocks = frame_blocks(codes, rows, options)
-    return RecordedClips(values=rows[kept], blocks=blocks)
+    return RecordedClips(values=rows[kept], blocks=blocks, between=len(codes) - len(kept))
 
 
 def _within(values: FloatArray, controls: Sequence[Control]) -> tuple[FloatArray, list[str]]:

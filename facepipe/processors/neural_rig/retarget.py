@@ -50,7 +50,7 @@ class RetargetOptions:
         },
     )
     noise: float = field(
-        default=1.0,
+        default=0.05,
         metadata={"help": "noise at first, in deviations of the rig's deformations (network)", "range": (0.0, 100.0)},
     )
     steps: int = field(default=3000, metadata={"help": "most steps (network)", "range": (1, 1e7)})

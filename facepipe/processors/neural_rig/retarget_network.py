@@ -15,10 +15,10 @@ from facepipe.rig.neural_rig import NeuralRig, from_default
 
 FloatArray = npt.NDArray[np.floating]
 
-_INPUTS = 64  # coordinates of a deformation
+_INPUTS = 256  # coordinates of a deformation, at most
 _SMALLEST = 1e-3  # of the largest deviation: less is no coordinate
 _SAMPLES = SampleMotionOptions(spread=4000, sweep=4, together=1000)
-_WIDTH = 128  # of the network's layers
+_WIDTH = 256  # of the network's layers
 _UNITS, _STEPS, _PATIENCE, _SPARSITY = 128, 4000, 1000, 0.05  # of the one layer that stands for it
 
 
@@ -32,7 +32,7 @@ def learned_by_network(
 
     :param values: (f, c) controls of the frames
     :param moved: (f, n, 3) millimetres beyond the carried rig, before bones
-    :param noise: strength at first, in deviations of the coordinates
+    :param noise: strength at first, in the root mean square of the coordinates' deviations
     :param tolerance: millimetres that the shapes may leave, RMS
     :param most: shapes
     """
@@ -41,10 +41,16 @@ def learned_by_network(
     sampled, _ = plan(base.controls, _SAMPLES)
     moves = base.shapes if base.bones is None else skinned_moves(base.bones, base.shapes, base.channels)
     metric = output_metric(moves, base.rest, np.zeros((0, 3), np.int64), 0.0)
-    middle, axes = _coordinates(base.outputs(sampled) @ metric)
+    middle, axes, deviations = _coordinates(base.outputs(sampled) @ metric)
     own, amounts = motion_basis(moved, tolerance, most)
     network = train_deformation_network(
-        (base.outputs(values) @ metric - middle) @ axes, amounts, width=_WIDTH, steps=steps, noise=noise, seed=0
+        (base.outputs(values) @ metric - middle) @ axes,
+        amounts,
+        deviations,
+        width=_WIDTH,
+        steps=steps,
+        noise=noise,
+        seed=0,
     )
     added = network((base.outputs(sampled) @ metric - middle) @ axes)
     both = _with_units(base, own, sampled, added)
@@ -73,10 +79,10 @@ def _with_units(base: NeuralRig, own: FloatArray, values: FloatArray, added: Flo
     )
 
 
-def _coordinates(outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(o,) mean and (o, i) axes that make outputs (f, o) of mean 0 and variance 1."""
+def _coordinates(outputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(o,) mean of outputs (f, o), (o, i) orthonormal axes of most spread, and (i,) deviations along them."""
     middle = outputs.mean(axis=0)
     _, sizes, axes = np.linalg.svd(outputs - middle, full_matrices=False)
     deviations = sizes / np.sqrt(len(outputs))
     kept = int(np.count_nonzero(deviations[:_INPUTS] > _SMALLEST * deviations[0]))
-    return middle, axes[:kept].T / deviations[:kept]
+    return middle, axes[:kept].T, deviations[:kept]

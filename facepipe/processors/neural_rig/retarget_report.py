@@ -28,6 +28,7 @@ class RetargetReport(Report):
 
     frames: int = 0
     held_out: int
+    between: int = 0  # other frames, left out where clips were cut into blocks
     controls: Literal["given", "found"]
     shapes: int = 0
     noise_mm: float = 0.0

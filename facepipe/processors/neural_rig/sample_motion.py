@@ -52,7 +52,11 @@ class SampleMotion:
         if clips is not None:
             values, blocks = clips.after(values, blocks)
         motion = evaluated(parts, where, controls, values, blocks, _Sliders(parts, controls), done)
-        return motion if clips is None else replace(motion, source="rig and clips", warnings=clips.warnings)
+        return (
+            motion
+            if clips is None
+            else replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
+        )
 
 
 def evaluated(

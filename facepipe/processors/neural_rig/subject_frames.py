@@ -24,6 +24,7 @@ class SubjectFrames:
 
     points: FloatArray  # (f, n, 3) millimetres
     values: FloatArray | None  # (f, c); None: nothing tells
+    between: int = 0  # other frames, left out where clips were cut into blocks
 
 
 def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
@@ -37,7 +38,7 @@ def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
     motion = ReadMotion()(path)
     if motion.topology.digest != rig.topology:
         raise TopologyError(path, "other meshes than those of the neural rig, expected its topology")
-    return SubjectFrames(points=motion.points, values=_values(path, motion, rig))
+    return SubjectFrames(points=motion.points, values=_values(path, motion, rig), between=motion.between)
 
 
 def _values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:

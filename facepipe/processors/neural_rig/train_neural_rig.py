@@ -70,6 +70,7 @@ class NeuralRigReport(Report):
 
     frames: int
     held_out: int
+    between: int  # other frames, left out where clips were cut into blocks
     shapes: int
     channels: int  # of bones that move
     steps: int
@@ -185,6 +186,7 @@ def _report(rig: NeuralRig, learned: Motion, checked: Motion, options: TrainNeur
     return NeuralRigReport(
         frames=len(learned.values),
         held_out=len(checked.values),
+        between=learned.between,
         shapes=len(rig.shapes),
         channels=len(rig.channels),
         steps=0,
