@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ class Blending:
         self._path, self._live, self._folder, self._server = path, live, folder, server
         self._versions: list[dict[str, Path]] = []
         self._number = 0
+        self._lock = threading.Lock()  # of versions
         self.entry: Json = {
             "sources": [one.name for one in live.sources],
             "weights": live.rows,
@@ -46,7 +48,8 @@ class Blending:
         if wanted == "points":
             return "application/octet-stream", self._live.points(rows, axes_of(self._live.base))
         if wanted == "face":
-            return "application/json", json.dumps(self._version(rows)).encode()
+            with self._lock:
+                return "application/json", json.dumps(self._version(rows)).encode()
         raise InputError("blend", "expected points or face as wanted")
 
     def _version(self, rows: Json) -> Json:

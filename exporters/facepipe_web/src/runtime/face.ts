@@ -106,6 +106,17 @@ export class Face {
     return this.update();
   }
 
+  /** Values of all sliders as they were set last. */
+  get sliderValues(): Record<string, number> {
+    const values = this.network?.values("sliders");
+    return Object.fromEntries(this.sliders.map((one, i) => [one.name, values![i]]));
+  }
+
+  /** Weights of the shapes that were set. */
+  get shapeValues(): Record<string, number> {
+    return Object.fromEntries(this.shapeWeights);
+  }
+
   /** All sliders at the neutral, all shapes off, no payload. */
   reset(): Promise<void> {
     const sliders = this.network?.values("sliders");

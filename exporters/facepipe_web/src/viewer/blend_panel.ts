@@ -22,7 +22,7 @@ const URL = "blend";
 export class BlendPanel {
   readonly element: HTMLElement;
   private readonly weights: Record<string, number[]>;
-  private readonly command = h("input", { type: "text", readOnly: true, "aria-label": "Command that keeps these weights" });
+  private readonly command = h("textarea", { readOnly: true, rows: 3, spellcheck: false, "aria-label": "Command that keeps these weights" });
   private readonly preview = throttled(30, () => void this.move());
   private busy = false;
   private again = false;

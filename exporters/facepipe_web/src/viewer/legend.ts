@@ -20,7 +20,7 @@ export class Legend {
   distance(end: number, largest: { mm: number; mesh: string }): void {
     const bar = h("div", { class: "bar", style: `background: linear-gradient(to right, ${VIRIDIS.map(css).join(", ")})` });
     const ticks = [0, 0.25, 0.5, 0.75, 1].map((share) => h("span", {}, String(+(share * end).toPrecision(3))));
-    const where = largest.mm ? `largest ${largest.mm.toFixed(2)} mm (${largest.mesh})` : "nothing has moved";
+    const where = largest.mm > 0.005 ? `largest ${largest.mm.toFixed(2)} mm (${largest.mesh})` : "nothing has moved";
     this.element.replaceChildren(
       h("div", {}, "distance from the neutral, mm"),
       bar,

@@ -58,13 +58,14 @@ export class Look {
 
   /** A white surface whose colour is a GLSL expression. */
   private paint(expression: string): MeshStandardMaterial {
-    const material = new MeshStandardMaterial({ roughness: 0.75, side: 2 });
+    const material = new MeshStandardMaterial({ roughness: 0.9, side: 2, toneMapped: false });
     material.customProgramCacheKey = () => expression;
     material.onBeforeCompile = (shader: WebGLProgramParametersWithUniforms) => {
       shader.uniforms.paintRange = this.range;
       shader.uniforms.paintScale = { value: VIRIDIS.map((color) => new Vector3(...linear(color))) };
       shader.vertexShader = `${VERTEX_HEAD}${shader.vertexShader.replace("#include <skinning_vertex>", VERTEX)}`;
-      const body = shader.fragmentShader.replace("#include <color_fragment>", `diffuseColor.rgb = ${expression};`);
+      const colored = `vec3 paint = ${expression}; diffuseColor.rgb = 0.45 * paint; totalEmissiveRadiance = 0.5 * paint;`;
+      const body = shader.fragmentShader.replace("#include <color_fragment>", colored); // half of it lit: still to be read
       shader.fragmentShader = `${FRAGMENT_HEAD}${body}`;
     };
     return material;

@@ -1,4 +1,5 @@
 /** The viewer's page: reads viewer.json, loads its faces and puts the page together. */
+import { FaceError } from "../runtime";
 import { say, sayError } from "./messages";
 import { Page } from "./page";
 import { Picture } from "./scene";
@@ -35,7 +36,7 @@ async function load(entry: FaceEntry): Promise<ViewedFace> {
     return await ViewedFace.load(entry);
   } catch (error) {
     if (!entry.onnx) throw error;
-    sayError(error);
+    say(error instanceof FaceError ? `${entry.label}: ${error.what}` : String(error));
     say(`${entry.label} is shown without its sliders.`);
     return ViewedFace.load({ ...entry, onnx: null });
   }

@@ -24,7 +24,6 @@ export class Page {
   private coloring: Coloring = "material";
   private wireframe = false;
   private showsBones = false;
-  private readonly values = { sliders: {} as Values, shapes: {} as Values };
   private readonly legend = new Legend();
   private readonly divider: Divider;
   private readonly payload: PayloadPanel;
@@ -60,8 +59,9 @@ export class Page {
     this.own = face;
     this.bones = new BonesOverlay(face.face);
     this.bones.group.visible = this.showsBones;
-    await face.face.setSliders(this.values.sliders);
-    await face.face.setShapes(this.values.shapes);
+    await face.face.setSliders(before.face.sliderValues);
+    await face.face.setShapes(before.face.shapeValues);
+    await this.payload.again();
     this.picture.show(face, this.second);
     this.paint();
     this.changed();
@@ -100,7 +100,6 @@ export class Page {
   }
 
   private async slide(values: Values): Promise<void> {
-    Object.assign(this.values.sliders, values);
     const known = new Set(this.other?.face.sliders.map((one) => one.name));
     const shared = Object.entries(values).filter(([name]) => known.has(name));
     await Promise.all([this.own.face.setSliders(values), this.other?.face.setSliders(Object.fromEntries(shared))]).catch(sayError);
@@ -108,7 +107,6 @@ export class Page {
   }
 
   private async shape(weights: Values): Promise<void> {
-    Object.assign(this.values.shapes, weights);
     const known = new Set(this.other?.face.shapes);
     const shared = Object.entries(weights).filter(([name]) => known.has(name));
     await Promise.all([this.own.face.setShapes(weights), this.other?.face.setShapes(Object.fromEntries(shared))]).catch(sayError);

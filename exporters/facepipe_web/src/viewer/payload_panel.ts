@@ -12,6 +12,7 @@ export class PayloadPanel {
   private readonly info = h("p", {}, "Bone coefficients of a server or of facepipe fit-bones; drop a .fpb file here too.");
   private readonly controls = h("div", {});
   private payload: Payload | null = null;
+  private shown = 0; // frame
   private playing = false;
   private row: Row | null = null;
 
@@ -36,6 +37,7 @@ export class PayloadPanel {
       const payload = parsePayload(await file.arrayBuffer(), file.name);
       await this.face().setPayload(payload, 0);
       this.payload = payload;
+      this.shown = 0;
       this.describe(file.name);
       this.changed();
     } catch (error) {
@@ -51,6 +53,11 @@ export class PayloadPanel {
     this.controls.replaceChildren();
     await this.face().setPayload(null);
     this.changed();
+  }
+
+  /** Put it on another face in place of the first. */
+  async again(): Promise<void> {
+    if (this.payload) await this.frame(this.shown);
   }
 
   private describe(name: string): void {
@@ -72,6 +79,7 @@ export class PayloadPanel {
   }
 
   private async frame(number: number): Promise<void> {
+    this.shown = number;
     await this.face().setPayload(this.payload, number).catch(sayError);
     this.changed();
   }

@@ -119,7 +119,7 @@ export class Picture {
     const lamps: [number, number, number, number, number][] = [
       [0xfff1e2, 2.3, -0.6, 0.7, 1.2],
       [0xcfe0ff, 0.8, 1.2, 0.2, 0.6],
-      [0xffffff, 1.2, 0.5, 0.8, -1.2],
+      [0xffffff, 0.5, 0.5, 0.8, -1.2],
     ];
     for (const [color, strength, x, y, z] of lamps) {
       const lamp = new DirectionalLight(color, strength);
