@@ -47,13 +47,14 @@ def _with_relative_sources(parts: FaceParts, folder: Path) -> FaceParts:
     return replace(parts, recipe=replace(parts.recipe, sources=sources))
 
 
-def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stage:
+def author(parts: FaceParts, textures: dict[str, str] | None = None, *, frames_per_second: float = 24.0) -> Usd.Stage:
     """A stage in memory that holds the face as its default prim.
 
     :param textures: asset path by texture name; names themselves where not given
+    :param frames_per_second: time codes in a second, of animations
     """
     require_finite(parts, parts.name)
-    stage = new_stage(parts.meters_per_unit, parts.up_axis)
+    stage = new_stage(parts.meters_per_unit, parts.up_axis, frames_per_second)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
     prim = root.GetPrim()
     stage.SetDefaultPrim(prim)

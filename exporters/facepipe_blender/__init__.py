@@ -1,0 +1,23 @@
+"""facepipe in Blender: faces in USD exports and imports, a one-click export, blends made again.
+
+Blender loads this package as an extension; nothing here needs Blender before `register` is called.
+"""
+
+from __future__ import annotations
+
+
+def register() -> None:
+    """Called by Blender when the add-on is enabled."""
+    import bpy
+
+    bpy.utils.expose_bundled_modules()  # Blender's own USD, before anything imports pxr
+    from .registration import register_all
+
+    register_all()
+
+
+def unregister() -> None:
+    """Called by Blender when the add-on is disabled."""
+    from .registration import unregister_all
+
+    unregister_all()

@@ -1,0 +1,126 @@
+"""The face that objects of Blender make, as parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facepipe.names import identifier, unique_identifiers
+from facepipe.parts import FaceParts, FloatArray, Material, Mesh
+from facepipe.pipeline.edited_face import edited_face, made_face
+from facepipe.pipeline.host_face import recipe_from
+
+from .face_objects import FaceObjects
+from .placement import between_stages, moved_face, moved_mesh, placed_face, snapped
+from .read_armature import joint_paths, read_skeleton
+from .read_mesh import read_mesh
+from .record import MESH, Kept, kept_in
+from .stage_view import StageView
+
+
+class Built(NamedTuple):
+    """A face, and one line for each thing that was left out."""
+
+    parts: FaceParts
+    warnings: tuple[str, ...]
+    neural_rig: tuple[str, ...] = ()  # its link: file, digest, topology
+
+
+def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
+    """The face that exported objects make.
+
+    :param own_units: in the units and up axis that it was imported in, instead of those of the stage
+    :raises InputError: what a face can't hold
+    :raises SchemaError: a damaged record of the imported face
+    """
+    warnings: list[str] = []
+    kept = None if face.record is None else kept_in(face.record)
+    made = _with_materials(_made(face, view, kept, warnings), view, warnings)
+    size = max((float(np.abs(mesh.points).max(initial=0.0)) for mesh in made.meshes), default=1.0)
+    place = view.matrix(face.first)
+    if kept is None:
+        return Built(moved_face(made_face(made), snapped(place, np.eye(4), size)), tuple(warnings))
+    edited = edited_face(kept.parts, made, kept.bones)
+    before = kept.parts
+    if own_units:
+        place = between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
+    home = reference(before)
+    moved = snapped(place, home, size) @ np.linalg.inv(home)
+    parts = placed_face(edited.parts, moved)
+    if not own_units:
+        parts = replace(parts, meters_per_unit=view.unit, up_axis=made.up_axis)
+    parts = replace(parts, recipe=recipe_from(parts.recipe, Path(kept.file).parent, view.folder))
+    return Built(parts, (*warnings, *edited.warnings), kept.neural_rig)
+
+
+def reference(parts: FaceParts) -> FloatArray:
+    """(4, 4) place of the face's first object: of its skeleton, or of its first mesh where there are no joints."""
+    return parts.skeleton.transform if parts.skeleton.joints else parts.meshes[0].transform
+
+
+def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[str]) -> FaceParts:
+    skeleton = read_skeleton(face.armature)
+    place = {joint: i for i, joint in enumerate(skeleton.joints)}
+    joints = {bone: place[path] for bone, path in joint_paths(face.armature).items()} if face.armature else {}
+    names = _mesh_names(face.meshes, kept)
+    first = np.linalg.inv(view.matrix(face.first))
+    meshes = []
+    for obj, name in zip(face.meshes, names, strict=True):
+        mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)
+        meshes.append(_in_its_place(mesh, first @ view.matrix(obj), kept))
+    order = {} if kept is None else {mesh.name: i for i, mesh in enumerate(kept.parts.meshes)}
+    return FaceParts(
+        name=identifier(face.first.name, "Face"),
+        meters_per_unit=view.unit,
+        up_axis="Z" if view.up == "Z" else "Y",
+        meshes=tuple(sorted(meshes, key=lambda mesh: order.get(mesh.name, len(order)))),
+        skeleton=skeleton,
+    )
+
+
+def _mesh_names(meshes: tuple[Any, ...], kept: Kept | None) -> list[str]:
+    """Names of meshes: those they were imported under, each once, and of others their own."""
+    known = {} if kept is None else {mesh.name for mesh in kept.parts.meshes}
+    names: list[str] = []
+    for obj in meshes:
+        own = str(obj.get(MESH, ""))
+        names.append(own if own in known and own not in names else "")
+    taken = [name for name in names if name]
+    others = [obj.name for obj, name in zip(meshes, names, strict=True) if not name]
+    free = iter(unique_identifiers([*taken, *others])[len(taken) :])
+    return [name or next(free) for name in names]
+
+
+def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None) -> Mesh:
+    """The mesh in the space of the face's first object, or in that of its object where it was imported.
+
+    :param place: (4, 4) its object relative to the first
+    """
+    size = float(np.abs(mesh.points).max(initial=1.0))
+    if kept is not None and mesh.name in kept.places:
+        then = kept.places[mesh.name]
+        return moved_mesh(mesh, np.linalg.inv(then) @ snapped(place, then, size))
+    moved = moved_mesh(mesh, snapped(place, np.eye(4), size))
+    if kept is None:
+        return moved
+    home = reference(kept.parts)
+    skin = None if moved.skin is None else replace(moved.skin, geom_bind_transform=home)
+    return replace(moved, transform=home, skin=skin)
+
+
+def _with_materials(parts: FaceParts, view: StageView, warnings: list[str]) -> FaceParts:
+    """The face with a bare material of every name that is on the stage, to be filled with what is there."""
+    used = [mesh.material for mesh in parts.meshes] + [
+        one.material for mesh in parts.meshes for one in mesh.material_faces
+    ]
+    names = [name for name in dict.fromkeys(used) if name and view.material(name) is not None]
+
+    def own(mesh: Mesh) -> Mesh:
+        faces = tuple(one for one in mesh.material_faces if one.material in names)
+        return replace(mesh, material=mesh.material if mesh.material in names else None, material_faces=faces)
+
+    meshes = tuple(own(mesh) for mesh in parts.meshes)
+    return replace(parts, meshes=meshes, materials=tuple(Material(name=name) for name in names))

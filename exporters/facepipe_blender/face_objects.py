@@ -1,0 +1,92 @@
+"""Which objects of a scene make a face."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from facepipe.errors import InputError
+
+from .record import record_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceObjects:
+    """An armature, or None, and the meshes that it moves."""
+
+    armature: Any
+    meshes: tuple[Any, ...]
+
+    @property
+    def first(self) -> Any:
+        """The object whose place is that of the face."""
+        return self.meshes[0] if self.armature is None else self.armature
+
+    @property
+    def record(self) -> Any:
+        """What was kept of the face that was imported; None for a face made here."""
+        found = [record_of(obj) for obj in (self.armature, *self.meshes) if obj is not None]
+        return next((one for one in found if one is not None), None)
+
+    @property
+    def is_face(self) -> bool:
+        """Whether it was a face when imported, or has shape keys."""
+        return self.record is not None or any(_has_shapes(mesh) for mesh in self.meshes)
+
+
+def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
+    """The faces that some objects make, in the order of their names."""
+    groups: dict[Any, list[Any]] = {}
+    for obj in sorted((one for one in objects if one.type == "MESH"), key=lambda one: str(one.name)):
+        armature = armature_of(obj)
+        key = armature or record_of(obj) or obj
+        groups.setdefault(key, []).append(obj)
+    found = [
+        FaceObjects(armature=key if getattr(key, "type", "") == "ARMATURE" else None, meshes=tuple(meshes))
+        for key, meshes in groups.items()
+    ]
+    return tuple(one for one in found if one.is_face)
+
+
+def face_of(obj: Any, objects: Iterable[Any]) -> FaceObjects:
+    """The face that an object belongs to.
+
+    :param obj: what the user has chosen; None for nothing
+    :param objects: those of the scene
+    :raises InputError: no object, or one of no face
+    """
+    if obj is None:
+        raise InputError("facepipe", "no object is active, expected the armature or a mesh of a face")
+    faces = faces_among(objects)
+    for face in faces:
+        if obj in (face.armature, *face.meshes):
+            return face
+    below = [face for face in faces if obj in _ancestors(face.first)]
+    if len(below) == 1:
+        return below[0]
+    if obj.type == "MESH":
+        raise InputError(obj.name, "a mesh without armature and shape keys, expected a face with shape keys")
+    raise InputError(obj.name, "is of no face, expected an armature with a mesh that has shape keys, or such a mesh")
+
+
+def armature_of(obj: Any) -> Any:
+    """The armature that moves a mesh object; None where there is none."""
+    for modifier in obj.modifiers:
+        if modifier.type == "ARMATURE" and modifier.object is not None:
+            return modifier.object
+    parent = obj.parent
+    return parent if parent is not None and parent.type == "ARMATURE" else None
+
+
+def _has_shapes(obj: Any) -> bool:
+    keys = obj.data.shape_keys
+    return keys is not None and len(keys.key_blocks) > 1
+
+
+def _ancestors(obj: Any) -> list[Any]:
+    found = []
+    while obj.parent is not None:
+        obj = obj.parent
+        found.append(obj)
+    return found

@@ -1,0 +1,74 @@
+"""What vertex groups of a mesh are: bones, regions, or helpers of modifiers and shape keys."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facepipe.errors import FacepipeError
+from facepipe.parts import FloatArray
+from facepipe.pipeline.host_face import check_region_name
+
+REGION = "region:"  # before the name of a region, since bones are called `chin` too
+SUBSET = "subset:"  # before the name of a point subset, of boolean point attributes
+
+
+class Groups(NamedTuple):
+    """Weights (n,) of a mesh's vertex groups by what they are for."""
+
+    bones: dict[str, FloatArray]
+    regions: dict[str, FloatArray]
+    others: tuple[str, ...]  # groups that name no region
+
+
+def read_groups(obj: Any, bones: set[str]) -> Groups:
+    """The vertex groups of a mesh object.
+
+    Where some are called ``region:NAME`` these are its regions; where none is, all are that are no bones, hold some
+    weight and serve no modifier or shape key.
+    """
+    weights = _weights(obj)
+    own = {name: values for name, values in weights.items() if name in bones}
+    free = {name: values for name, values in weights.items() if name not in bones}
+    marked = {name: values for name, values in free.items() if name.startswith(REGION)}
+    used = _used(obj)
+    chosen = marked or {name: values for name, values in free.items() if name not in used}
+    regions = {name.removeprefix(REGION): values for name, values in chosen.items() if _names_region(name, values)}
+    others = [name for name in free if name.removeprefix(REGION) not in regions and name not in used]
+    return Groups(own, regions, tuple(others))
+
+
+def write_regions(obj: Any, regions: dict[str, FloatArray]) -> None:
+    """The regions as vertex groups of a mesh object, in place of those it has."""
+    for name in [one.name for one in obj.vertex_groups if one.name.startswith(REGION)]:
+        obj.vertex_groups.remove(obj.vertex_groups[name])
+    for name, mask in regions.items():
+        group = obj.vertex_groups.new(name=REGION + name)
+        values = np.asarray(mask, dtype=np.float64)
+        for value in np.unique(values[values != 0]):
+            group.add(np.flatnonzero(values == value).tolist(), float(value), "REPLACE")
+
+
+def _weights(obj: Any) -> dict[str, FloatArray]:
+    count = len(obj.data.vertices)
+    found = [np.zeros(count) for _ in obj.vertex_groups]
+    for index, vertex in enumerate(obj.data.vertices):
+        for entry in vertex.groups:
+            if entry.group < len(found):
+                found[entry.group][index] = entry.weight
+    return {group.name: values for group, values in zip(obj.vertex_groups, found, strict=True)}
+
+
+def _used(obj: Any) -> set[str]:
+    """Groups that modifiers and shape keys name."""
+    keys = obj.data.shape_keys.key_blocks if obj.data.shape_keys else ()
+    return {str(getattr(one, "vertex_group", "")) for one in (*obj.modifiers, *keys)}
+
+
+def _names_region(name: str, values: FloatArray) -> bool:
+    try:
+        check_region_name(name, name.removeprefix(REGION))
+    except FacepipeError:
+        return False
+    return bool(values.any()) or name.startswith(REGION)

@@ -1,0 +1,52 @@
+"""Blender's USD export and import, with faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from facepipe.errors import FacepipeError
+from facepipe.pipeline.host_face import register_schemas
+
+from .export_stage import export_faces
+from .import_stage import import_faces
+from .messages import tell
+
+
+class FaceHook(bpy.types.USDHook):
+    """Faces of facepipe in USD files. After an error the file is as Blender alone writes or reads it."""
+
+    bl_idname = "facepipe"
+    bl_label = "facepipe"
+    bl_description = "Exports armatures and meshes with shape keys as faces, and imports faces whole"
+
+    failure: FacepipeError | None = None  # of the last export, for operators that export
+
+    @staticmethod
+    def on_export(export_context: Any) -> bool:
+        """Turn what Blender wrote of faces into faces."""
+        scene = export_context.get_depsgraph().scene
+        FaceHook.failure = None
+        if not scene.facepipe_usd:
+            return False
+        try:
+            register_schemas()
+            active = scene.view_layers[0].objects.active
+            tell(export_faces(export_context.get_stage(), scene.objects, active))
+        except FacepipeError as error:
+            FaceHook.failure = error
+            tell([str(error)], error=True)
+            return False
+        return True
+
+    @staticmethod
+    def on_import(import_context: Any) -> bool:
+        """Bring back what Blender drops of faces."""
+        try:
+            register_schemas()
+            tell(import_faces(import_context.get_stage(), import_context.get_prim_map()))
+        except FacepipeError as error:
+            tell([str(error)], error=True)
+            return False
+        return True

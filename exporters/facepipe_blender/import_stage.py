@@ -1,0 +1,113 @@
+"""Faces of a stage that Blender has imported: what Blender dropped of them is brought back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import bpy
+import numpy as np
+from pxr import Usd, UsdSkel
+
+from facepipe.parts import FloatArray, Mesh
+from facepipe.pipeline.host_face import Face, faces_on, neural_rig_of
+
+from .read_armature import bone_matrices
+from .record import MESH, RECORD, Kept, keep
+from .write_mesh import write_mesh
+
+
+class Found(NamedTuple):
+    """The objects that Blender made of a face."""
+
+    armature: Any
+    meshes: dict[str, Any]
+
+
+def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tuple[str, ...]:
+    """Complete the objects of all faces on a stage.
+
+    :param prim_map: prim path -> what Blender made of it
+    :returns: one line for each thing that was left out
+    :raises SchemaError, TopologyError: a face that doesn't follow the stage convention
+    """
+    made = {str(path): list(ids) for path, ids in prim_map.items()}
+    warnings: list[str] = []
+    for face in faces_on(stage):
+        parts = face.parts()  # read whole before anything changes
+        found = _objects(face, made)
+        if not found.meshes:
+            continue
+        missing = [mesh.name for mesh in parts.meshes if mesh.name not in found.meshes]
+        if missing:
+            warnings.append(f"{face.where}: meshes {', '.join(missing[:3])} were not imported")
+        for mesh in parts.meshes:
+            if mesh.name in found.meshes:
+                warnings += _write(found.meshes[mesh.name], mesh)
+        file = Path(stage.GetRootLayer().realPath).as_posix() if stage.GetRootLayer().realPath else ""
+        text = bpy.data.texts.new(f"facepipe {parts.name}")
+        keep(
+            Kept(
+                parts=parts,
+                bones=bone_matrices(found.armature),
+                places=_places(parts.meshes, found),
+                file=file,
+                neural_rig=neural_rig_of(face),
+            ),
+            text,
+        )
+        mark(found, text)
+    return tuple(warnings)
+
+
+def mark(found: Found, text: Any) -> None:
+    """Let the objects of a face point to its record."""
+    for obj in (found.armature, *found.meshes.values()):
+        if obj is not None:
+            obj[RECORD] = text
+    for name, obj in found.meshes.items():
+        obj[MESH] = name
+
+
+def _write(obj: Any, mesh: Mesh) -> list[str]:
+    if len(obj.data.vertices) != len(mesh.points):
+        count = len(obj.data.vertices)
+        return [f"{obj.name}: {count} points in Blender, {len(mesh.points)} in the file: shapes and regions left out"]
+    write_mesh(obj, mesh)
+    return []
+
+
+def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> Found:
+    armature = None
+    for path, ids in made.items():
+        prim = face.stage.GetPrimAtPath(path)
+        if prim and prim.IsA(UsdSkel.Skeleton) and path.startswith(f"{face.prim.GetPath()}/"):
+            armature = _object(ids, "ARMATURE")
+    meshes = {}
+    for mesh in face.meshes:
+        obj = _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH")
+        if obj is not None:
+            meshes[mesh.name] = obj
+    return Found(armature, meshes)
+
+
+def _object(ids: Sequence[Any], kind: str) -> Any:
+    """The object of a kind among what Blender made of a prim, or that holds it."""
+    for one in ids:
+        if getattr(one, "type", None) == kind:
+            return one
+    for one in ids:
+        for obj in bpy.data.objects:
+            if obj.data is not None and obj.data == one and obj.type == kind:
+                return obj
+    return None
+
+
+def _places(meshes: Sequence[Mesh], found: Found) -> dict[str, FloatArray]:
+    """Mesh -> (4, 4) its object relative to the armature, or to the first mesh."""
+    bpy.context.view_layer.update()
+    names = [mesh.name for mesh in meshes if mesh.name in found.meshes]
+    first = found.armature or found.meshes[names[0]]
+    back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
+    return {name: back @ np.array(found.meshes[name].matrix_world, dtype=np.float64) for name in names}

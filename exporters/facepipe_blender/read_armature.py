@@ -1,0 +1,60 @@
+"""An armature of Blender as the skeleton of a face, in the space of the armature."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from facepipe.names import identifier, unique_identifiers
+from facepipe.parts import FloatArray, Skeleton
+
+
+def joint_paths(armature: Any) -> dict[str, str]:
+    """Bone name -> joint path, parents first."""
+    bones = bones_in_tree_order(list(armature.data.bones)) if armature is not None else []
+    paths: dict[str, str] = {}
+    for bone, name in zip(bones, unique_identifiers(bone.name for bone in bones), strict=True):
+        paths[bone.name] = f"{paths[bone.parent.name]}/{name}" if bone.parent else name
+    return paths
+
+
+def bones_in_tree_order(bones: list[Any]) -> list[Any]:
+    """Bones, each after its parent and followed by its children."""
+    result: list[Any] = []
+    stack = [bone for bone in reversed(bones) if bone.parent is None]
+    while stack:
+        bone = stack.pop()
+        result.append(bone)
+        stack += reversed(list(bone.children))
+    return result
+
+
+def bone_matrices(armature: Any) -> dict[str, FloatArray]:
+    """Joint path -> (4, 4) matrix at rest in armature space."""
+    if armature is None:
+        return {}
+    bones = armature.data.bones
+    return {path: np.array(bones[name].matrix_local, dtype=np.float64) for name, path in joint_paths(armature).items()}
+
+
+def read_skeleton(armature: Any) -> Skeleton:
+    """The bones at rest; a skeleton without joints for None."""
+    if armature is None:
+        return Skeleton()
+    matrices = bone_matrices(armature)
+    name = identifier(armature.name, "Skeleton")
+    return skeleton_at_rest(name, tuple(matrices), np.array(list(matrices.values())).reshape(-1, 4, 4))
+
+
+def skeleton_at_rest(name: str, joints: tuple[str, ...], world: FloatArray) -> Skeleton:
+    """The skeleton whose joints rest where they are bound.
+
+    :param world: (j, 4, 4) joint matrices
+    """
+    bare = Skeleton(joints=joints)
+    rest = [
+        np.linalg.solve(world[parent], own) if parent >= 0 else own
+        for parent, own in zip(bare.parents, world, strict=True)
+    ]
+    return Skeleton(name=name, joints=joints, bind_transforms=world, rest_transforms=np.array(rest).reshape(-1, 4, 4))

@@ -1,0 +1,35 @@
+"""What the add-on adds to Blender."""
+
+from __future__ import annotations
+
+import bpy
+
+from facepipe.errors import FacepipeError
+from facepipe.pipeline.host_face import register_schemas
+
+from .hook import FaceHook
+from .messages import FACEPIPE_OT_tell, tell
+
+CLASSES = (FACEPIPE_OT_tell, FaceHook)
+
+
+def register_all() -> None:
+    """Register classes and the scene's property."""
+    try:
+        register_schemas()  # before Blender opens a stage
+    except FacepipeError as error:
+        tell([str(error)], error=True)
+    bpy.types.Scene.facepipe_usd = bpy.props.BoolProperty(
+        name="Faces in USD files",
+        description="Armatures and meshes with shape keys are exported to USD as faces of facepipe",
+        default=True,
+    )
+    for one in CLASSES:
+        bpy.utils.register_class(one)
+
+
+def unregister_all() -> None:
+    """Take back what `register_all` added."""
+    for one in reversed(CLASSES):
+        bpy.utils.unregister_class(one)
+    del bpy.types.Scene.facepipe_usd

@@ -1,0 +1,113 @@
+"""What a host needs of faces: those on a stage, layers of them to put on one, and faces as bytes to keep."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import facepipe_schemas
+from pxr import Sdf, Usd
+
+from facepipe import tokens
+from facepipe.errors import SchemaError
+from facepipe.parts import FaceParts, Material, Recipe
+from facepipe.pipeline.edited_mesh import sculpted
+from facepipe.rig.activation import Curve, curves
+from facepipe.stage import Face, open_face
+from facepipe.stage.author import author
+from facepipe.stage.author_regions import check_region_name
+from facepipe.stage.files import relative_path, save_layer
+from facepipe.stage.neural_rig_link import author_neural_rig_link, read_neural_rig_link
+
+__all__ = [
+    "Curve",
+    "Face",
+    "author_neural_rig",
+    "check_region_name",
+    "curves",
+    "face_from_bytes",
+    "face_layer",
+    "face_to_bytes",
+    "faces_on",
+    "neural_rig_of",
+    "open_face",
+    "recipe_from",
+    "register_schemas",
+    "sculpted",
+]
+
+
+def register_schemas() -> None:
+    """Make the schemas known to the host's USD.
+
+    :raises SchemaError: a USD that was in use before, which takes no more schemas
+    """
+    facepipe_schemas.register()
+    if Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(tokens.FACE_API) is None:
+        raise SchemaError("USD", "was in use before facepipe's schemas were there, expected a restart of the program")
+
+
+def faces_on(stage: Usd.Stage) -> tuple[Face, ...]:
+    """The faces of a stage, the default prim first.
+
+    :raises SchemaError: a face that doesn't follow the stage convention
+    """
+    default = stage.GetDefaultPrim()
+    found = [prim for prim in stage.Traverse() if tokens.FACE_API in prim.GetAppliedSchemas()]
+    return tuple(Face(stage, prim) for prim in sorted(found, key=lambda prim: prim != default))
+
+
+def face_layer(parts: FaceParts, frames_per_second: float = 24.0) -> Sdf.Layer:
+    """A layer in memory with the face as its default prim; textures are named, not written.
+
+    :param frames_per_second: time codes in a second, of animations
+
+    :raises InputError: NaN, or a name that USD can't hold
+    """
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    stage = author(parts, frames_per_second=frames_per_second)  # it keeps its layer alive
+    layer.TransferContent(stage.GetRootLayer())
+    return layer
+
+
+def face_to_bytes(parts: FaceParts) -> bytes:
+    """The face as the bytes of a .usdc file, of materials only the names."""
+    layer = face_layer(replace(parts, materials=tuple(Material(name=one.name) for one in parts.materials)))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "face.usdc"
+        save_layer(layer, file)
+        return file.read_bytes()
+
+
+def face_from_bytes(data: bytes) -> FaceParts:
+    """The face that `face_to_bytes` made bytes of.
+
+    :raises InputError, SchemaError: other bytes
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "face.usdc"
+        file.write_bytes(data)
+        return open_face(file).parts()
+
+
+def recipe_from(recipe: Recipe | None, old: Path, new: Path) -> Recipe | None:
+    """The recipe with its sources as seen from the folder `new` instead of `old`, where they are files."""
+    if recipe is None:
+        return None
+    sources = [relative_path(str(old / one), new) if (old / one).exists() else one for one in recipe.sources]
+    return replace(recipe, sources=tuple(sources))
+
+
+def neural_rig_of(face: Face) -> tuple[str, ...]:
+    """File (absolute where it is there), digest and topology of the neural rig of a face; empty for none."""
+    link = read_neural_rig_link(face.prim)
+    return () if link is None else (str(link.path or link.file), link.digest, link.topology)
+
+
+def author_neural_rig(layer: Sdf.Layer, path: Sdf.Path, link: tuple[str, ...], folder: Path) -> None:
+    """Put the link of `neural_rig_of` on a face prim of a layer that is to be saved in `folder`."""
+    if link:
+        stage = Usd.Stage.Open(layer)
+        file = relative_path(link[0], folder) if Path(link[0]).is_file() else link[0]
+        author_neural_rig_link(stage.GetPrimAtPath(path), file, *link[1:])

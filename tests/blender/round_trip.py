@@ -1,0 +1,27 @@
+"""A face imported, shown with some shapes, edited or not, and exported: FACE OUT WEIGHTS EDIT ANSWER."""
+
+from session import ARGUMENTS, answer, bpy, np, world_points
+
+face, out, weights, edit = ARGUMENTS[:4]
+bpy.ops.wm.usd_import(filepath=face)
+meshes = {one.name: one for one in bpy.data.objects if one.type == "MESH"}
+for obj in meshes.values():
+    for name, weight in weights.items():
+        keys = obj.data.shape_keys
+        if keys and name in keys.key_blocks:
+            keys.key_blocks[name].value = weight
+shown = {f"shown {name}": world_points(obj) for name, obj in meshes.items()}
+if edit:
+    head = meshes["Head"]
+    head.data.shape_keys.key_blocks["jawOpen"].data[7].co.z += 0.5
+    head.vertex_groups["region:mouth"].add([3], 1.0, "REPLACE")
+    head.vertex_groups["region:neck"].add([3], 1.0, "REPLACE")
+    meshes["TeethUpper"].location.z += 0.25
+answer(
+    **shown,
+    **{
+        f"keys {name}": np.array([*obj.data.shape_keys.key_blocks.keys()] if obj.data.shape_keys else [])
+        for name, obj in meshes.items()
+    },
+)
+bpy.ops.wm.usd_export(filepath=out)

@@ -1,0 +1,171 @@
+"""Faces through Blender: what comes back is what went in, with its edits; what is made there is whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from blender_python import blender, needs_blender, run_blender
+from import_data import shared
+
+import facepipe
+from facepipe.importers import load
+from facepipe.parts import FaceParts, Mesh
+from facepipe.sample import make
+from facepipe.stage import save_parts
+from facepipe.stage.differences import same
+from facepipe.validate import validate
+
+pytestmark = [pytest.mark.slow, needs_blender]
+
+NEAR = 1e-6  # of the head height; of weights 1e-6 itself
+
+
+def check_same(before: FaceParts, after: FaceParts, height: float) -> None:
+    """Points, shapes, inbetweens, weights, regions within 1e-6, and all else that a face holds but materials."""
+    assert [mesh.name for mesh in before.meshes] == [mesh.name for mesh in after.meshes]
+    for old, new in zip(before.meshes, after.meshes, strict=True):
+        np.testing.assert_allclose(new.points, old.points, rtol=0, atol=NEAR * height)
+        assert dense(old).keys() == dense(new).keys()
+        for name, offsets in dense(old).items():
+            np.testing.assert_allclose(dense(new)[name], offsets, rtol=0, atol=NEAR * height, err_msg=name)
+        assert old.regions.keys() == new.regions.keys()
+        for name, mask in old.regions.items():
+            np.testing.assert_allclose(new.regions[name], mask, rtol=0, atol=NEAR)
+        assert old.skin is not None
+        assert new.skin is not None
+        np.testing.assert_allclose(
+            table(new, len(after.skeleton.joints)), table(old, len(before.skeleton.joints)), atol=NEAR
+        )
+    bare = [replace(parts, materials=(), recipe=None) for parts in (before, after)]
+    assert same(*bare)
+    assert {one.name for one in before.materials} == {one.name for one in after.materials}
+
+
+def dense(mesh: Mesh) -> dict[str, np.ndarray]:
+    """Offsets and normal offsets of every point, by shape and inbetween with its weight."""
+    found = {}
+    for shape in mesh.blendshapes:
+        for key, one in (
+            (shape.name, shape),
+            *((f"{shape.name} {one.name} {one.weight:g}", one) for one in shape.inbetweens),
+        ):
+            for kind, values in (("offsets", one.offsets), ("normals", one.normal_offsets)):
+                if values is not None:
+                    found[f"{key} {kind}"] = np.zeros((len(mesh.points), 3))
+                    found[f"{key} {kind}"][shape.point_indices] = values
+    return found
+
+
+def table(mesh: Mesh, joints: int) -> np.ndarray:
+    """(n, joints) weights."""
+    assert mesh.skin is not None
+    result = np.zeros((len(mesh.points), joints))
+    np.add.at(result, (np.arange(len(mesh.points))[:, None], mesh.skin.joint_indices), mesh.skin.joint_weights)
+    return result
+
+
+def in_blender(points: np.ndarray, parts: FaceParts) -> np.ndarray:
+    """Points of a face as Blender shows them: metres, Z up."""
+    turned = points if parts.up_axis == "Z" else points[:, [0, 2, 1]] * (1, -1, 1)
+    return np.asarray(turned * parts.meters_per_unit)
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample face."""
+    path = tmp_path_factory.mktemp("sample") / "face.usda"
+    save_parts(make(), path)
+    return path
+
+
+def test_sample_comes_back(sample: Path, tmp_path: Path) -> None:
+    weights = {"jawOpen": 0.6, "mouthSmileLeft": 0.3}
+    found, said = blender("round_trip.py", sample, tmp_path / "out.usda", weights, False, answer=tmp_path / "a.npz")
+    before, after = facepipe.open(sample), facepipe.open(tmp_path / "out.usda")
+    check_same(before.parts(), after.parts(), before.head_height)
+    assert "left out" not in said
+    assert same(before.parts().recipe, after.parts().recipe)
+    assert validate(tmp_path / "out.usda") == ()
+    # Blender itself shows shapes and inbetweens, whose drivers run there, as USD means them
+    posed = before.split(before.evaluate(weights))
+    for mesh in before.meshes:
+        error = np.abs(found[f"shown {mesh.name}"] - in_blender(posed[mesh.name], before.parts())).max()
+        assert error < 1e-5 * before.head_height * before.meters_per_unit
+
+
+def test_edits_come_back_and_nothing_else(sample: Path, tmp_path: Path) -> None:
+    _, said = blender("round_trip.py", sample, tmp_path / "out.usdc", {}, True, answer=tmp_path / "a.npz")
+    before, after = facepipe.open(sample).parts(), facepipe.open(tmp_path / "out.usdc").parts()
+    assert validate(tmp_path / "out.usdc") == ()
+    assert after.recipe is None
+    assert "recipe of 'sample' left out" in said
+    head, edited = before.meshes[0], after.meshes[0]
+    moved = dense(edited)["jawOpen offsets"] - dense(head)["jawOpen offsets"]
+    np.testing.assert_allclose(moved[7], (0, 0, 0.5), atol=1e-5)
+    assert not np.delete(moved, 7, axis=0).any()
+    assert all(
+        same(*pair) for pair in zip(head.blendshapes, edited.blendshapes, strict=True) if pair[0].name != "jawOpen"
+    )
+    assert edited.regions["mouth"][3] == edited.regions["neck"][3] == 0.5 or head.regions["mouth"][3] == 0
+    rest = np.arange(len(head.points)) != 3
+    for name, mask in head.regions.items():
+        np.testing.assert_allclose(edited.regions[name][rest], mask[rest], atol=NEAR)
+    teeth = [next(mesh for mesh in parts.meshes if mesh.name == "TeethUpper") for parts in (before, after)]
+    np.testing.assert_allclose(
+        teeth[1].points - teeth[0].points, np.tile((0, 0, 0.25), (len(teeth[0].points), 1)), atol=1e-5
+    )
+    assert same(before.sliders, after.sliders)
+    assert same(head.landmarks, edited.landmarks)
+
+
+def test_makehuman_comes_back(tmp_path: Path) -> None:
+    source = shared("makehuman/makehuman_head.npz")
+    save_parts(load("makehuman", source).parts, tmp_path / "face.usdc")
+    blender("round_trip.py", tmp_path / "face.usdc", tmp_path / "out.usdc", {}, False, answer=tmp_path / "a.npz")
+    before, after = facepipe.open(tmp_path / "face.usdc"), facepipe.open(tmp_path / "out.usdc")
+    check_same(before.parts(), after.parts(), before.head_height)
+    assert validate(tmp_path / "out.usdc") == ()
+
+
+UNITS: Sequence[tuple[dict[str, object], str, float]] = (
+    ({}, "Z", 1.0),
+    ({"convert_orientation": True, "convert_scene_units": "CENTIMETERS"}, "Y", 0.01),
+    ({"merge_parent_xform": True, "author_blender_name": False}, "Z", 1.0),
+)
+
+
+@pytest.mark.parametrize(("options", "up", "unit"), UNITS)
+def test_a_face_made_in_blender(tmp_path: Path, options: dict[str, object], up: str, unit: float) -> None:
+    found, said = blender("made_face.py", tmp_path / "out.usda", options, answer=tmp_path / "a.npz")
+    assert validate(tmp_path / "out.usda") == (), said
+    face = facepipe.open(tmp_path / "out.usda")
+    assert (face.up_axis, face.meters_per_unit) == (up, pytest.approx(unit))
+    assert face.skeleton.joints == ("root", "root/jaw_L")
+    (mesh,) = face.meshes
+    assert {*mesh.regions} == {"mouth", "chin"}
+    np.testing.assert_allclose(sum(mesh.regions.values()), 1.0, atol=1e-6)
+    assert "unused" in said
+    smile, wide = mesh.blendshapes
+    assert [(one.name, one.weight) for one in smile.inbetweens] == [("half", 0.5)]
+    assert smile.normal_offsets is not None
+    assert wide.normal_offsets is not None
+    # Blender's own deformation is the oracle: shapes, pose, and the places of its objects
+    to_stage = np.diag([1 / unit] * 3) @ (np.eye(3) if up == "Z" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    move = np.eye(4)
+    move[:3, :3] = to_stage
+    worlds = move @ found["pose"] @ np.linalg.inv(move @ found["rest"]) @ face.skeleton.bind_transforms
+    local = np.array([np.linalg.inv(face.skeleton.transform) @ worlds[0], np.linalg.inv(worlds[0]) @ worlds[1]])
+    posed = face.evaluate({"smile": 1.0, "wide": 0.25}, joint_transforms=local)
+    assert np.abs(posed - found["shown"] @ to_stage.T).max() < 1e-5 * face.head_height
+
+
+def test_blender_alone_where_a_face_can_not_be_written(tmp_path: Path) -> None:
+    done = run_blender("bad_faces.py", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("facepipe: ")]
+    assert any("Head: its object mirrors or flattens it" in line for line in lines)
+    assert any("expected one scale" in line for line in lines)
