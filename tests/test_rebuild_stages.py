@@ -178,3 +178,26 @@ def test_inputs_are_not_overwritten(files: Files, capsys: pytest.CaptureFixture[
             changed[changed.index("-o") + 1] = files[target]
             assert run(capsys, *changed)[0] == 2
     assert {path: path.read_bytes() for path in files.folder.iterdir()} == before
+
+
+def test_stages_are_cooked_to_the_bytes_of_their_commands(
+    files: Files, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One scan changes: its expression and the actor do, the other expression and the person do not."""
+    monkeypatch.chdir(files.folder)
+    assert run(capsys, *files.split())[0] == 0
+    before = {path.name: path.read_bytes() for path in files.folder.iterdir()}
+    code, out, _ = run(capsys, "cook", "actor.usda", "--force")
+    assert (code, out.count(": cooked")) == (0, 4)
+    assert {path.name: path.read_bytes() for path in files.folder.iterdir()} == before
+    expression_domes.put(files["open.ply"], {"jawOpen": 0.6})
+    code, out, _ = run(capsys, "cook", "actor.usda")
+    done = {line.split(":")[0]: line.split(": ")[2].split(" ")[0] for line in out.splitlines()[:4]}
+    assert (code, done) == (
+        0,
+        {"personal.usda": "up", "open.usda": "cooked", "both.usda": "up", "actor.usda": "cooked"},
+    )
+    cooked = {path.name: path.read_bytes() for path in files.folder.iterdir()}
+    assert run(capsys, *files.register("open", "--force"))[0] == 0
+    assert run(capsys, *files.split("--force"))[0] == 0
+    assert {path.name: path.read_bytes() for path in files.folder.iterdir()} == cooked

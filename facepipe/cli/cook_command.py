@@ -9,8 +9,7 @@ depends on it up to date. Killed at any moment, it is just begun again.
 What was edited by hand in a result is lost when that is cooked. Own edits go into a layer above it, which cook never
 writes: only files with recipes are.
 
-Exit code 1: done, but a threshold was missed, a file can't be made again from its recipe, --dry-run found something to
-cook, or --validate found errors.
+Exit code 1: done, but a threshold was missed, --dry-run found something to cook, or --validate found errors.
 
 examples:
   facepipe cook shot.usda
@@ -79,4 +78,4 @@ def _summary(report: CookReport) -> str:
     return f"{len(report.nodes)} file(s) with recipes{f': {told}' if told else ''}"
 
 
-_ACTIONS = {"cooked": "cooked", "stale": "to be cooked", "left": "left as they are", "up to date": "up to date"}
+_ACTIONS = {"cooked": "cooked", "stale": "to be cooked", "up to date": "up to date"}

@@ -23,24 +23,22 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from facepipe.atomic import replacing
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
-from facepipe.cli.scan_input import landmark_file, landmarks_of, named
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
+from facepipe.pipeline.scan_input import landmark_file
 
 if TYPE_CHECKING:
+    from facepipe.pipeline.fit_neutral import NeutralJob
+    from facepipe.pipeline.rebuild_stage import Made
     from facepipe.processors.rebuild import NeutralFit, Template
     from facepipe.processors.rebuild.fit_neutral import NeutralReport
     from facepipe.scans import Scan
-    from facepipe.stage import Face
-
-_STEPS = 18  # of a fit, at most
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -63,29 +61,27 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, author, report."""
-    from facepipe.importers.scan_file import read_scan
-    from facepipe.processors.database import QualityLimits, load_database, misses
-    from facepipe.processors.rebuild import FitNeutral, FitNeutralOptions, Template
-    from facepipe.stage import open_face
+    from facepipe.pipeline.fit_neutral import NeutralJob
+    from facepipe.processors.rebuild import FitNeutralOptions
 
     file = landmark_file(arguments.scan, arguments.landmarks)
     weights = pairs(arguments.weights or [], "--weights")
     inputs = [arguments.scan, arguments.template, arguments.database, *([file] if file else [])]
     out = output_of(arguments, inputs)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
-    fit_neutral = FitNeutral(options=options_from(arguments, FitNeutralOptions))
-    face = open_face(arguments.template)
-    template = Template.of(face.parts(), str(arguments.template))
-    database, scan = load_database(arguments.database), read_scan(arguments.scan)
-    landmarks, found = landmarks_of(file, scan)
-    with named(arguments.scan), progress("fit", _STEPS) as bar:
-        fit = fit_neutral(template, scan, landmarks, database, lambda step: bar.update(), weights)
-    authored = _author(_Request(arguments, file, weights, out, picture), face, template, scan, fit)
-    report = fit.report
-    missed = misses(report.quality, QualityLimits())
-    warnings = [*found, *report.warnings, *authored, *missed]
-    warn(warnings)
-    result = {"path": str(out), **json.loads(report.to_json()), "warnings": warnings, "missed": list(missed)}
+    job = NeutralJob(
+        scan=arguments.scan,
+        template=arguments.template,
+        database=arguments.database,
+        landmarks=file,
+        out=out,
+        weights=weights,
+        options=options_from(arguments, FitNeutralOptions),
+        flatten=arguments.flatten,
+    )
+    report, missed = _make(job, picture)
+    warn(report.warnings)
+    result = {"path": str(out), **json.loads(report.to_json()), "missed": list(missed)}
     lines = [_text(out, report)]
     if picture is not None:
         result["picture"] = str(picture)
@@ -94,44 +90,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if missed else 0
 
 
-class _Request(NamedTuple):
-    """What was asked for, checked."""
+def _make(job: NeutralJob, picture: Path | None) -> Made[NeutralReport]:
+    """Write the stage and the picture, or neither."""
+    from facepipe.pipeline.fit_neutral import make
 
-    arguments: argparse.Namespace
-    landmarks: Path | None
-    weights: Mapping[str, float]
-    out: Path
-    picture: Path | None
-
-
-def _author(request: _Request, face: Face, template: Template, scan: Scan, fit: NeutralFit) -> tuple[str, ...]:
-    """Write the stage and the picture, or neither; what there is to say of it."""
-    from facepipe.processors.rebuild import FitNeutralOptions
-    from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-    from facepipe.processors.rebuild.neutral_recipe import neutral_recipe
-
-    given = request.arguments
-    options = options_from(given, FitNeutralOptions)
-    recipe = neutral_recipe(
-        given.template,
-        given.scan,
-        given.database,
-        request.out,
-        options,
-        fit.report.quality,
-        request.landmarks,
-        request.weights,
-        fit.report.weights,
-    )
     with ExitStack() as files:
-        picture = None if request.picture is None else files.enter_context(replacing(request.picture))
-        derived = files.enter_context(face.deriving(request.out, flatten=given.flatten))
-        with named(given.template):
-            report = AuthorNeutral()(derived, fit.points, recipe=recipe)
-        if picture is not None:
-            neutral = fit.points if fit.report.weights else None
-            draw_fit(picture, template, fit.points + fit.expression, scan, fit.place, neutral)
-    return report.warnings
+        image = None if picture is None else files.enter_context(replacing(picture))
+
+        def seen(template: Template, scan: Scan, fit: NeutralFit) -> None:
+            if image is not None:
+                neutral = fit.points if fit.report.weights else None
+                draw_fit(image, template, fit.points + fit.expression, scan, fit.place, neutral)
+
+        return make(job, progress, seen)
 
 
 def _text(out: Path, report: NeutralReport) -> str:

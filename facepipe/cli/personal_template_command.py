@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.scan_input import named
 from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
@@ -41,26 +40,20 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, carry over, author, report."""
-    from facepipe.processors.database import load_database
-    from facepipe.processors.rebuild import PersonalTemplate, PersonalTemplateOptions, Template
-    from facepipe.processors.rebuild.author_personal import AuthorPersonal, personal_recipe
-    from facepipe.stage import open_face
+    from facepipe.pipeline.personal_template import PersonalJob, make
+    from facepipe.processors.rebuild import PersonalTemplateOptions
 
     inputs = [arguments.neutral, arguments.template, *([arguments.database] if arguments.database else [])]
     out = output_of(arguments, inputs)
-    options = options_from(arguments, PersonalTemplateOptions)
-    face = open_face(arguments.neutral)
-    template = Template.of(open_face(arguments.template).parts(), str(arguments.template))
-    database = None if arguments.database is None else load_database(arguments.database)
-    author = AuthorPersonal(template=template, make=PersonalTemplate(options=options), database=database)
-    before, files = face.parts().recipe, (arguments.neutral, arguments.template, arguments.database)
-    recipe = personal_recipe(before, *files, out=out, options=options)
-    with (
-        face.deriving(out, flatten=arguments.flatten) as derived,
-        named(arguments.neutral),
-        progress("shapes", author.count) as bar,
-    ):
-        report = author(derived, recipe=recipe, done=bar.update)
+    job = PersonalJob(
+        neutral=arguments.neutral,
+        template=arguments.template,
+        database=arguments.database,
+        out=out,
+        options=options_from(arguments, PersonalTemplateOptions),
+        flatten=arguments.flatten,
+    )
+    report = make(job, progress)
     warn(report.warnings)
     result = {"path": str(out), **json.loads(report.to_json())}
     emit(result, _text(out, report), as_json=arguments.json)

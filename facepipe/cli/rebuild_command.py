@@ -47,9 +47,9 @@ from facepipe.cli.rebuild_report import RebuildPictures, check_folder, refined_l
 from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
-    from facepipe.parts import FaceParts
-    from facepipe.processors.rebuild import Project, Readers, Rebuilt
-    from facepipe.scans import Scan, ScanLandmarks
+    from facepipe.pipeline.rebuild import Actor, RebuildReport
+    from facepipe.processors.rebuild import Project
+
 
 _SHOWN = 10  # shapes that the text names
 
@@ -67,13 +67,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, rebuild, author, report."""
-    from facepipe.processors.database import QualityLimits, misses
-    from facepipe.processors.rebuild import Rebuild, Template, read_project
-    from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-    from facepipe.processors.rebuild.rebuild import stage_count
-    from facepipe.processors.rebuild.rebuild_recipe import rebuild_recipe
+    from facepipe.processors.rebuild import read_project
     from facepipe.processors.rebuild.work_folder import CORRECTIONS
-    from facepipe.stage import open_face
 
     project = read_project(arguments.project)
     project = replace(project, joint=project.joint or arguments.joint)
@@ -81,28 +76,30 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.report is not None:
         taken = [*_inputs(project), out, project.work, project.work / CORRECTIONS]
         check_folder(arguments.report, force=arguments.force, taken=taken)
-    face = open_face(project.template)
-    template = Template.of(face.parts(), str(project.template))
-    with progress("rebuild", stage_count(project)) as bar:
+    report, result = _make(project, out, arguments)
+    warn(report.warnings)
+    emit(result, _text(out, report, arguments.report), as_json=arguments.json)
+    return 1 if report.missed else 0
 
-        def said(name: str) -> None:
-            bar.set_postfix_str(name)
-            bar.update()
 
-        rebuilt = Rebuild(project, template, _readers(), said)()
-    recipe, missed = rebuild_recipe(project, out, rebuilt.quality), misses(rebuilt.quality, QualityLimits())
-    with ExitStack() as files:  # the stage and its report, or none of them
+def _make(project: Project, out: Path, arguments: argparse.Namespace) -> tuple[RebuildReport, dict[str, Any]]:
+    """Write the stage and its report, or none of them; what to print as JSON."""
+    from facepipe.pipeline.rebuild import make
+
+    def result(report: RebuildReport) -> dict[str, Any]:
+        found = {"path": str(out), **json.loads(report.to_json())}
+        return found if arguments.report is None else {**found, "report": str(arguments.report)}
+
+    with ExitStack() as files:
         folder = None if arguments.report is None else files.enter_context(replacing_folder(arguments.report))
-        derived = files.enter_context(face.deriving(out, flatten=arguments.flatten))
-        authored = AuthorNeutral(shapes=rebuilt.shapes)(derived, rebuilt.neutral, recipe=recipe)
-        warnings = [*rebuilt.warnings, *authored.warnings, *missed]
-        result = _result(out, rebuilt, warnings, missed)
-        if folder is not None:
-            result["report"] = str(arguments.report)
-            _draw(folder, RebuildPictures(project=project, template=template, rebuilt=rebuilt), result)
-    warn(warnings)
-    emit(result, _text(out, rebuilt, arguments.report), as_json=arguments.json)
-    return 1 if missed else 0
+
+        def seen(actor: Actor) -> None:
+            if folder is not None:
+                pictures = RebuildPictures(project=project, template=actor.template, rebuilt=actor.rebuilt)
+                _draw(folder, pictures, result(actor.report))
+
+        report = make(project, out, progress, flatten=arguments.flatten, seen=seen)
+    return report, result(report)
 
 
 def _draw(folder: Path, pictures: RebuildPictures, result: dict[str, Any]) -> None:
@@ -117,53 +114,11 @@ def _inputs(project: Project) -> list[Path]:
     return files
 
 
-def _readers() -> Readers:
-    from facepipe.importers.scan_file import read_scan
-    from facepipe.importers.scan_landmarks import read_scan_landmarks
-    from facepipe.processors.rebuild import Readers
-
-    return Readers(scan=read_scan, landmarks=read_scan_landmarks, find_landmarks=_found, face=_face)
-
-
-def _found(scan: Scan) -> ScanLandmarks:
-    from facepipe.processors.scan_landmarks import FindScanLandmarks
-    from facepipe.render.surface_view import draw_surface
-
-    return FindScanLandmarks(draw=draw_surface)(scan).landmarks
-
-
-def _face(path: Path) -> FaceParts:
-    """A corrected mesh; OBJ files are in millimetres, Y up, as the meshes of the work folder are."""
-    from facepipe.importers import load, obj
-    from facepipe.stage import open_face
-
-    suffix = path.suffix.lower()
-    if suffix == ".obj":
-        return load("obj", path, obj.Options(meters_per_unit=0.001, up_axis="Y")).parts
-    if suffix in (".glb", ".gltf"):
-        return load("gltf", path).parts
-    return open_face(path).parts()
-
-
-def _result(out: Path, rebuilt: Rebuilt, warnings: list[str], missed: tuple[str, ...]) -> dict[str, Any]:
-    import dataclasses
-
-    return {
-        "path": str(out),
-        "stages": json.loads(json.dumps(rebuilt.reports)),
-        "quality": dataclasses.asdict(rebuilt.quality),
-        "reused": list(rebuilt.reused),
-        "corrected": list(rebuilt.corrected),
-        "missed": list(missed),
-        "warnings": warnings,
-    }
-
-
-def _text(out: Path, rebuilt: Rebuilt, report_folder: Path | None) -> str:
+def _text(out: Path, report: RebuildReport, report_folder: Path | None) -> str:
     rows: list[tuple[str, ...]] = [("scan", "mean mm", "p95 mm", "face seen", "landmarks mm")]
-    for name, report in rebuilt.reports.items():
-        if "fit" in report:
-            fit = report["fit"]
+    for name, stage in report.stages.items():
+        if "fit" in stage:
+            fit = stage["fit"]
             numbers = (
                 f"{fit['surface_mean_mm']:.3f}",
                 f"{fit['surface_p95_mm']:.3f}",
@@ -171,10 +126,10 @@ def _text(out: Path, rebuilt: Rebuilt, report_folder: Path | None) -> str:
             )
             rows.append((name.removeprefix("expressions/"), *numbers, f"{fit['landmark_mean_mm']:.2f}"))
     lines = [str(out), table(rows)]
-    if "refined" in rebuilt.reports:
-        lines.append(refined_line(rebuilt.reports["refined"]))
-    if "shapes" in rebuilt.reports:
-        shapes, unseen = rebuilt.reports["shapes"]["shapes"], rebuilt.reports["shapes"]["unseen"]
+    if "refined" in report.stages:
+        lines.append(refined_line(report.stages["refined"]))
+    if "shapes" in report.stages:
+        shapes, unseen = report.stages["shapes"]["shapes"], report.stages["shapes"]["unseen"]
         lines.append(
             f"{len(shapes) - len(unseen)} of {len(shapes)} shapes told by the scans, the others the template's"
         )
@@ -185,10 +140,10 @@ def _text(out: Path, rebuilt: Rebuilt, report_folder: Path | None) -> str:
             for name, one in ((name, shapes[name]) for name in told)
         ]
         lines += [table([heads, *body])] if body else []
-    if rebuilt.reused:
-        lines.append(f"reused: {', '.join(rebuilt.reused)}")
-    if rebuilt.corrected:
-        lines.append(f"corrected by hand: {', '.join(rebuilt.corrected)}")
+    if report.reused:
+        lines.append(f"reused: {', '.join(report.reused)}")
+    if report.corrected:
+        lines.append(f"corrected by hand: {', '.join(report.corrected)}")
     if report_folder is not None:
         lines.append(str(report_folder))
     return "\n".join(lines)

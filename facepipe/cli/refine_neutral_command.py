@@ -22,24 +22,20 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from facepipe.atomic import replacing
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
-from facepipe.cli.scan_input import landmark_file, landmarks_of, named
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
+from facepipe.pipeline.scan_input import landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.parts import FaceParts, FloatArray, Recipe
-    from facepipe.processors.rebuild import RefinedNeutral, RefineReport, Template
-    from facepipe.scans import Scan
-    from facepipe.stage import Face
-
-_STEPS = 16  # of a refinement, at most
+    from facepipe.pipeline.rebuild_stage import Made
+    from facepipe.pipeline.refine_neutral import Refined, RefineJob
+    from facepipe.processors.rebuild import RefineReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -62,95 +58,54 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, refine, author, report."""
-    from facepipe.importers.scan_file import read_scan
-    from facepipe.processors.rebuild import RefineNeutral, RefineNeutralOptions, Template
-    from facepipe.processors.rebuild.neutral_recipe import flipped_before, refined_recipe, shown_before
-    from facepipe.processors.rebuild.region_weights import region_weights
-    from facepipe.stage import open_face
+    from facepipe.pipeline.refine_neutral import RefineJob
+    from facepipe.processors.rebuild import RefineNeutralOptions
 
     file = landmark_file(arguments.scan, arguments.landmarks)
     inputs = [arguments.neutral, arguments.scan, *([file] if file else [])]
     out = output_of(arguments, inputs)
     picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
-    refine = RefineNeutral(options=options_from(arguments, RefineNeutralOptions))
-    face = open_face(arguments.neutral)
-    parts = face.parts()
-    weights = region_weights(parts, arguments.region, str(arguments.neutral))
-    template = Template.of(parts, str(arguments.neutral))
-    scan = read_scan(arguments.scan)
-    landmarks, told = landmarks_of(file, scan)
-    shown = pairs(arguments.weights, "--weights") if arguments.weights else shown_before(parts.recipe)
-    expression, shown = _expression(parts, arguments.neutral, shown)
-    with named(arguments.scan), progress("refine", _STEPS) as bar:
-        found = refine(
-            template,
-            template.points,
-            scan,
-            landmarks,
-            weights=weights,
-            expression=expression,
-            flipped=flipped_before(parts.recipe),
-            progress=lambda step: bar.update(),
-        )
-    files = (arguments.neutral, arguments.scan, file)
-    recipe = refined_recipe(*files, out, arguments.region, refine.options, found.report.quality, shown)
-    request = _Request(arguments, out, picture, expression)
-    authored = _author(request, face, template, scan, found, recipe)
-    return _tell(request, found.report, (*told, *found.report.warnings, *authored))
+    job = RefineJob(
+        neutral=arguments.neutral,
+        scan=arguments.scan,
+        landmarks=file,
+        out=out,
+        regions=tuple(arguments.region),
+        weights=pairs(arguments.weights or [], "--weights"),
+        options=options_from(arguments, RefineNeutralOptions),
+        flatten=arguments.flatten,
+    )
+    made = _make(job, picture)
+    return _tell(made, job, picture, as_json=arguments.json)
 
 
-class _Request(NamedTuple):
-    """What was asked for, checked."""
+def _make(job: RefineJob, picture: Path | None) -> Made[RefineReport]:
+    """Write the stage and the picture, or neither."""
+    from facepipe.pipeline.refine_neutral import make
 
-    arguments: argparse.Namespace
-    out: Path
-    picture: Path | None
-    expression: FloatArray
-
-
-def _expression(parts: FaceParts, neutral: Path, shown: Mapping[str, float]) -> tuple[FloatArray, dict[str, float]]:
-    """(n, 3) whole delta of what the scan shows besides, and its weights by the names of the face's shapes."""
-    from facepipe.processors.database import whole_face
-    from facepipe.processors.rebuild import resolved
-    from facepipe.processors.rebuild.shown_shapes import ShownShapes
-
-    own = whole_face(parts, str(neutral))
-    weights = resolved(shown, tuple(own.deltas), f"{neutral} -> --weights") if shown else {}
-    return ShownShapes(deltas=own.deltas, weights=weights).expression(weights, len(own.points)), weights
-
-
-def _author(
-    request: _Request, face: Face, template: Template, scan: Scan, found: RefinedNeutral, recipe: Recipe
-) -> tuple[str, ...]:
-    """Write the stage and the picture, or neither; what there is to say of it."""
-    from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-
-    given = request.arguments
     with ExitStack() as files:
-        picture = None if request.picture is None else files.enter_context(replacing(request.picture))
-        derived = files.enter_context(face.deriving(request.out, flatten=given.flatten))
-        with named(given.neutral):
-            report = AuthorNeutral()(derived, found.points, recipe=recipe)
-        if picture is not None:
-            neutral = found.points if request.expression.any() else None
-            draw_fit(picture, template, found.points + request.expression, scan, found.place, neutral)
-    return report.warnings
+        image = None if picture is None else files.enter_context(replacing(picture))
+
+        def seen(refined: Refined) -> None:
+            if image is not None:
+                found, expression = refined.found, refined.expression
+                neutral = found.points if expression.any() else None
+                draw_fit(image, refined.template, found.points + expression, refined.scan, found.place, neutral)
+
+        return make(job, progress, seen)
 
 
-def _tell(request: _Request, report: RefineReport, warnings: tuple[str, ...]) -> int:
+def _tell(made: Made[RefineReport], job: RefineJob, picture: Path | None, *, as_json: bool) -> int:
     """Print what was done; the exit code."""
-    from facepipe.processors.database import QualityLimits, misses
-
-    given, missed = request.arguments, misses(report.quality, QualityLimits())
-    told = [*warnings, *missed]
-    warn(told)
-    result = {"path": str(request.out), "regions": given.region, **json.loads(report.to_json())}
-    result |= {"warnings": told, "missed": list(missed)}
-    lines = [_text(request.out, given.region, report)]
-    if request.picture is not None:
-        result["picture"] = str(request.picture)
-        lines.append(str(request.picture))
-    emit(result, "\n".join(lines), as_json=given.json)
+    report, missed = made
+    warn(report.warnings)
+    result = {"path": str(job.out), "regions": list(job.regions), **json.loads(report.to_json())}
+    result["missed"] = list(missed)
+    lines = [_text(job.out, list(job.regions), report)]
+    if picture is not None:
+        result["picture"] = str(picture)
+        lines.append(str(picture))
+    emit(result, "\n".join(lines), as_json=as_json)
     return 1 if missed else 0
 
 

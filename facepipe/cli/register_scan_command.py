@@ -25,20 +25,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.atomic import replacing
-from facepipe.cli.parser import add_options, add_output, options_from
+from facepipe.cli.parser import add_options, add_output
 from facepipe.cli.register_scan_request import Request, request_of
-from facepipe.cli.scan_input import landmarks_of, named
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
 
 if TYPE_CHECKING:
-    from facepipe.parts import FloatArray, Recipe
-    from facepipe.processors.database import WholeFace
-    from facepipe.processors.rebuild import CompositeReport, NeutralScan, RegisteredComposite, Template
+    from facepipe.pipeline.rebuild_stage import Made
+    from facepipe.processors.rebuild import CompositeReport, RegisteredComposite, Template
     from facepipe.scans import Scan
-    from facepipe.stage import Face
-
-_STEPS = 18  # of a registration, at most
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -67,33 +62,12 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, register, author, report."""
-    from facepipe.importers.scan_file import read_scan
-    from facepipe.processors.database import whole_face
-    from facepipe.processors.rebuild import ExpressionScan, RegisterScans, RegisterScansOptions, Template
-    from facepipe.stage import open_face
-
     request = request_of(arguments)
-    register = RegisterScans(options=options_from(arguments, RegisterScansOptions))
-    face = open_face(request.personal)
-    parts = face.parts()
-    own = whole_face(parts, str(request.personal))
-    weights = request.resolved(tuple(own.deltas))
-    template = Template.of(parts, str(request.personal))
-    scan = read_scan(request.scan)
-    landmarks, found = landmarks_of(request.landmarks, scan)
-    neutral, told = _neutral(request, template, own)
-    given = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
-    with named(request.scan), progress("register", _STEPS) as bar:
-        composite = register(template, neutral, own.deltas, given, lambda step: bar.update())
-        missed = _misses(composite.report)
-    recipe = request.recipe(register.options, weights, composite.weights, composite.report.fit)
-    authored = _author(request, face, template, own.points, scan, composite, recipe)
-    unused = ("markers don't count without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
-    warnings = [*found, *told, *unused, *composite.report.warnings, *authored, *missed]
-    warn(warnings)
-    result = {"path": str(request.out), "name": request.name, **json.loads(composite.report.to_json())}
-    result |= {"warnings": warnings, "missed": list(missed)}
-    lines = [str(request.out), _text(request.name, composite.report)]
+    job = request.job
+    report, missed = _make(request)
+    warn(report.warnings)
+    result = {"path": str(job.out), "name": job.name, **json.loads(report.to_json()), "missed": list(missed)}
+    lines = [str(job.out), _text(job.name, report)]
     if request.picture is not None:
         result["picture"] = str(request.picture)
         lines.append(str(request.picture))
@@ -101,58 +75,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if missed else 0
 
 
-def _neutral(request: Request, template: Template, own: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
-    """The neutral, with the place of its scan where one is given, and what there is to say of that."""
-    from facepipe.importers.scan_file import read_scan
-    from facepipe.processors.rebuild import NeutralScan, resolved
-    from facepipe.processors.rebuild.neutral_place import placed_neutral
-    from facepipe.processors.rebuild.shown_shapes import ShownShapes
-
-    if request.neutral_scan is None:
-        return NeutralScan(points=own.points), ()
-    expression = None
-    if request.neutral_weights:
-        shown = resolved(request.neutral_weights, tuple(own.deltas), "--neutral-weights")
-        expression = ShownShapes(deltas=own.deltas, weights=shown).expression(shown, len(own.points))
-    scan = read_scan(request.neutral_scan)
-    landmarks, found = landmarks_of(request.neutral_landmarks, scan)
-    with named(request.neutral_scan):
-        return placed_neutral(template, own.points, scan, landmarks, expression), found
-
-
-def _author(
-    request: Request,
-    face: Face,
-    template: Template,
-    neutral: FloatArray,
-    scan: Scan,
-    composite: RegisteredComposite,
-    recipe: Recipe,
-) -> tuple[str, ...]:
-    """Write the stage and the picture, or neither; what there is to say of it."""
-    from facepipe.processors.rebuild.expression_file import author_expression
+def _make(request: Request) -> Made[CompositeReport]:
+    """Write the stage and the picture, or neither."""
+    from facepipe.pipeline.register_scan import make
 
     with ExitStack() as files:
-        picture = None if request.picture is None else files.enter_context(replacing(request.picture))
-        derived = files.enter_context(face.deriving(request.out, flatten=request.flatten))
-        with named(request.personal):
-            report = author_expression(derived, request.name, neutral, composite, recipe)
-        if picture is not None:
-            draw_fit(picture, template, composite.points, scan, composite.place)
-    return report.warnings
+        image = None if request.picture is None else files.enter_context(replacing(request.picture))
 
+        def seen(template: Template, scan: Scan, composite: RegisteredComposite) -> None:
+            if image is not None:
+                draw_fit(image, template, composite.points, scan, composite.place)
 
-def _misses(report: CompositeReport) -> tuple[str, ...]:
-    from facepipe.processors.database import Quality, QualityLimits, misses
-
-    fit = report.fit
-    quality = Quality(
-        surface_mean_mm=fit.surface_mean_mm,
-        surface_p95_mm=fit.surface_p95_mm,
-        coverage=fit.coverage,
-        flipped_triangles=0,  # those are counted of shapes
-    )
-    return misses(quality, QualityLimits())
+        return make(request.job, progress, seen)
 
 
 def _text(name: str, report: CompositeReport) -> str:

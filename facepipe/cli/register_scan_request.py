@@ -3,77 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
-from facepipe.cli.parser import output_of, pairs, picture_of
-from facepipe.cli.scan_input import landmark_file
+from facepipe.cli.parser import options_from, output_of, pairs, picture_of
 from facepipe.errors import InputError
 from facepipe.names import identifier
+from facepipe.pipeline.scan_input import landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.parts import Recipe
-    from facepipe.processors.rebuild import ScanFit
+    from facepipe.pipeline.register_job import RegisterJob
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """Files, names and weights."""
+class Request(NamedTuple):
+    """A scan to register, and its picture."""
 
-    scan: Path
-    landmarks: Path | None  # None: to be found on the scan
-    personal: Path
-    neutral_scan: Path | None
-    neutral_landmarks: Path | None
-    neutral_weights: Mapping[str, float]  # what it shows besides, as they were given
-    name: str  # of the shape
-    weights: Mapping[str, float]  # as they were given
-    said_by: str  # the flag that gave them, for messages
-    out: Path
+    job: RegisterJob
     picture: Path | None
-    flatten: bool
-
-    def resolved(self, shapes: Sequence[str]) -> dict[str, float]:
-        """The weights by the names of the face's shapes.
-
-        :raises InputError: a shape that the face has not, or the expression's own name is one that it has
-        """
-        from facepipe.processors.rebuild import resolved
-
-        if self.name in shapes:
-            raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
-        return resolved(self.weights, shapes, self.said_by)
-
-    def recipe(self, options: Any, given: Mapping[str, float], found: Mapping[str, float], fit: ScanFit) -> Recipe:
-        """The recipe to author on the result.
-
-        :param given: `resolved` weights
-        :param found: the weights that the scan shows
-        :raises InputError: a source that can't be read
-        """
-        from facepipe.options import json_value, to_json
-        from facepipe.processors.rebuild.expression_file import VERB
-        from facepipe.processors.rebuild.stage_recipe import stage_recipe
-
-        files = {
-            "personal": self.personal,
-            "scan": self.scan,
-            "landmarks": self.landmarks,
-            "neutral_scan": self.neutral_scan,
-            "neutral_landmarks": self.neutral_landmarks,
-        }
-        content = {
-            "name": self.name,
-            "weights": dict(given),
-            "found": dict(found),
-            "fit": json_value(dataclasses.asdict(fit)),
-            "options": to_json(options),
-        }
-        content |= {"neutral_weights": dict(self.neutral_weights)} if self.neutral_weights else {}
-        return stage_recipe(VERB, {what: file for what, file in files.items() if file is not None}, self.out, content)
 
 
 def request_of(arguments: argparse.Namespace) -> Request:
@@ -81,6 +27,9 @@ def request_of(arguments: argparse.Namespace) -> Request:
 
     :raises InputError: files, names or weights that can't be
     """
+    from facepipe.pipeline.register_job import RegisterJob
+    from facepipe.processors.rebuild import RegisterScansOptions
+
     marks = landmark_file(arguments.scan, arguments.landmarks)
     neutral = arguments.neutral_scan
     for flag in ("neutral_landmarks", "neutral_weights"):
@@ -91,7 +40,8 @@ def request_of(arguments: argparse.Namespace) -> Request:
     inputs = [one for one in given if one is not None]
     out = output_of(arguments, inputs)
     weights, said_by = _weights(arguments)
-    return Request(
+    picture = None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out)
+    job = RegisterJob(
         scan=arguments.scan,
         landmarks=marks,
         personal=arguments.personal,
@@ -102,9 +52,10 @@ def request_of(arguments: argparse.Namespace) -> Request:
         weights=weights,
         said_by=said_by,
         out=out,
-        picture=None if arguments.picture is None else picture_of(arguments.picture, arguments, inputs, out),
         flatten=arguments.flatten,
+        options=options_from(arguments, RegisterScansOptions),
     )
+    return Request(job, picture)
 
 
 def _name(arguments: argparse.Namespace) -> str:

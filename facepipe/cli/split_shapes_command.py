@@ -22,13 +22,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.scan_input import named
 from facepipe.cli.show import emit, table, warn
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild import SplitReport
-
-_MOST_LEFT_MM = 2.0  # 95th percentile of what shapes leave of an expression
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -46,38 +43,17 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, split, author, report."""
-    from facepipe.processors.database import whole_face
-    from facepipe.processors.rebuild import SplitExpressions, SplitExpressionsOptions, Template
-    from facepipe.processors.rebuild.author_split import SplitFiles, author_shapes
-    from facepipe.processors.rebuild.expression_file import read_expression
-    from facepipe.stage import open_face
+    from facepipe.pipeline.split_shapes import SplitJob, make
+    from facepipe.processors.rebuild import SplitExpressionsOptions
 
-    personal: Path = arguments.personal
-    out = output_of(arguments, [personal, *arguments.expressions])
-    split = SplitFiles(split=SplitExpressions(options=options_from(arguments, SplitExpressionsOptions)))
-    face = open_face(personal)
-    parts = face.parts()
-    template, base = Template.of(parts, str(personal)), whole_face(parts, str(personal))
-    found = split(template, base, [read_expression(path, personal, base) for path in arguments.expressions])
-    recipe = split.recipe(parts.recipe, personal, arguments.expressions, out, found)
-    with face.deriving(out, flatten=arguments.flatten) as derived, named(personal):
-        authored = author_shapes(derived, base, found.fit, recipe)
-    report = found.fit.report
-    missed = _misses(report)
-    warnings = [*found.warnings, *authored.warnings, *missed]
-    warn(warnings)
-    result = {"path": str(out), **json.loads(report.to_json()), "flipped_triangles": found.flipped_triangles}
-    result |= {"warnings": warnings, "missed": missed}
-    emit(result, _text(out, report, found.flipped_triangles), as_json=arguments.json)
+    out = output_of(arguments, [arguments.personal, *arguments.expressions])
+    options = options_from(arguments, SplitExpressionsOptions)
+    files = {"personal": arguments.personal, "expressions": arguments.expressions}
+    report, flipped, missed = make(SplitJob(**files, out=out, options=options, flatten=arguments.flatten))
+    warn(report.warnings)
+    result = {"path": str(out), **json.loads(report.to_json()), "flipped_triangles": flipped, "missed": list(missed)}
+    emit(result, _text(out, report, flipped), as_json=arguments.json)
     return 1 if missed else 0
-
-
-def _misses(report: SplitReport) -> list[str]:
-    return [
-        f"{scan}: shapes leave {left:.2f} mm of it (95th percentile), expected at most {_MOST_LEFT_MM:g} mm"
-        for scan, left in report.residual_p95_mm.items()
-        if left > _MOST_LEFT_MM
-    ]
 
 
 def _text(out: Path, report: SplitReport, flipped: int) -> str:

@@ -15,7 +15,7 @@ from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import CookReport, NodeReport
-from facepipe.pipeline.verbs import NotCookable, Watch, cooker, unwatched
+from facepipe.pipeline.verbs import Watch, cooker, unwatched
 
 AnyPath = str | os.PathLike[str]
 
@@ -56,23 +56,18 @@ def cook(
 
 
 class _Run:
-    """One cook: what was written so far, and what is left."""
+    """One cook: what was written so far, and what would be."""
 
     def __init__(self, graph: Graph, options: CookOptions, watch: Watch) -> None:
         self.graph, self._options, self._watch = graph, options, watch
         self._digests = Digests()
         self._cooked: set[Path] = set()
         self._stale: set[Path] = set()
-        self._left: set[Path] = set()
 
     def node(self, node: Node) -> NodeReport:
         """:raises FacepipeError: what can't be read or cooked"""
         key = node.path.resolve()
-        waits = waiting(self.graph, node, self._left, "is not up to date")
         why = self._why(node)
-        if waits:
-            self._left.add(key)
-            return _report(node, "left", (*why, *waits))
         if not why:
             return _report(node, "up to date")
         if self._options.dry_run:
@@ -84,7 +79,7 @@ class _Run:
     def _why(self, node: Node) -> tuple[str, ...]:
         """Why `node` is to be cooked; nothing where it is up to date."""
         found = changes(self.graph, node, self._digests, self._cooked)
-        found += waiting(self.graph, node, self._stale, "is to be cooked")
+        found += waiting(self.graph, node, self._stale)
         return found or (("forced",) if self._options.force else ())
 
     def _cook(self, node: Node, key: Path) -> NodeReport:
@@ -96,9 +91,6 @@ class _Run:
             return _report(node, "up to date", ("another process cooked it",))
         try:
             cooked = cooker(node.recipe.verb)(node.path, self._watch)
-        except NotCookable as error:
-            self._left.add(key)
-            return _report(node, "left", (*why, str(error)))
         except FacepipeError as error:
             raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
         self._wrote(key)

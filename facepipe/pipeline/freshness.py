@@ -47,7 +47,7 @@ def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]
     return (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
 
 
-def waiting(graph: Graph, node: Node, others: Collection[Path], what: str) -> tuple[str, ...]:
-    """A line for each source that is one of `others` or stands on one, saying `what` of it."""
-    found = [source for source in node.sources if any(one in others for one in graph.made_of(source))]
-    return tuple(f"{source.name} {what}" for source in found)
+def waiting(graph: Graph, node: Node, stale: Collection[Path]) -> tuple[str, ...]:
+    """A line for each source that is one of `stale` or stands on one."""
+    found = [source for source in node.sources if any(one in stale for one in graph.made_of(source))]
+    return tuple(f"{source.name} is to be cooked" for source in found)

@@ -17,12 +17,18 @@ VERBS = {
     "apply-bones": "facepipe.pipeline.apply_bones",
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
+    "fit-neutral": "facepipe.pipeline.fit_neutral",
     "fit-photo": "facepipe.pipeline.fit_photo",
     "landmarks": "facepipe.pipeline.landmarks",
     "neural-rig": "facepipe.pipeline.neural_rig",
+    "personal-template": "facepipe.pipeline.personal_template",
+    "rebuild": "facepipe.pipeline.rebuild",
+    "refine-neutral": "facepipe.pipeline.refine_neutral",
     "regions": "facepipe.pipeline.regions",
+    "register-scan": "facepipe.pipeline.register_scan",
     "skin": "facepipe.pipeline.skin",
     "sliders": "facepipe.pipeline.sliders",
+    "split-shapes": "facepipe.pipeline.split_shapes",
 }
 
 
@@ -42,10 +48,6 @@ class Cooked:
 
     report: Report
     missed: bool = False  # a check or threshold
-
-
-class NotCookable(Exception):  # noqa: N818  (no fault: another command makes the file)
-    """The recipe of a file does not say enough to make it again; the message names the command that does."""
 
 
 def cooker(verb: str) -> Callable[[Path, Watch], Cooked]:

@@ -44,7 +44,7 @@ DEFAULT_COMPOSITES: dict[str, dict[str, float]] = {
 
 
 def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) -> dict[str, float]:
-    """The weights of a composite by the names that a face's `shapes` have.
+    """The weights of a composite by the names that a face's `shapes` have, in their order.
 
     :raises InputError: no weight, one out of 0 to 2, or a shape that the face has not
     """
@@ -60,7 +60,7 @@ def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) 
             some = ", ".join(list(shapes)[:4])
             raise InputError(f"{where} -> {name}", f"no such shape, expected some of {some} ...")
         found[own] = max(weight, found.get(own, 0.0))
-    return found
+    return {name: found[name] for name in shapes if name in found}
 
 
 def _spellings(name: str) -> tuple[str, ...]:

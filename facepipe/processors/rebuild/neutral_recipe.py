@@ -54,18 +54,21 @@ def refined_recipe(
     options: RefineNeutralOptions,
     quality: Quality,
     shown: Mapping[str, float],
+    weights: Mapping[str, float] | None = None,
 ) -> Recipe:
     """The recipe to author on a refined neutral that is saved as `out`.
 
     :param landmarks: their file; None where they were found on the scan
     :param regions: that could follow; none: all
     :param shown: weights of the shapes that the scan shows besides
+    :param weights: those, where they were given; otherwise they are the neutral's
     :raises InputError: a source that can't be read
     """
     files = {"neutral": neutral, "scan": scan}
     files |= {} if landmarks is None else {"landmarks": landmarks}
     content = {"regions": list(regions), "options": to_json(options), "quality": dataclasses.asdict(quality)}
     content |= {"found": dict(shown)} if shown else {}
+    content |= {"weights": dict(weights)} if weights else {}
     return stage_recipe(REFINED, files, out, content)
 
 

@@ -1,4 +1,4 @@
-"""Scans and their landmarks as commands take them."""
+"""Scans and their landmarks as stages of a rebuild take them."""
 
 from __future__ import annotations
 
