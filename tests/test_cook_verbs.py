@@ -96,6 +96,7 @@ def _rig(seed: int) -> None:
     save_neural_rig(neural_faces.neural_rig(parts, bones=True, seed=seed), Path("rig.fpnr"), {})
 
 
+_WEIGHTS = ("--region", "neck=0.3", "--region", "mouth=2.1", "--region", "lips=1.7", "--limits", "limits.json")
 _RIG = build(small())
 _JOINTS = '{"unit": "mm", "joints": {"head": {"position": [0, 40, -20]}, "head/jaw": {"position": [0, 10, -15]}}}'
 _MORE = TABLE + '[slider.up]\nchannels = { "jaw:ty" = 0.25 }\n'
@@ -105,7 +106,7 @@ CASES = {
     ),
     "blend": Case(("blend", "face.usda", "other.usda", "--lock", "mouth=2"), _two, lambda: _face("other.usda", 2)),
     "fit-bones": Case(
-        ("fit-bones", "rig.usda", "--target", "goal.usda", "--limits", "limits.json", "--initial", "talk"),
+        ("fit-bones", "rig.usda", "--target", "goal.usda", "--initial", "talk", *_WEIGHTS),
         save_sources,
         lambda: saved(
             sculpt(small(), build(small()).evaluate(coefficients=pose(build(small()), 2))), Path("goal.usda")

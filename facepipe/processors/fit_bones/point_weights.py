@@ -26,7 +26,7 @@ def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence
     known = _masks(parts)
     count = sum(len(mesh.points) for mesh in parts.meshes)
     weights = np.ones(count)
-    for name, factor in regions.items():
+    for name, factor in sorted(regions.items()):  # sums depend on the order, which a recipe does not keep
         where = f"region {name}"
         if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= LARGEST_WEIGHT):
             raise InputError(where, f"weight {factor}, expected a number from 0 to {LARGEST_WEIGHT:g}")

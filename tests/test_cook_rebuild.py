@@ -1,0 +1,54 @@
+"""Rebuilt faces are cooked to the bytes of their commands; of the other stages in test_rebuild_stages.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import scan_domes
+from blend_line import content
+from test_cli import run
+from test_fit_neutral import Files, database_file, files  # noqa: F401  (fixtures)
+from test_rebuild import PROJECT, drawer_of_scans, project, rebuilt  # noqa: F401  (fixtures)
+
+Capsys = pytest.CaptureFixture[str]
+
+
+def _cooked(capsys: Capsys, *stages: Path, more: tuple[str, ...] = ()) -> list[str]:
+    """What was done about each file."""
+    code, out, err = run(capsys, "cook", *stages, *more)
+    assert code == 0, err
+    return [line.split(": ", 2)[2].split(" in ")[0].partition(" (")[0] for line in out.splitlines()[:-1]]
+
+
+def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> None:  # noqa: F811
+    fine = files.folder / "fine.usda"
+    refine = ("refine-neutral", files["out.usda"], files["scan.ply"], "-o", fine)
+    assert run(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"))[0] == 0
+    assert run(capsys, *refine)[0] == 0
+    before = content(files.folder)
+    assert _cooked(capsys, fine) == ["up to date"] * 2
+    assert _cooked(capsys, fine, more=("--force",)) == ["cooked"] * 2
+    assert content(files.folder) == before
+    files.put(*scan_domes.scan(8))
+    assert _cooked(capsys, fine) == ["cooked"] * 2
+    cooked = content(files.folder)
+    assert cooked != before
+    assert run(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1", "--force"))[0] == 0
+    assert run(capsys, *refine, "--force")[0] == 0
+    assert content(files.folder) == cooked
+
+
+def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:  # noqa: F811
+    out = project.parent / "anna.usda"
+    rebuilt(capsys, project)
+    before = out.read_bytes()
+    assert _cooked(capsys, out) == ["up to date"]
+    assert _cooked(capsys, out, more=("--force",)) == ["cooked"]
+    assert out.read_bytes() == before
+    project.write_text(PROJECT.replace("weight_spread = 0", "weight_spread = 0.05"))
+    assert _cooked(capsys, out) == ["cooked"]
+    cooked = out.read_bytes()
+    assert cooked != before
+    rebuilt(capsys, project)
+    assert out.read_bytes() == cooked
