@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -314,3 +315,12 @@ def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) 
     assert main([*LINES[2], "--force", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert report["nodes"][-1]["report"]["values"] == told["values"]
+
+
+def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "cook.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert main(["blend", "a.usda", "b.usda", "-o", "child.usda"]) == 0
+    capsys.readouterr()
+    exec(block, {})
+    assert capsys.readouterr().out == "child.usda blend up to date ()\n"

@@ -46,7 +46,7 @@ def cook(
         nodes.append(run.node(node))
         told(nodes[-1])
     findings = {}
-    if options.validate and not options.dry_run:
+    if options.validate:
         from facepipe.validate import validate
 
         findings = {str(path): validate(path) for path in files}
