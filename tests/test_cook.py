@@ -113,28 +113,39 @@ def test_a_dry_run_writes_nothing_and_tells_what_a_cook_would_do(chain: Path, ca
 
 
 _KILLED = """
-import os, signal, sys
+import contextlib, os, signal, sys
 from facepipe.pipeline import cook
+def kill(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+class Bar:
+    update = kill
+@contextlib.contextmanager
+def watch(label, steps):
+    yield Bar()
 def told(node):
     if node.action == "cooked":
-        os.kill(os.getpid(), signal.SIGKILL)
-cook(["shot.usda"], told=told)
+        kill()
+cook(["shot.usda"], **{"between": {"told": told}, "within": {"watch": watch}}[sys.argv[1]])
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-def test_killed_and_begun_again_gives_the_same_bytes(chain: Path, capsys: Capsys, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("moment", "fresh"), [("between", ["mix.usda"]), ("within", [])])
+def test_killed_and_begun_again_gives_the_same_bytes(
+    chain: Path, capsys: Capsys, tmp_path: Path, moment: str, fresh: list[str]
+) -> None:
+    """Killed after a file, or while one is made, with its lock held."""
     change("b.usda")
     whole = tmp_path / "whole"
     shutil.copytree(chain, whole, ignore=shutil.ignore_patterns("whole"))
-    killed = subprocess.run([sys.executable, "-c", _KILLED], cwd=chain, check=False)
+    killed = subprocess.run([sys.executable, "-c", _KILLED, moment], cwd=chain, check=False)
     assert killed.returncode == -9
-    fresh = [name for name in CHAIN if Path(name).read_bytes() != (whole / name).read_bytes()]
-    assert fresh == ["mix.usda"]
+    assert [name for name in CHAIN if Path(name).read_bytes() != (whole / name).read_bytes()] == fresh
     _, report, _ = cook(capsys, "shot.usda")
-    assert actions(report) == {"mix.usda": "up to date", "controls.usda": "cooked", "posed.usda": "cooked"}
+    assert actions(report) == {name: "up to date" if name in fresh else "cooked" for name in CHAIN[:3]}
     assert cook(capsys, str(whole / "shot.usda"))[0] == 0
     assert {name: Path(name).read_bytes() for name in CHAIN} == {name: (whole / name).read_bytes() for name in CHAIN}
+    assert not list(chain.glob(".*.lock"))
 
 
 def test_a_moved_folder_is_up_to_date_and_cooks_to_the_same_bytes(chain: Path, capsys: Capsys, tmp_path: Path) -> None:

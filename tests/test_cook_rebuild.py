@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,9 @@ from blend_line import content
 from test_cli import run
 from test_fit_neutral import Files, database_file, files  # noqa: F401  (fixtures)
 from test_rebuild import PROJECT, drawer_of_scans, project, rebuilt  # noqa: F401  (fixtures)
+
+from facepipe.pipeline import cook
+from facepipe.pipeline.verbs import Bar, unwatched
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -52,3 +57,25 @@ def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:  # noqa: 
     assert cooked != before
     rebuilt(capsys, project)
     assert out.read_bytes() == cooked
+
+
+def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, capsys: Capsys) -> None:  # noqa: F811
+    """The fit is of the scan as it was read, the recipe of the scan as it is: together they would look up to date."""
+    assert run(capsys, *files.words("--unit", "cm"))[0] == 0
+    files.put(*scan_domes.scan(8))
+    fits = 0
+
+    @contextmanager
+    def watch(label: str, steps: int) -> Iterator[Bar]:
+        nonlocal fits
+        fits += 1
+        if fits == 1:
+            files.put(*scan_domes.scan(7))
+        with unwatched(label, steps) as bar:
+            yield bar
+
+    (node,) = cook([files["out.usda"]], watch=watch).nodes
+    assert (node.action, fits) == ("cooked", 2)
+    cooked = content(files.folder)
+    assert run(capsys, *files.words("--unit", "cm", "--force"))[0] == 0
+    assert content(files.folder) == cooked

@@ -9,15 +9,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from facepipe.errors import FacepipeError
+from facepipe.errors import FacepipeError, InputError
 from facepipe.locks import locked
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import CookReport, NodeReport
-from facepipe.pipeline.verbs import Watch, cooker, unwatched
+from facepipe.pipeline.verbs import Cooked, Watch, cooker, unwatched
 
 AnyPath = str | os.PathLike[str]
+
+_TRIES = 3  # of a file whose sources change while it is made
 
 
 def cook(
@@ -89,11 +91,7 @@ class _Run:
         if not why or node.recipe is None:
             self._wrote(key)
             return _report(node, "up to date", ("another process cooked it",))
-        try:
-            cooked = cooker(node.recipe.verb)(node.path, self._watch)
-        except FacepipeError as error:
-            raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
-        self._wrote(key)
+        cooked = self._steady(node, node.recipe.verb, key)
         done = _report(node, "cooked", why)
         return replace(
             done,
@@ -103,10 +101,28 @@ class _Run:
             report=json.loads(cooked.report.to_json()),
         )
 
-    def _wrote(self, key: Path) -> None:
+    def _steady(self, node: Node, verb: str, key: Path) -> Cooked:
+        """Cook; once more where a source has changed meanwhile: of what was read before, the recipe may not tell."""
+        for _ in range(_TRIES):
+            before = {source: self._digests.of(source) for source in node.sources}
+            try:
+                cooked = cooker(verb)(node.path, self._watch)
+            except FacepipeError as error:
+                raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
+            node = self._wrote(key)
+            after = zip(node.sources, node.recipe.digests if node.recipe else (), strict=True)
+            if all(before.get(source, digest) == digest for source, digest in after):
+                return cooked
+            self._digests.forget_all()
+        raise InputError(
+            shown(node.path), "sources go on changing while it is cooked, expected a --force once they rest"
+        )
+
+    def _wrote(self, key: Path) -> Node:
         self._cooked.add(key)
         self._digests.forget(key)
-        self.graph.nodes[key] = read_node(self.graph.nodes[key].path)  # it may stand on other layers now
+        node = self.graph.nodes[key] = read_node(self.graph.nodes[key].path)  # it may stand on other layers now
+        return node
 
 
 def _report(node: Node, action: str, why: tuple[str, ...] = ()) -> NodeReport:
