@@ -34,8 +34,8 @@ def run_blender(script: str, *arguments: Any) -> subprocess.CompletedProcess[str
 
 
 def blender(script: str, *arguments: Any, answer: Path) -> tuple[dict[str, np.ndarray], str]:
-    """Run a script that must end well; what it answers, and what it says on stderr."""
+    """Run a script that must end well; what it answers, and what it says."""
     done = run_blender(script, *arguments, answer)
     assert done.returncode == 0, done.stdout + done.stderr
     with np.load(answer) as found:
-        return dict(found), done.stderr
+        return dict(found), done.stdout + done.stderr

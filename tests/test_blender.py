@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +15,10 @@ import numpy as np
 import pytest
 from blender_python import blender, needs_blender, run_blender
 from import_data import shared
+from node import validate as khronos
 
 import facepipe
+from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh
 from facepipe.sample import make
@@ -169,3 +176,81 @@ def test_blender_alone_where_a_face_can_not_be_written(tmp_path: Path) -> None:
     lines = [line for line in done.stderr.splitlines() if line.startswith("facepipe: ")]
     assert any("Head: its object mirrors or flattens it" in line for line in lines)
     assert any("expected one scale" in line for line in lines)
+
+
+def test_one_click_export_validates(sample: Path, tmp_path: Path) -> None:
+    settings = {"directory": str(tmp_path), "file_name": "hero"}
+    found, said = blender("operators.py", sample, [["export", settings]], answer=tmp_path.parent / "a.npz")
+    assert found["said"].tolist() == [""], said
+    names = {one.name for one in tmp_path.iterdir()}
+    assert names == {"hero.glb", "hero.onnx", "hero.onnx.json", "hero.report.json"}
+    for suffix in ("glb", "onnx"):
+        assert not [one for one in validate(tmp_path / f"hero.{suffix}") if one.severity != "info"]
+    issues = khronos([tmp_path / "hero.glb"])[tmp_path / "hero.glb"]["issues"]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0)
+    report = json.loads((tmp_path / "hero.report.json").read_text())
+    assert {*report["files"]} == names
+    assert not [one for one in report["findings"] if one["severity"] != "info"]
+
+
+def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:
+    for seed, name in enumerate("abc"):
+        save_parts(make(seed), tmp_path / f"{name}.usda")
+    paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "blended")]
+    assert main(["blend", *paths[:2], "-o", paths[2], "--set", "nose=0.2,0.8"]) == 0
+    shutil.copy(paths[2], tmp_path / "imported.usda")
+    shutil.copy(tmp_path / "c.usda", paths[1])  # a source changes
+    steps = [["blend", {}], ["export", {"directory": str(tmp_path), "file_name": "out"}]]
+    found, said = blender("operators.py", tmp_path / "imported.usda", steps, answer=tmp_path / "a.npz")
+    assert found["said"].tolist() == ["", ""], said
+    assert "b.usda changed" in said
+    assert "recipe of 'blend' left out" not in said
+    assert main(["blend", "--edit", paths[2], "--force"]) == 0
+    wanted = facepipe.open(paths[2])
+    points = wanted.split(wanted.evaluate())
+    for mesh in wanted.meshes:
+        off = np.abs(found[f"points {mesh.name}"] - in_blender(points[mesh.name], wanted.parts())).max()
+        assert off < 2 * NEAR * wanted.head_height * wanted.meters_per_unit
+
+
+def test_operators_say_in_one_line_what_is_wrong(sample: Path, tmp_path: Path) -> None:
+    out = ["export", {"directory": str(tmp_path)}]
+    found, _ = blender("operators.py", "", [out, ["blend", {}]], answer=tmp_path.parent / "a.npz")
+    assert all("Cube: a mesh without armature and shape keys" in line for line in found["said"].tolist())
+    lost = ["blend", {"filepath": str(tmp_path / "lost.usda")}]
+    steps = [["blend", {}], lost, ["export", {"directory": str(tmp_path / "none")}]]
+    found, _ = blender("operators.py", sample, steps, answer=tmp_path.parent / "a.npz")
+    said = found["said"].tolist()
+    assert "recipe of 'sample', expected a face made by `facepipe blend`" in said[0]
+    assert "lost.usda: no such file" in said[1]
+    assert "the folder does not exist" in said[2]
+    assert all(len(line.splitlines()) == 1 for line in said)
+    assert not list(tmp_path.iterdir())
+
+
+def test_lost_source_of_a_recipe(tmp_path: Path) -> None:
+    for seed, name in enumerate("ab"):
+        save_parts(make(seed), tmp_path / f"{name}.usda")
+    paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "c")]
+    assert main(["blend", *paths[:2], "-o", paths[2]]) == 0
+    Path(paths[1]).unlink()
+    before = facepipe.open(paths[2])
+    found, _ = blender("operators.py", paths[2], [["blend", {}]], answer=tmp_path / "a.npz")
+    assert "b.usda: no such file" in found["said"][0]
+    points = before.split(before.evaluate())
+    off = found["points Head"] - in_blender(points["Head"], before.parts())
+    assert np.abs(off).max() < 2 * NEAR * before.head_height * before.meters_per_unit
+
+
+def test_the_extension_installs_in_blender(sample: Path, tmp_path: Path) -> None:
+    addon = tmp_path / "facepipe.zip"
+    done = subprocess.run([sys.executable, "-m", "facepipe", "blender-addon", "-o", str(addon)], capture_output=True)
+    assert done.returncode == 0, done.stderr
+    os.environ["BLENDER_USER_RESOURCES"] = str(tmp_path / "user")
+    try:
+        done = run_blender("install.py", addon, sample, tmp_path / "out.usda")
+    finally:
+        del os.environ["BLENDER_USER_RESOURCES"]
+    assert done.returncode == 0, done.stdout + done.stderr
+    before, after = facepipe.open(sample), facepipe.open(tmp_path / "out.usda")
+    check_same(before.parts(), after.parts(), before.head_height)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from facepipe.errors import FacepipeError
-from facepipe.parts import FloatArray
+from facepipe.parts import FloatArray, Skin
 from facepipe.pipeline.host_face import check_region_name
 
 REGION = "region:"  # before the name of a region, since bones are called `chin` too
@@ -41,10 +42,30 @@ def read_groups(obj: Any, bones: set[str]) -> Groups:
 
 def write_regions(obj: Any, regions: dict[str, FloatArray]) -> None:
     """The regions as vertex groups of a mesh object, in place of those it has."""
-    for name in [one.name for one in obj.vertex_groups if one.name.startswith(REGION)]:
+    _remove(obj, [one.name for one in obj.vertex_groups if one.name.startswith(REGION)])
+    _add(obj, {REGION + name: mask for name, mask in regions.items()})
+
+
+def write_skin(obj: Any, skin: Skin, bones: Sequence[str]) -> None:
+    """The weights of a skin as vertex groups of a mesh object, in place of those of its bones.
+
+    :param bones: name of the bone of every joint
+    """
+    _remove(obj, [one.name for one in obj.vertex_groups if one.name in set(bones)])
+    weights: dict[str, FloatArray] = {}
+    for joint in np.unique(skin.joint_indices[skin.joint_weights != 0]).tolist():
+        weights[bones[joint]] = np.where(skin.joint_indices == joint, skin.joint_weights, 0.0).sum(axis=1)
+    _add(obj, weights)
+
+
+def _remove(obj: Any, names: Sequence[str]) -> None:
+    for name in names:
         obj.vertex_groups.remove(obj.vertex_groups[name])
-    for name, mask in regions.items():
-        group = obj.vertex_groups.new(name=REGION + name)
+
+
+def _add(obj: Any, groups: Mapping[str, FloatArray]) -> None:
+    for name, mask in groups.items():
+        group = obj.vertex_groups.new(name=name)
         values = np.asarray(mask, dtype=np.float64)
         for value in np.unique(values[values != 0]):
             group.add(np.flatnonzero(values == value).tolist(), float(value), "REPLACE")

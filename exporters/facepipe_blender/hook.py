@@ -22,18 +22,20 @@ class FaceHook(bpy.types.USDHook):
     bl_description = "Exports armatures and meshes with shape keys as faces, and imports faces whole"
 
     failure: FacepipeError | None = None  # of the last export, for operators that export
+    warnings: tuple[str, ...] = ()
 
     @staticmethod
     def on_export(export_context: Any) -> bool:
         """Turn what Blender wrote of faces into faces."""
         scene = export_context.get_depsgraph().scene
-        FaceHook.failure = None
+        FaceHook.failure, FaceHook.warnings = None, ()
         if not scene.facepipe_usd:
             return False
         try:
             register_schemas()
             active = scene.view_layers[0].objects.active
-            tell(export_faces(export_context.get_stage(), scene.objects, active))
+            FaceHook.warnings = export_faces(export_context.get_stage(), scene.objects, active)
+            tell(FaceHook.warnings)
         except FacepipeError as error:
             FaceHook.failure = error
             tell([str(error)], error=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,6 +51,7 @@ def keep(kept: Kept, text: Any) -> None:
         bones=np.array([*kept.bones.values()]).reshape(-1, 4, 4),
         places=np.array([*kept.places.values()]).reshape(-1, 4, 4),
     )
+    text.pop(_CONTENT, None)  # Blender writes bytes over others of another length wrongly
     text[_CONTENT] = buffer.getvalue()
     text.use_fake_user = True
     text.from_string("\n".join(_lines(kept)))
@@ -70,7 +72,7 @@ def kept_in(text: Any) -> Kept:
                 file=str(header["file"]),
                 neural_rig=tuple(header["neural_rig"]),
             )
-    except (KeyError, ValueError, TypeError, OSError):
+    except (KeyError, ValueError, TypeError, OSError, zipfile.BadZipFile):
         raise SchemaError(text.name, "holds no face, expected the text block of an imported face") from None
 
 

@@ -9,8 +9,10 @@ from facepipe.pipeline.host_face import register_schemas
 
 from .hook import FaceHook
 from .messages import FACEPIPE_OT_tell, tell
+from .operators import FACEPIPE_OT_blend, FACEPIPE_OT_export
+from .panel import FACEPIPE_PT_face
 
-CLASSES = (FACEPIPE_OT_tell, FaceHook)
+CLASSES = (FACEPIPE_OT_tell, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_face, FaceHook)
 
 
 def register_all() -> None:

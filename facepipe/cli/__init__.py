@@ -45,6 +45,7 @@ COMMANDS = {
     "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
     "cook": "bring faces up to date with what they are made of",
+    "blender-addon": "build the add-on for Blender",
     "schema-path": "print the folder of the USD schemas",
 }
 

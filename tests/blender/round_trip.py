@@ -1,5 +1,7 @@
 """A face imported, shown with some shapes, edited or not, and exported: FACE OUT WEIGHTS EDIT ANSWER."""
 
+from pathlib import Path
+
 from session import ARGUMENTS, answer, bpy, np, world_points
 
 face, out, weights, edit = ARGUMENTS[:4]
@@ -24,4 +26,7 @@ answer(
         for name, obj in meshes.items()
     },
 )
+blend = str(Path(out).with_suffix(".blend"))
+bpy.ops.wm.save_as_mainfile(filepath=blend)
+bpy.ops.wm.open_mainfile(filepath=blend)
 bpy.ops.wm.usd_export(filepath=out)

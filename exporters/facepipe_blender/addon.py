@@ -1,0 +1,114 @@
+"""The add-on as a Blender extension: one zip with this package, facepipe's own wheel and those that Blender lacks."""
+
+from __future__ import annotations
+
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import tomllib
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
+
+from facepipe import __version__
+from facepipe.errors import InputError
+from facepipe.reports import ExportReport
+
+from .own_wheel import write_own_wheel
+from .plain_zip import write_zip
+
+_PYTHON, _NUMPY = "3.11", "1.26.4"  # of Blender 5.0
+_BLENDERS_OWN = ("usd-core", "numpy")
+_TAGS = {
+    "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 26, 24, 17)] + ["manylinux2014_x86_64"],
+    "macos-arm64": [f"macosx_{major}_0_arm64" for major in (14, 13, 12, 11)],
+    "windows-x64": ["win_amd64"],
+}
+_MANIFEST = "blender_manifest.toml"
+
+
+def this_platform() -> str:
+    """The platform of this machine, as Blender names it."""
+    return {"Darwin": "macos-arm64", "Windows": "windows-x64"}.get(platform.system(), "linux-x64")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to build the extension for, and from what."""
+
+    platform: str = field(
+        default_factory=this_platform,
+        metadata={"help": "the machine that Blender runs on", "choices": tuple(_TAGS)},
+    )
+    wheels: Path | None = field(
+        default=None,
+        metadata={"help": "folder of wheels to take the libraries from, in place of the network"},
+    )
+
+
+def build(path: Path, options: Options) -> ExportReport:
+    """Write the extension.
+
+    :raises InputError: libraries that can't be had, or a file that can't be written
+    """
+    source = Path(__file__).parent
+    files = {one.name: one.read_bytes() for one in sorted(source.glob("*.py"))}
+    with tempfile.TemporaryDirectory() as folder:
+        wheels = Path(folder)
+        _download(wheels, options)
+        write_own_wheel(wheels)
+        names = sorted(one.name for one in wheels.glob("*.whl") if not _is_blenders(one.name))
+        manifest = _manifest((source / _MANIFEST).read_text(encoding="utf-8"), names, options.platform)
+        files = {_MANIFEST: manifest.encode(), **files}
+        files |= {f"wheels/{name}": (wheels / name).read_bytes() for name in names}
+    write_zip(path, files)
+    return ExportReport(path=path, files=(path,), counts={"wheels": len(names)}, bytes=path.stat().st_size)
+
+
+def _manifest(text: str, wheels: list[str], target: str) -> str:
+    """The manifest with what is known only now."""
+    lines = "".join(f'    "./wheels/{name}",\n' for name in wheels)
+    text = re.sub(r'(?m)^version = ".*"$', f'version = "{__version__}"', text, count=1)
+    head, permissions, rest = text.partition("[permissions]")
+    result = f'{head}platforms = ["{target}"]\nwheels = [\n{lines}]\n\n{permissions}{rest}'
+    tomllib.loads(result)
+    return result
+
+
+def _download(folder: Path, options: Options) -> None:
+    """The wheels of facepipe's libraries, by pip.
+
+    :raises InputError: no pip, or wheels that it can't get
+    """
+    words = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(folder)]
+    words += ["--only-binary=:all:", "--implementation", "cp", "--python-version", _PYTHON]
+    words += [word for tag in _TAGS[options.platform] for word in ("--platform", tag)]
+    if options.wheels is not None:
+        words += ["--no-index", "--find-links", str(options.wheels)]
+    done = subprocess.run([*words, f"numpy=={_NUMPY}", *_libraries()], capture_output=True, text=True)
+    if done.returncode:
+        told = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
+        reason = (told or done.stderr.splitlines() or ["no reason given"])[-1].removeprefix("ERROR: ")
+        source = "the network" if options.wheels is None else str(options.wheels)
+        raise InputError(
+            f"wheels for {options.platform}", f"pip can't get them ({reason}), expected them from {source}"
+        )
+
+
+def _libraries() -> list[str]:
+    """What facepipe requires and Blender has not.
+
+    :raises InputError: facepipe runs from files alone, without its list of libraries
+    """
+    try:
+        listed = requires("facepipe") or []
+    except PackageNotFoundError:
+        raise InputError("facepipe", "is not installed, expected it installed by pip") from None
+    return [one for one in listed if "extra ==" not in one and not _is_blenders(one)]
+
+
+def _is_blenders(name: str) -> bool:
+    """Whether a requirement or wheel is of a library that Blender brings."""
+    return re.split(r"[^A-Za-z0-9_-]|-\d", name.lower().replace("_", "-"))[0] in _BLENDERS_OWN

@@ -1,0 +1,86 @@
+"""A face for the engine in one go: GLB, ONNX and a report of checks, all of them or none."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from facepipe.errors import InputError
+from facepipe.registry import exporter
+from facepipe.reports import ExportReport, Finding, Report
+from facepipe.stage import open_face
+from facepipe.validate import validate
+
+_SUFFIXES = ("glb", "onnx")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeliveryReport(Report):
+    """What was written, and what the checks found in the face and in the files."""
+
+    files: tuple[Path, ...]
+    exports: tuple[ExportReport, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> int:
+        """Findings that are errors."""
+        return sum(one.severity == "error" for one in self.findings)
+
+
+def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False) -> DeliveryReport:
+    """Export the face of a USD file as ``name.glb`` and ``name.onnx`` and check all; ``name.report.json`` tells.
+
+    :param folder: there already; files of these names in it are overwritten
+    :param sliders: the graph takes sliders in place of bone coefficients and shape weights
+    :raises InputError: no such folder, or a name that is a path
+    :raises FacepipeError: a face that a format can't hold; then nothing is written
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "the folder does not exist")
+    if not name or Path(name).name != name:
+        raise InputError(f"name '{name}'", "expected a file name without folder and suffix")
+    face = open_face(path)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
+        inner = Path(temporary)
+        exports, findings = [], list(validate(path))
+        for suffix in _SUFFIXES:
+            module = exporter(f"{name}.{suffix}")
+            settings = {"sliders": True} if sliders and suffix == "onnx" else {}
+            exports.append(module.export(face, inner / f"{name}.{suffix}", module.Options(**settings)))
+            findings += validate(inner / f"{name}.{suffix}")
+        names = sorted(one.name for one in inner.iterdir())
+        report = _in_folder(folder, [*names, f"{name}.report.json"], exports, findings)
+        (inner / f"{name}.report.json").write_text(_text(report), encoding="utf-8")
+        for one in sorted(inner.iterdir()):
+            one.replace(folder / one.name)
+    return report
+
+
+def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], findings: list[Finding]) -> DeliveryReport:
+    """The report with files where they go to."""
+    moved = [
+        dataclasses.replace(one, path=folder / one.path.name, files=tuple(folder / file.name for file in one.files))
+        for one in exports
+    ]
+    lines = [line for one in exports for line in (*one.warnings, *one.dropped)]
+    return DeliveryReport(
+        files=tuple(folder / one for one in names),
+        exports=tuple(moved),
+        findings=tuple(findings),
+        warnings=tuple(dict.fromkeys(lines)),
+    )
+
+
+def _text(report: DeliveryReport) -> str:
+    """The report as JSON with file names alone and without times: the same face gives the same bytes."""
+    content = json.loads(report.to_json())
+    content["files"] = [Path(one).name for one in content["files"]]
+    for one in content["exports"]:
+        del one["seconds"]
+        one["path"] = Path(one["path"]).name
+        one["files"] = [Path(file).name for file in one["files"]]
+    return json.dumps(content, indent=2, sort_keys=True) + "\n"
