@@ -29,6 +29,7 @@ class Blending:
         self._lock = threading.Lock()  # of versions
         self.entry: Json = {
             "sources": [one.name for one in live.sources],
+            "regions": list(live.regions),
             "weights": live.rows,
             "locked": dict(live.weights.locked),
             "command": f"facepipe blend --edit {path.name} --force",

@@ -50,12 +50,15 @@ class LiveBlend:
 
     @property
     def rows(self) -> dict[str, list[float]]:
-        """A row of weights, one for each source, for every region and for ``default``, all other points."""
+        """A row of weights, one for each source, for the recipe's regions and for ``default``, all others."""
         count = len(self.sources)
         default = [float(one) for one in self.weights.default or [1.0 / count] * count]
-        names = sorted({name for mesh in self.base.meshes for name in mesh.regions})
-        given = {name: [float(one) for one in row] for name, row in self.weights.regions.items()}
-        return {_DEFAULT: default} | {name: given.get(name, default) for name in names}
+        return {_DEFAULT: default} | {name: [float(one) for one in row] for name, row in self.weights.regions.items()}
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """The regions that can have weights of their own."""
+        return tuple(sorted({name for mesh in self.base.meshes for name in mesh.regions}))
 
     def points(self, rows: Mapping[str, object], axes: Sequence[Sequence[float]]) -> bytes:
         """Points (n, 3) of the neutral's meshes one after another at bind time, float32.

@@ -1,4 +1,5 @@
 /** Weights of a blended face, blended again while they are moved. */
+import { css, regionColor } from "./colors";
 import { h, throttled } from "./dom";
 import { say, sayError } from "./messages";
 import type { Page } from "./page";
@@ -10,7 +11,8 @@ import { type FaceEntry, ViewedFace } from "./viewed_face";
 /** The blend in viewer.json. */
 export interface BlendEntry {
   sources: string[];
-  /** region -> a weight for each source; "default" holds everywhere else */
+  regions: string[];
+  /** region -> a weight for each source; "default" holds for all regions that are not here */
   weights: Record<string, number[]>;
   locked: Record<string, number>;
   /** what makes the result on the command line, without weights */
@@ -24,6 +26,7 @@ export class BlendPanel {
   private readonly weights: Record<string, number[]>;
   private readonly command = h("textarea", { readOnly: true, rows: 3, spellcheck: false, "aria-label": "Command that keeps these weights" });
   private readonly preview = throttled(30, () => void this.move());
+  private readonly rows = new Map<string, Row[]>();
   private busy = false;
   private again = false;
   private settled = 0;
@@ -33,24 +36,36 @@ export class BlendPanel {
     private readonly page: Page,
   ) {
     this.weights = structuredClone(entry.weights);
-    const folds = Object.keys(this.weights).sort(defaultFirst).map((region, number) => this.fold(region, number === 0));
+    const folds = ["default", ...entry.regions].map((region, number) => this.fold(region, number === 0));
     this.element = section("Blend", null, ...folds, this.command);
     this.tell();
   }
 
   private fold(region: string, open: boolean): HTMLElement {
-    const title = region === "default" ? "everywhere else" : region;
+    const title = region === "default" ? "all others" : region;
     const lock = this.entry.locked[region];
     if (lock) return h("p", {}, `${title}: locked to ${this.entry.sources[lock - 1]}`);
     const rows = this.entry.sources.map((name, source) => {
       const change = (value: number) => {
+        this.weights[region] ??= [...this.weights.default];
         this.weights[region][source] = value;
+        if (region === "default") this.follow();
         this.preview();
       };
-      const value = this.weights[region][source];
+      const value = (this.weights[region] ?? this.weights.default)[source];
       return new Row({ name, minimum: 0, maximum: 1, rest: value, value, change, settle: () => void this.settle() });
     });
-    return h("details", { open }, h("summary", {}, title), h("div", { class: "rows" }, ...rows.map((row) => row.element)));
+    this.rows.set(region, rows);
+    const number = this.entry.regions.indexOf(region);
+    const swatch = number < 0 ? "" : h("span", { class: "swatch", style: `background: ${css(regionColor(number))}` });
+    return h("details", { open }, h("summary", {}, swatch, title), h("div", { class: "rows" }, ...rows.map((row) => row.element)));
+  }
+
+  /** Regions without weights of their own have those of all others. */
+  private follow(): void {
+    for (const [region, rows] of this.rows) {
+      if (!(region in this.weights)) rows.forEach((row, source) => row.show(this.weights.default[source]));
+    }
   }
 
   /** New neutral points, as fast as the server gives them. */
@@ -110,8 +125,4 @@ export class BlendPanel {
       });
     this.command.value = `${this.entry.command} ${words.join(" ")}`;
   }
-}
-
-function defaultFirst(a: string, b: string): number {
-  return +(b === "default") - +(a === "default") || a.localeCompare(b);
 }

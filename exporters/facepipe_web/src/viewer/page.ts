@@ -142,7 +142,9 @@ export class Page {
   }
 
   private paint(): void {
-    for (const one of [this.own, this.second]) one?.look.set(this.coloring, this.wireframe);
+    const alone = this.coloring === "distance" && !this.other; // the neutral is nowhere far from itself
+    this.own.look.set(this.coloring, this.wireframe);
+    this.second?.look.set(alone ? "material" : this.coloring, this.wireframe);
     if (this.coloring === "material") this.legend.hide();
     if (this.coloring === "regions") this.legend.regions(this.own.regionNames);
     if (this.coloring === "distance") this.measure();

@@ -46,7 +46,7 @@ export class Row {
   show(value: number): void {
     this.range.value = String(value);
     this.number.value = String(Math.round(value * 1000) / 1000);
-    this.element.classList.toggle("moved", Math.abs(value - this.options.rest) > 1e-9);
+    this.element.classList.toggle("moved", Math.abs(value - this.options.rest) > 1e-6);
   }
 
   private take(value: number): void {
