@@ -96,6 +96,30 @@ def test_random_poses(url: str, reference: Deformer) -> None:
         assert np.abs(error).max() < TOLERANCE * head_height(reference)
 
 
+@pytest.mark.parametrize(
+    ("flags", "backend"),
+    [([], "wasm"), (["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"], "webgpu")],
+)
+def test_webgpu_where_there_is_one(url: str, flags: list[str], backend: str) -> None:
+    """Both ways to evaluate the graph, and more threads, give the same points; without a device WebAssembly does."""
+    other = """
+        const { glb, onnx } = page.own.entry, pose = { noseWidth: 0.8, smile: 0.5 };
+        const found = [];
+        await face.setSliders(pose);
+        for (const options of [{ backend: "webgpu" }, { threads: 2 }]) {
+          const other = await facepipe.loadFace(glb, onnx, options);
+          await other.setSliders(pose);
+          const [a, b] = [other.points("Head"), face.points("Head")];
+          found.push(other.network.backend, Math.max(...a.map((value, i) => Math.abs(value - b[i]))));
+        }
+        return found;"""
+    results, problems = browse(url, READY, run(other), flags=flags)
+    assert problems == []
+    used, far, plain, threads_far = results[1]
+    assert (used, plain) == (backend, "wasm")
+    assert max(far, threads_far) < TOLERANCE * 0.28  # metres: the sample's head
+
+
 def test_values_set_at_once_end_at_the_last(url: str) -> None:
     """Without waiting: the graph runs once at a time, and the face ends where it was told last."""
     hurry = "const all = [0.1, 0.9, 0.4].map((value) => face.setSliders({ smile: value })); await Promise.all(all);"

@@ -23,6 +23,16 @@ export interface Evaluation {
 
 const WANTED = ["skinning_matrices", "morph_weights"];
 
+interface Gpu {
+  requestAdapter(): Promise<object | null>;
+}
+
+/** Whether the browser has WebGPU, and a device for it. */
+async function hasWebGpu(): Promise<boolean> {
+  const { gpu } = navigator as { gpu?: Gpu };
+  return Boolean(await gpu?.requestAdapter());
+}
+
 export class Network {
   private readonly feeds: Record<string, Tensor> = {};
   private readonly wanted: string[];
@@ -52,7 +62,7 @@ export class Network {
     if (metadata.inputs[0].shape[0] !== 1) {
       throw new FaceError(onnxUrl, `a graph for ${metadata.inputs[0].shape[0]} poses at once, expected one`);
     }
-    const gpu = options.backend === "webgpu" && "gpu" in navigator;
+    const gpu = options.backend === "webgpu" && (await hasWebGpu());
     const runtime = (gpu ? await import("onnxruntime-web/webgpu") : await import("onnxruntime-web/wasm")) as Runtime;
     runtime.env.wasm.numThreads = options.threads ?? 1;
     if (options.wasmFolder) runtime.env.wasm.wasmPaths = options.wasmFolder;

@@ -1,5 +1,5 @@
 /** The viewer's page: reads viewer.json, loads its faces and puts the page together. */
-import { FaceError } from "../runtime";
+import { FaceError, loadFace } from "../runtime";
 import { say, sayError } from "./messages";
 import { Page } from "./page";
 import { Picture } from "./scene";
@@ -26,7 +26,7 @@ async function start(): Promise<void> {
   const page = new Page(picture, view, document.getElementById("panel")!, face, content.blend);
   page.other = other ? await load(other) : null;
   page.show();
-  Object.assign(window, { facepipe: { page, face: () => page.own.face, picture } }); // for the console, and for tests
+  Object.assign(window, { facepipe: { page, face: () => page.own.face, picture, loadFace } }); // for the console, and for tests
   document.body.dataset.state = "ready";
 }
 
