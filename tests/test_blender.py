@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_python import blender, needs_blender, run_blender
+from faces import tiny_face
 from import_data import shared
 from node import validate as khronos
 
 import facepipe
 from facepipe.cli import main
 from facepipe.importers import load
-from facepipe.parts import FaceParts, Mesh
+from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.sample import make
 from facepipe.stage import save_parts
 from facepipe.stage.differences import same
@@ -136,6 +137,20 @@ def test_makehuman_comes_back(tmp_path: Path) -> None:
     before, after = facepipe.open(tmp_path / "face.usdc"), facepipe.open(tmp_path / "out.usdc")
     check_same(before.parts(), after.parts(), before.head_height)
     assert validate(tmp_path / "out.usdc") == ()
+
+
+@pytest.mark.parametrize("joints", [True, False])
+def test_loose_meshes_and_faces_without_joints_come_back(tmp_path: Path, joints: bool) -> None:
+    parts = tiny_face()
+    if not joints:
+        bare = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
+        parts = replace(parts, skeleton=Skeleton(), meshes=bare)
+    save_parts(parts, tmp_path / "face.usda")
+    _, said = blender(
+        "round_trip.py", tmp_path / "face.usda", tmp_path / "out.usda", {}, False, answer=tmp_path / "a.npz"
+    )
+    before, after = facepipe.open(tmp_path / "face.usda").parts(), facepipe.open(tmp_path / "out.usda").parts()
+    assert same(before, after), said
 
 
 UNITS: Sequence[tuple[dict[str, object], str, float]] = (

@@ -47,7 +47,7 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     before = kept.parts
     if own_units:
         place = between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
-    home = reference(before)
+    home = _home(before, face)
     moved = snapped(place, home, size) @ np.linalg.inv(home)
     parts = placed_face(edited.parts, moved)
     if not own_units:
@@ -56,9 +56,11 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     return Built(parts, (*warnings, *edited.warnings), kept.neural_rig)
 
 
-def reference(parts: FaceParts) -> FloatArray:
-    """(4, 4) place of the face's first object: of its skeleton, or of its first mesh where there are no joints."""
-    return parts.skeleton.transform if parts.skeleton.joints else parts.meshes[0].transform
+def _home(parts: FaceParts, face: FaceObjects) -> FloatArray:
+    """(4, 4) place that the face's first object had when it was imported: its skeleton, or a mesh."""
+    transforms = {mesh.name: mesh.transform for mesh in parts.meshes}
+    own = parts.skeleton.transform
+    return own if face.armature is not None else transforms.get(str(face.first.get(MESH, "")), own)
 
 
 def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[str]) -> FaceParts:
@@ -70,7 +72,8 @@ def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[
     meshes = []
     for obj, name in zip(face.meshes, names, strict=True):
         mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)
-        meshes.append(_in_its_place(mesh, first @ view.matrix(obj), kept))
+        home = None if kept is None else _home(kept.parts, face)
+        meshes.append(_in_its_place(mesh, first @ view.matrix(obj), kept, home))
     order = {} if kept is None else {mesh.name: i for i, mesh in enumerate(kept.parts.meshes)}
     return FaceParts(
         name=identifier(face.first.name, "Face"),
@@ -94,19 +97,19 @@ def _mesh_names(meshes: tuple[Any, ...], kept: Kept | None) -> list[str]:
     return [name or next(free) for name in names]
 
 
-def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None) -> Mesh:
+def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None, home: FloatArray | None) -> Mesh:
     """The mesh in the space of the face's first object, or in that of its object where it was imported.
 
     :param place: (4, 4) its object relative to the first
+    :param home: (4, 4) place of the first when it was imported
     """
     size = float(np.abs(mesh.points).max(initial=1.0))
     if kept is not None and mesh.name in kept.places:
         then = kept.places[mesh.name]
         return moved_mesh(mesh, np.linalg.inv(then) @ snapped(place, then, size))
     moved = moved_mesh(mesh, snapped(place, np.eye(4), size))
-    if kept is None:
+    if home is None:
         return moved
-    home = reference(kept.parts)
     skin = None if moved.skin is None else replace(moved.skin, geom_bind_transform=home)
     return replace(moved, transform=home, skin=skin)
 

@@ -28,7 +28,7 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     :raises InputError, SchemaError: a face that can't be written
     """
     view, objects = StageView(stage), list(objects)
-    faces = faces_among(obj for obj in objects if obj.type == "MESH" and view.prim(obj) is not None)
+    faces = faces_among(obj for obj in objects if view.prim(obj) is not None)
     faces = tuple(one for one in faces if one.armature is None or view.prim(one.armature) is not None)
     if not faces:
         return ()

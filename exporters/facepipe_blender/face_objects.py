@@ -37,15 +37,18 @@ class FaceObjects:
 
 def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
     """The faces that some objects make, in the order of their names."""
+    objects = sorted(objects, key=lambda one: str(one.name))
+    kept = {record: obj for obj in reversed(objects) if obj.type == "ARMATURE" and (record := record_of(obj))}
     groups: dict[Any, list[Any]] = {}
-    for obj in sorted((one for one in objects if one.type == "MESH"), key=lambda one: str(one.name)):
-        armature = armature_of(obj)
-        key = armature or record_of(obj) or obj
-        groups.setdefault(key, []).append(obj)
-    found = [
-        FaceObjects(armature=key if getattr(key, "type", "") == "ARMATURE" else None, meshes=tuple(meshes))
-        for key, meshes in groups.items()
-    ]
+    for obj in objects:
+        if obj.type == "MESH":
+            record = record_of(obj)
+            armature = armature_of(obj) or kept.get(record)  # meshes without skin belong to their face too
+            groups.setdefault((armature, record if armature is None else None), []).append(obj)
+    found = []
+    for (armature, record), meshes in groups.items():
+        for own in [meshes] if armature is not None or record is not None else [[one] for one in meshes]:
+            found.append(FaceObjects(armature=armature, meshes=tuple(own)))
     return tuple(one for one in found if one.is_face)
 
 

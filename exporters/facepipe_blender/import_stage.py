@@ -108,6 +108,6 @@ def _places(meshes: Sequence[Mesh], found: Found) -> dict[str, FloatArray]:
     """Mesh -> (4, 4) its object relative to the armature, or to the first mesh."""
     bpy.context.view_layer.update()
     names = [mesh.name for mesh in meshes if mesh.name in found.meshes]
-    first = found.armature or found.meshes[names[0]]
+    first = found.armature or min(found.meshes.values(), key=lambda obj: str(obj.name))
     back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
     return {name: back @ np.array(found.meshes[name].matrix_world, dtype=np.float64) for name in names}

@@ -87,6 +87,8 @@ def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray],
     if {*before.joints} != {*made.joints}:
         warnings.append(f"{len(made.joints)} joints, {len(before.joints)} before: the skeleton is made anew")
         return replace(made, name=before.name, transform=before.transform)
+    if not before.joints:
+        return before
     place = {joint: i for i, joint in enumerate(made.joints)}
     now = made.bind_transforms[[place[joint] for joint in before.joints]]
     then = np.array([bones[joint] for joint in before.joints]).reshape(-1, 4, 4)

@@ -3,8 +3,9 @@
 import json
 import sys
 
-import addon_utils
 import bpy
+
+import addon_utils  # isort: skip  (Blender's, there only then)
 
 addon, face, out = map(json.loads, sys.argv[1:])
 bpy.ops.wm.read_factory_settings(use_empty=True)
