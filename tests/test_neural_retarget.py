@@ -164,7 +164,8 @@ def test_the_command_carries_a_rig_to_a_face(
         for name in [one for one in prim.GetPropertyNames() if one.startswith("facepipe:control:")]:
             prim.RemoveProperty(name)
     stage.Save()
-    code, out, err = run(capsys, *words, "--frames", tmp_path / "mute.usdc", "-o", tmp_path / "mute.fpnr")
+    files = ("--frames", tmp_path / "mute.usdc", "-o", tmp_path / "mute.fpnr")
+    code, out, err = run(capsys, *words, *files, "--rounds", "1")
     assert code == 0, err
     assert json.loads(out)["controls"] == "found"
     code, _, err = run(capsys, *words, "--frames", tmp_path / "none.usdc", "-o", tmp_path / "other.fpnr")
@@ -176,6 +177,7 @@ def test_the_command_carries_a_rig_to_a_face(
     assert "less.usda: other meshes than those of the neural rig" in err
 
 
+@pytest.mark.slow
 def test_the_published_network_learns_the_subject_too(rig: NeuralRig) -> None:
     """Of four controls and many frames; the composed rig is one neural rig, orthonormal again."""
     subject, unseen = Subject.of(second_face(), "second.usda"), motion(OTHERS)
