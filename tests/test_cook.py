@@ -251,6 +251,18 @@ def test_a_layer_with_unsaved_changes_is_refused(chain: Path) -> None:
     assert content(chain) == before
 
 
+def test_json_tells_what_was_done_before_an_error(chain: Path, capsys: Capsys) -> None:
+    change("b.usda")
+    Path("table.toml").write_text("[slider.drop")
+    code, report, err = cook(capsys, "shot.usda")
+    assert (code, report["good"], actions(report)) == (2, False, {"mix.usda": "cooked"})
+    assert err == f"facepipe: {report['error']}\n"
+    Path("b.usda").unlink()
+    code, report, err = cook(capsys, "shot.usda")
+    assert (code, report["good"], report["nodes"]) == (2, False, [])
+    assert err == f"facepipe: {report['error']}\n"
+
+
 # --- other processes, other layers
 
 

@@ -22,10 +22,11 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import emit, progress, warn
+from facepipe.errors import FacepipeError
 
 if TYPE_CHECKING:
     from facepipe.pipeline import CookReport, NodeReport
@@ -44,15 +45,31 @@ def run(arguments: argparse.Namespace) -> int:
     """Cook, telling of each file once it is done."""
     from facepipe.pipeline import CookOptions, cook
 
+    done: list[NodeReport] = []
+
     def told(node: NodeReport) -> None:
+        done.append(node)
         warn(node.warnings)
         if not arguments.json:
             print(_line(node), flush=True)
 
-    report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, told=told)
+    try:
+        report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, told=told)
+    except FacepipeError as error:
+        if arguments.json:
+            emit(_ended(done, error), "", as_json=True)
+        raise
     result = {"good": report.good, **json.loads(report.to_json())}
     emit(result, "\n".join([*_findings(report), _summary(report)]), as_json=arguments.json)
     return 0 if report.good else 1
+
+
+def _ended(done: list[NodeReport], error: FacepipeError) -> dict[str, Any]:
+    """What is told of a cook that `error` has ended: the files before it are done."""
+    from facepipe.pipeline import CookReport
+
+    report = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
+    return {**json.loads(report.to_json()), "good": False, "error": str(error)}
 
 
 def _line(node: NodeReport) -> str:
