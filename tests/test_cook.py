@@ -177,6 +177,15 @@ def test_edits_in_a_layer_above_stay(chain: Path, capsys: Capsys) -> None:
     assert Path("shot.usda").read_bytes() == before
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a right")
+def test_a_link_leads_to_the_file_that_is_cooked(chain: Path, capsys: Capsys) -> None:
+    Path("latest.usda").symlink_to("mix.usda")
+    change("b.usda")
+    assert actions(cook(capsys, "latest.usda")[1]) == {"mix.usda": "cooked"}
+    assert Path("latest.usda").is_symlink()
+    assert actions(cook(capsys, "mix.usda")[1]) == {"mix.usda": "up to date"}
+
+
 def test_standalone_files_stay_standalone(folder: Path, capsys: Capsys) -> None:
     assert main(["blend", "a.usda", "b.usda", "-o", "flat.usda", "--flatten"]) == 0
     assert main(["blend", "a.usda", "b.usda", "-o", "packed.usdz"]) == 0

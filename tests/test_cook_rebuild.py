@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,6 +56,23 @@ def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:  # noqa: 
     assert _cooked(capsys, out) == ["cooked"]
     cooked = out.read_bytes()
     assert cooked != before
+    rebuilt(capsys, project)
+    assert out.read_bytes() == cooked
+
+
+def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, capsys: Capsys) -> None:  # noqa: F811
+    """No recipe tells of it until the actor is cooked; then it is cooked, and the actor is of what it became."""
+    head, middle, out = (project.parent / name for name in ("head.usda", "middle.usda", "anna.usda"))
+    rebuilt(capsys, project)
+    marks = project.parent / "marks.json"
+    marks.write_text(json.dumps(scan_domes.face().meshes[0].landmarks["multipie68"].indices.tolist()))
+    assert run(capsys, "landmarks", head, "--from", marks, "-o", middle)[0] == 0
+    with head.open("a") as text:
+        text.write("# changed\n")
+    project.write_text(PROJECT.replace("head.usda", "middle.usda"))
+    assert _cooked(capsys, out) == ["cooked"] * 3
+    assert _cooked(capsys, out) == ["up to date"] * 2
+    cooked = out.read_bytes()
     rebuilt(capsys, project)
     assert out.read_bytes() == cooked
 

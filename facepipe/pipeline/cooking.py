@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,9 +44,9 @@ def cook(
     files = [Path(path) for path in paths]
     run = _Run(read_graph(files), options, watch)
     nodes = []
-    for node in run.graph.cookable():
-        nodes.append(run.node(node))
-        told(nodes[-1])
+    for node in run.nodes(files):
+        nodes.append(node)
+        told(node)
     findings = {}
     if options.validate:
         from facepipe.validate import validate
@@ -65,6 +65,23 @@ class _Run:
         self._digests = Digests()
         self._cooked: set[Path] = set()
         self._stale: set[Path] = set()
+        self._grown = False  # something is made of files that the graph has not
+
+    def nodes(self, files: Sequence[Path]) -> Iterator[NodeReport]:
+        """Each file as it is done; again where what was cooked is made of other files now, and these are cooked.
+
+        :raises FacepipeError: what can't be read or cooked
+        """
+        told: set[Path] = set()
+        while True:
+            for node in self.graph.cookable():
+                done = self.node(node)
+                if done.action != "up to date" or node.path not in told:
+                    yield done
+                told.add(node.path)
+            if not self._grown:
+                return
+            self.graph, self._grown = read_graph(files), False
 
     def node(self, node: Node) -> NodeReport:
         """:raises FacepipeError: what can't be read or cooked"""
@@ -82,7 +99,8 @@ class _Run:
         """Why `node` is to be cooked; nothing where it is up to date."""
         found = changes(self.graph, node, self._digests, self._cooked)
         found += waiting(self.graph, node, self._stale)
-        return found or (("forced",) if self._options.force else ())
+        forced = self._options.force and node.path.resolve() not in self._cooked
+        return found or (("forced",) if forced else ())
 
     def _cook(self, node: Node, key: Path) -> NodeReport:
         """With the lock of the file: another process may have cooked it before."""
@@ -122,6 +140,7 @@ class _Run:
         self._cooked.add(key)
         self._digests.forget(key)
         node = self.graph.nodes[key] = read_node(self.graph.nodes[key].path)  # it may stand on other layers now
+        self._grown |= not self.graph.holds(node)
         return node
 
 

@@ -27,6 +27,12 @@ class Node:
     layers: tuple[Path, ...] = ()  # that the file names
 
     @property
+    def below(self) -> tuple[Path, ...]:
+        """The USD files that it is made of."""
+        files = (*self.sources, *self.layers)
+        return tuple(one for one in files if one.suffix.lower() in SUFFIXES and one.is_file())
+
+    @property
     def lost(self) -> tuple[Path, ...]:
         """Layers that are not there."""
         return tuple(one for one in self.layers if not one.is_file())
@@ -41,6 +47,10 @@ class Graph:
     def cookable(self) -> tuple[Node, ...]:
         """Those with recipes, in order."""
         return tuple(one for one in self.nodes.values() if one.recipe is not None)
+
+    def holds(self, node: Node) -> bool:
+        """Whether all that `node` is made of is here."""
+        return all(one.resolve() in self.nodes for one in node.below)
 
     def made_of(self, path: Path) -> set[Path]:
         """Resolved paths of a file and of all layers below it."""
@@ -63,7 +73,7 @@ def read_graph(paths: Iterable[Path]) -> Graph:
     walk = _Walk()
     for path in paths:
         _check_stage(path)
-        walk.visit(Path(os.path.abspath(path)), ())  # noqa: PTH100  (links stay as they are)
+        walk.visit(_place(path), ())
     return Graph(nodes=walk.done)
 
 
@@ -71,6 +81,16 @@ def shown(path: Path) -> str:
     """A path as seen from the working folder, where it lies below that."""
     folder = Path.cwd()
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+
+
+def _place(path: Path) -> Path:
+    """The file that is read and written for a given path: of a link to one beside it, that one.
+
+    USD looks for layers from the folder of a link, so that others are taken for files.
+    """
+    path = Path(os.path.abspath(path))  # noqa: PTH100  (links to folders stay as they are)
+    meant = path.resolve()
+    return path.with_name(meant.name) if meant.parent == path.parent.resolve() else path
 
 
 def _check_stage(path: Path) -> None:
@@ -100,9 +120,8 @@ class _Walk:
         except FacepipeError as error:
             raise _after(trail, error) from None
         self._check(node, trail)
-        for one in (*node.sources, *node.layers):
-            if one.suffix.lower() in SUFFIXES and one.is_file():
-                self.visit(one, (*trail, path))
+        for one in node.below:
+            self.visit(one, (*trail, path))
         self.done[key] = node
 
     def _check(self, node: Node, trail: tuple[Path, ...]) -> None:
