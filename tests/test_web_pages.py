@@ -19,7 +19,7 @@ from slider_faces import sample_with_sliders
 
 import facepipe
 from facepipe.cli import main
-from facepipe.parts import FaceParts, Slider
+from facepipe.parts import FaceParts, Skin, Slider
 from facepipe.payload import PayloadContent, decode, encode
 from facepipe.rig import build, rest_coefficients
 from facepipe.stage import save_parts
@@ -28,6 +28,7 @@ pytestmark = pytest.mark.slow
 
 CANVAS = "#view > canvas"
 MESSAGES = {"run": 'document.querySelector(".messages")?.textContent ?? ""'}
+NOTES = {"run": 'document.querySelector(".notes").innerText'}
 POINTS = run("return face.meshes.flatMap((mesh) => Array.from(face.points(mesh.name)))")
 
 
@@ -209,6 +210,7 @@ def test_the_search_of_shapes(url: str) -> None:
     ("name", "said"),
     [
         ("larger", "the head is 283.6 mm high in the GLB, 289.3 mm in the ONNX"),
+        ("wider", "mm from where the ONNX has it"),
         ("tiny", "40 joints in the GLB, 3 in the ONNX"),
         ("none", "no JSON, expected the sidecar"),
     ],
@@ -219,6 +221,8 @@ def test_glb_and_onnx_of_different_faces(sample: Path, folder: Path, name: str, 
     onnx, parts = folder / f"{name}.onnx", sample_with_sliders()
     if name == "larger":
         parts = replace(parts, meters_per_unit=1.02 * parts.meters_per_unit)
+    elif name == "wider":
+        parts = replace(parts, meshes=tuple(replace(one, points=one.points * (1.02, 1, 1)) for one in parts.meshes))
     elif name == "tiny":
         parts = replace(tiny_face(), sliders=(Slider(name="bend", channels=(("root/jaw", "rx", 0.3),)),))
     export_parts(parts, onnx, Options(sliders=True))
@@ -238,6 +242,22 @@ def test_the_same_files_are_one_face(sample: Path, folder: Path) -> None:
     with browser.viewing(folder / "own.glb", onnx=folder / "own.onnx") as url:
         results, problems = browse(url, READY, MESSAGES, run("return face.sliders.length"))
     assert (results[1:], problems) == (["", 50], [])
+
+
+def test_notes_of_the_export(folder: Path) -> None:
+    """What the GLB can't hold is read on the page: here more influences than glTF in three.js has."""
+    parts = sample_with_sliders()
+    rng, joints = np.random.default_rng(5), len(parts.skeleton.joints)
+    meshes = []
+    for mesh in parts.meshes:
+        places = np.argsort(rng.random((len(mesh.points), joints)), axis=1)[:, :6]
+        skin = Skin(joint_indices=places, joint_weights=np.full(places.shape, 1 / 6))
+        meshes.append(replace(mesh, skin=skin))
+    save_parts(replace(parts, meshes=tuple(meshes)), folder / "many.usda")
+    with browser.viewing(folder / "many.usda") as url:
+        results, problems = browse(url, READY, {"click": ".notes > summary"}, NOTES)
+    assert problems == []
+    assert "more than 4 influences" in results[-1]
 
 
 def test_without_webgl(url: str) -> None:

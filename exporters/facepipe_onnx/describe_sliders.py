@@ -13,6 +13,7 @@ from facepipe.rig.activation import curves
 
 Json = dict[str, Any]
 
+_MARKS = 64  # points of a mesh
 _MOST_ENTRIES = 8192
 _ENTRIES = ("channel_curves", "channels", "shape_curves", "shapes")
 
@@ -119,8 +120,19 @@ def _gltf_from_world(parts: FaceParts) -> FloatArray:
 
 
 def with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Json]:
-    """The `meshes` with the numbers of their morph targets."""
-    return [own | {"targets": _targets(mesh, rig)} for own, mesh in zip(meshes, parts.meshes, strict=True)]
+    """The `meshes` with the numbers of their morph targets, and with marks of their neutral."""
+    neutral = rig.evaluate() @ _gltf_from_world(parts)[:3, :3].T
+    return [
+        own | {"marks": _marks(neutral[own["first"] :][: own["count"]]), "targets": _targets(mesh, rig)}
+        for own, mesh in zip(meshes, parts.meshes, strict=True)
+    ]
+
+
+def _marks(points: FloatArray) -> Json:
+    """Some points (n, 3) of a mesh with their numbers, evenly among them: they tell faces of one topology apart."""
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(_MARKS, len(points))).astype(int))
+    rounded = [[float(f"{value:.6g}") + 0.0 for value in points[number]] for number in chosen]
+    return {"points": chosen.tolist(), "positions": rounded}
 
 
 def _targets(mesh: Mesh, rig: Rig) -> list[int]:

@@ -1,9 +1,8 @@
 /** Loading a face: its GLB, and the ONNX of its sliders. */
 import { Face, type JointFacts } from "./face";
-import { type LoadedGlb, readGlb } from "./glb";
+import { readGlb } from "./glb";
 import { readMetadata } from "./metadata";
 import { Network, type NetworkOptions } from "./network";
-import { readPoints } from "./read_points";
 import { checkSameFace } from "./same_face";
 
 export interface LoadOptions extends NetworkOptions {
@@ -21,22 +20,9 @@ export async function loadFace(glbUrl: string, onnxUrl: string | null = null, op
   const metadata = onnxUrl === null ? null : await readMetadata(onnxUrl);
   const glb = await readGlb(glbUrl);
   if (metadata === null || onnxUrl === null) return new Face(glb, null, options.joints ?? null);
-  checkSameFace(glb, metadata, heightOf(glb), `${glbUrl}, ${onnxUrl}`);
+  checkSameFace(glb, metadata, `${glbUrl}, ${onnxUrl}`);
   const network = await Network.load(onnxUrl, metadata, options);
   const face = new Face(glb, network);
   await face.setSliders(Object.fromEntries(face.sliders.map((one) => [one.name, one.value])));
   return face;
-}
-
-/** Height of the neutral in metres. */
-function heightOf({ root, meshes }: LoadedGlb): number {
-  let [low, high] = [Infinity, -Infinity];
-  for (const mesh of meshes) {
-    const points = readPoints(root, mesh);
-    for (let i = 1; i < points.length; i += 3) {
-      low = Math.min(low, points[i]);
-      high = Math.max(high, points[i]);
-    }
-  }
-  return high - low;
 }

@@ -28,12 +28,18 @@ export interface Output {
   targets?: { name: string; shape: string }[];
 }
 
+export interface Marks {
+  points: number[];
+  positions: [number, number, number][];
+}
+
 export interface Metadata {
   face: { head_height: number; meters_per_unit: number; name: string; up_axis: "Y" | "Z" };
   format: { name: string; version: number };
   inputs: Input[];
   joints: { path: string; parent: number }[];
-  meshes: { name: string; first: number; count: number; targets: number[] }[];
+  /** `marks`: some points by their numbers, metres, Y up; files of older versions have none */
+  meshes: { name: string; first: number; count: number; targets: number[]; marks?: Marks }[];
   outputs: Output[];
   sliders: { name: string; mirror: string | null }[];
 }

@@ -2,11 +2,11 @@
 import { type Group, Vector3 } from "three";
 import { type FaceMesh, pointNumbers } from "./glb";
 
-/** 3 numbers a point of the stage, relative to `root`: metres, Y up; points that no vertex stands for are 0. */
-export function readPoints(root: Group, mesh: FaceMesh): Float32Array {
+/** 3 numbers a point of the stage, relative to `root`: metres, Y up; points that no vertex stands for are `missing`. */
+export function readPoints(root: Group, mesh: FaceMesh, missing = 0): Float32Array {
   root.updateWorldMatrix(true, true);
   const back = root.matrixWorld.clone().invert();
-  const found = new Float32Array(3 * mesh.pointCount);
+  const found = new Float32Array(3 * mesh.pointCount).fill(missing);
   const at = new Vector3();
   for (const primitive of mesh.primitives) {
     const numbers = pointNumbers(primitive);

@@ -49,7 +49,6 @@ export class Page {
     this.picture.show(this.own, this.other);
     this.picture.frame();
     this.paint();
-    for (const note of this.own.details?.notes ?? []) console.info(note);
     document.title = `${this.own.entry.label} - facepipe`;
   }
 
@@ -83,6 +82,7 @@ export class Page {
     const counts = [`${face.meshes.length} meshes`, `${face.joints?.bones.length ?? 0} joints`];
     const about = h("header", {}, h("h1", {}, entry.label), h("p", {}, counts.join(" · ")));
     if (face.copyright) about.append(h("p", {}, face.copyright));
+    about.append(...[this.own, this.other].flatMap((one) => (one ? notesOf(one) : [])));
     const parts: HTMLElement[] = [about];
     if (this.blend) parts.push(new BlendPanel(this.blend, this).element);
     if (face.sliders.length) {
@@ -192,4 +192,11 @@ export class Page {
     h("a", { href: url, download: `${this.own.entry.label.replace(/\.\w+$/, "")}.png` }).click();
     URL.revokeObjectURL(url);
   }
+}
+
+/** What the export of a face could not hold. */
+function notesOf({ details, entry }: ViewedFace): HTMLElement[] {
+  const notes = details?.notes ?? [];
+  const title = `${notes.length} export note${notes.length > 1 ? "s" : ""}: ${entry.label}`;
+  return notes.length ? [h("details", { class: "notes", open: notes.length < 3 }, h("summary", {}, title), ...notes.map((note) => h("p", {}, note)))] : [];
 }
