@@ -90,8 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     begin, request = time.perf_counter(), request_of(arguments)
     warn(request.warnings)
-    inputs = read_inputs(request.job)
     face = facepipe.open(request.job.face)
+    inputs = read_inputs(request.job)
     warn(inputs.warnings)
     report = _make(face, inputs, request)
     warn(report.warnings[len(request.warnings) + len(inputs.warnings) :])
