@@ -251,6 +251,19 @@ def test_what_is_no_stage_is_refused(folder: Path, capsys: Capsys, name: str, ex
     assert expected in refused(capsys, name)
 
 
+@pytest.mark.parametrize("name", ["broken.usda", "above.usda"])
+def test_a_damaged_source_is_told_in_one_line(chain: Path, capsys: Capsys, name: str) -> None:
+    """Damaged itself, or the layer below it; by a cook and by a command that reads its digest first."""
+    Path("broken.usda").write_text("#usda 1.0\n(\n")
+    layer("above.usda", '(subLayers = [@./broken.usda@]\n defaultPrim = "Tiny")')
+    assert "can't be read as USD" in refused(capsys, name)
+    before = content(chain)
+    assert main(["sliders", name, "--set", "open=1", "-o", "out.usda"]) == 2
+    err = capsys.readouterr().err
+    assert (err.count("\n"), content(chain)) == (1, before)
+    assert err.startswith(f"facepipe: {name}: ")
+
+
 def test_a_layer_with_unsaved_changes_is_refused(chain: Path) -> None:
     face = facepipe.open("b.usda")
     face.stage.GetRootLayer().comment = "not saved"

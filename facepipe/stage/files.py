@@ -57,9 +57,15 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
 
 
 def dependencies(path: Path) -> set[Path]:
-    """Every file that a USD file needs, itself included: layers and textures."""
+    """Every file that a USD file needs, itself included: layers and textures.
+
+    :raises InputError: it or a layer below it is damaged
+    """
     with quiet_diagnostics():
-        layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+        try:
+            layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+        except (*USD_ERRORS, RuntimeError) as error:
+            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
     return {Path(layer.realPath) for layer in layers if layer.realPath} | {Path(str(asset)) for asset in assets}
 
 
