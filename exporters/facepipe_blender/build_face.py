@@ -14,7 +14,7 @@ from facepipe.pipeline.edited_face import edited_face, made_face
 from facepipe.pipeline.host_face import recipe_from
 
 from .face_objects import FaceObjects
-from .placement import between_stages, moved_face, moved_mesh, placed_face, snapped
+from .placement import between_stages, inverse, moved_face, moved_mesh, placed_face, snapped
 from .read_armature import joint_paths, read_skeleton
 from .read_mesh import read_mesh
 from .record import MESH, Kept, kept_in
@@ -68,7 +68,7 @@ def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
     joints = {bone: place[path] for bone, path in joint_paths(face.armature).items()} if face.armature else {}
     names = _mesh_names(face.meshes, kept)
-    first = np.linalg.inv(view.matrix(face.first))
+    first = inverse(view.matrix(face.first), face.first.name)
     meshes = []
     for obj, name in zip(face.meshes, names, strict=True):
         mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
@@ -13,7 +14,7 @@ from facepipe.parts import FaceParts
 from facepipe.pipeline.host_face import author_neural_rig, face_layer
 
 from .build_face import Built, build_face
-from .face_objects import faces_among
+from .face_objects import FaceObjects, faces_among
 from .stage_view import StageView
 
 _BARE = ("", "Xform", "Scope", "SkelRoot")
@@ -28,10 +29,9 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     :raises InputError, SchemaError: a face that can't be written
     """
     view, objects = StageView(stage), list(objects)
-    faces = faces_among(obj for obj in objects if view.prim(obj) is not None)
-    faces = tuple(one for one in faces if one.armature is None or view.prim(one.armature) is not None)
+    faces, warnings = _on_stage(view, objects)
     if not faces:
-        return ()
+        return warnings
     faces = tuple(sorted(faces, key=lambda one: active not in (one.armature, *one.meshes)))
     work = Sdf.Layer.CreateAnonymous(".usda")
     work.TransferContent(stage.GetRootLayer())
@@ -45,7 +45,24 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
         author_neural_rig(work, path, one.neural_rig, view.folder)
     _finish(work, built, empty=empty, alone=alone)
     stage.GetRootLayer().TransferContent(work)
-    return tuple(line for one in built for line in one.warnings)
+    return (*warnings, *(line for one in built for line in one.warnings))
+
+
+def _on_stage(view: StageView, objects: Sequence[Any]) -> tuple[tuple[FaceObjects, ...], tuple[str, ...]]:
+    """The faces that Blender wrote, and a line for each of their objects that it wrote not."""
+    found, warnings = [], []
+    for face in faces_among(objects):
+        there = replace(face, meshes=tuple(mesh for mesh in face.meshes if view.prim(mesh) is not None))
+        if not there.meshes or not there.is_face:
+            continue
+        if face.armature is not None and view.prim(face.armature) is None:
+            name = there.meshes[0].name
+            warnings.append(f"{face.armature.name}: hidden or not chosen, without it {name} is exported as no face")
+            continue
+        away = [mesh.name for mesh in face.meshes if mesh not in there.meshes]
+        warnings += [f"{name}: hidden or not chosen, left out of the face of {face.first.name}" for name in away]
+        found.append(there)
+    return tuple(found), tuple(warnings)
 
 
 def _remove(layer: Sdf.Layer, faces: set[Sdf.Path], others: set[Sdf.Path]) -> bool:

@@ -103,7 +103,7 @@ def _export_usd(context: Any, face: FaceObjects, path: Path) -> None:
         for obj in layer.objects:
             obj.select_set(obj in objects)
         scene.facepipe_usd, layer.objects.active = True, face.first
-        bpy.ops.wm.usd_export(filepath=str(path), selected_objects_only=True)
+        bpy.ops.wm.usd_export(filepath=str(path), selected_objects_only=True, evaluation_mode="VIEWPORT")
     except RuntimeError as error:  # what Blender's exporter reports
         raise InputError(face.first.name, f"Blender can't export it to USD: {error}") from None
     finally:

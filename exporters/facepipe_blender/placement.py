@@ -36,6 +36,16 @@ def between_stages(unit: float, up: str, to_unit: float, to_up: str) -> FloatArr
     return result
 
 
+def inverse(matrix: FloatArray, where: str) -> FloatArray:
+    """The inverse (4, 4) of the place of an object.
+
+    :raises InputError: a place that flattens
+    """
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        raise InputError(where, "is scaled by 0, expected scales above 0")
+    return np.linalg.inv(matrix)
+
+
 def moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
     """The mesh with points, normals and shapes moved by an affine (4, 4) matrix.
 

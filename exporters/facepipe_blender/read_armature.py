@@ -42,6 +42,8 @@ def read_skeleton(armature: Any) -> Skeleton:
     """The bones at rest; a skeleton without joints for None."""
     if armature is None:
         return Skeleton()
+    if armature.data.is_editmode:
+        armature.update_from_editmode()
     matrices = bone_matrices(armature)
     name = identifier(armature.name, "Skeleton")
     return skeleton_at_rest(name, tuple(matrices), np.array(list(matrices.values())).reshape(-1, 4, 4))

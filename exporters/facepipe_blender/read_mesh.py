@@ -25,15 +25,32 @@ def read_mesh(obj: Any, name: str, joints: Mapping[str, int], uv_names: Mapping[
     :param warnings: gets a line for what is left out
     :raises InputError: no faces, or shape keys of more than their mesh
     """
-    if obj.mode == "EDIT":
+    editing = obj.data.is_editmode
+    if editing:
         obj.update_from_editmode()
-    data = obj.data
-    if not len(data.polygons):
+    if not len(obj.data.polygons):
         raise InputError(obj.name, "no faces, expected a mesh with some")
+    modifiers = [one.name for one in obj.modifiers if one.type != "ARMATURE" and (one.show_viewport or one.show_render)]
+    if modifiers:
+        warnings.append(f"{obj.name}: modifiers {', '.join(modifiers[:3])} ({len(modifiers)} in all) are not applied")
+    data = obj.to_mesh() if editing else obj.data  # a mesh in edit mode shows no values of UV maps and attributes
+    try:
+        return _read(obj, data, name, joints, uv_names, warnings)
+    finally:
+        if editing:
+            obj.to_mesh_clear()
+
+
+def _read(
+    obj: Any, data: Any, name: str, joints: Mapping[str, int], uv_names: Mapping[str, str], warnings: list[str]
+) -> Mesh:
     groups = read_groups(obj, {*joints})
     if groups.others:
         listed = ", ".join(groups.others[:3])
         warnings.append(f"{obj.name}: vertex groups {listed} ({len(groups.others)} in all) name no region: left out")
+    bare = int(np.sum(~np.any([mask > 0 for mask in groups.regions.values()], axis=0))) if groups.regions else 0
+    if bare:
+        warnings.append(f"{obj.name}: {bare} points are in no region, expected each in one or more")
     points, shapes = _shapes(obj, warnings)
     counts = _values(data.polygons, "loop_total", np.int32)
     corners = _values(data.loops, "vertex_index", np.int32)
@@ -67,6 +84,8 @@ def _shapes(obj: Any, warnings: list[str]) -> tuple[FloatArray, tuple[Blendshape
     data = obj.data
     if data.shape_keys is None:
         return _values(data.vertices, "co", np.float32, 3), ()
+    if not data.shape_keys.use_relative:
+        warnings.append(f"{obj.name}: absolute shape keys are taken as relative ones")
     blocks = data.shape_keys.key_blocks
     if any(len(block.data) != len(data.vertices) for block in blocks):
         raise InputError(obj.name, "shape keys of another number of points than the mesh, expected as many")
