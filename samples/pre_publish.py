@@ -62,11 +62,17 @@ def refuse(lines: list[str]) -> int:
     return 1
 
 
-if __name__ == "__main__":
+def main(words: list[str]) -> int:
+    """The exit code; what can't be done is told in one line."""
+    if len(words) != 2:
+        print(__doc__, file=sys.stderr)
+        return 2
     try:
-        sys.exit(publish(Path(sys.argv[1]), Path(sys.argv[2])))
-    except IndexError:
-        sys.exit(__doc__)
-    except FacepipeError as error:
+        return publish(Path(words[0]), Path(words[1]))
+    except (FacepipeError, OSError) as error:
         print(error, file=sys.stderr)
-        sys.exit(2)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -74,3 +74,12 @@ def test_a_face_is_published_up_to_date_or_not_at_all(tmp_path: Path) -> None:
     heads[0].unlink()
     assert _publish(child, out).returncode == 2
     assert {path.name: path.read_bytes() for path in out.iterdir()} == published
+
+
+def test_a_publish_that_cannot_begin_is_told_in_one_line(tmp_path: Path) -> None:
+    head = shutil.copy(FOLDER / "head0.usdz", tmp_path)
+    for words in ((head, tmp_path / "nowhere"), (tmp_path / "none.usda", tmp_path)):
+        done = _publish(*words)
+        assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, ""), done.stderr
+    assert _publish(head).returncode == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["head0.usdz"]
