@@ -100,6 +100,37 @@ def test_a_bone_that_was_moved_takes_only_itself_along() -> None:
     assert same(face.meshes, found.meshes)
 
 
+def test_joints_that_are_new_leave_the_face_where_it_is() -> None:
+    face, place = before(), np.diag([1.0, -1.0, -1.0, 1.0])
+    place[:3, 3] = (3, 5, -2)
+    then = bones(face)  # what the host shows, before the whole face was bound elsewhere
+    meshes = tuple(
+        replace_mesh(
+            mesh,
+            transform=place @ mesh.transform,
+            skin=mesh.skin and replace(mesh.skin, geom_bind_transform=place @ mesh.skin.geom_bind_transform),
+        )
+        for mesh in face.meshes
+    )
+    skeleton = replace(face.skeleton, bind_transforms=place @ face.skeleton.bind_transforms, transform=place)
+    face = replace(face, meshes=meshes, skeleton=skeleton)
+    joints = (*skeleton.joints, "root/extra")
+    now = np.array([*then.values(), then["root"]])
+    made = replace(hosted(face), skeleton=replace(skeleton, joints=joints, bind_transforms=now, rest_transforms=now))
+    heads = [replace_mesh(one, skin=old.skin) for one, old in zip(made.meshes, face.meshes, strict=True)]
+    found = edited_face(face, replace(made, meshes=tuple(heads)), then).parts
+    np.testing.assert_allclose(found.skeleton.bind_transforms[:-1], skeleton.bind_transforms, atol=1e-12)
+    np.testing.assert_allclose(found.skeleton.rest_transforms[:-1], skeleton.rest_transforms, atol=1e-12)
+    np.testing.assert_allclose(found.skeleton.bind_transforms[-1], skeleton.bind_transforms[0], atol=1e-12)
+    turned = np.roll(heads[0].face_vertex_indices.reshape(-1, 4), 1, axis=1).ravel()
+    assert face.meshes[0].skin is not None
+    bare = replace(face.meshes[0].skin, geom_bind_transform=np.eye(4))
+    other = replace(made, meshes=(replace_mesh(heads[0], face_vertex_indices=turned, skin=bare),))
+    (mesh,) = edited_face(face, other, then).parts.meshes
+    assert mesh.skin is not None
+    np.testing.assert_array_equal(mesh.skin.geom_bind_transform, face.meshes[0].skin.geom_bind_transform)
+
+
 def test_other_faces_take_landmarks_away_and_say_so() -> None:
     face, made = before(), hosted(before())
     head = made.meshes[0]

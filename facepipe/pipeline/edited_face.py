@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.parts import BoneLimits, FaceParts, FloatArray, Mesh, Skeleton, Slider, SliderNetwork
+from facepipe.parts import BoneLimits, FaceParts, FloatArray, IntArray, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.pipeline.edited_mesh import edited_mesh, same_topology, summed_to_one, with_normal_offsets
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
@@ -79,36 +79,76 @@ def _mesh(before: Mesh | None, made: Mesh, warnings: list[str]) -> Mesh:
     lost = [*before.landmarks] + ([] if before.anchor is None else ["the anchor"])
     if lost:
         warnings.append(f"{made.name}: topology changed, {', '.join(lost)} left out")
-    return replace(_made_mesh(made), transform=before.transform, double_sided=before.double_sided)
+    skin = made.skin
+    if skin is not None:
+        bind = before.transform if before.skin is None else before.skin.geom_bind_transform
+        skin = replace(skin, geom_bind_transform=bind)
+    return replace(_made_mesh(made), skin=skin, transform=before.transform, double_sided=before.double_sided)
 
 
 def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray], warnings: list[str]) -> Skeleton:
-    """The skeleton before, moved by what its bones moved; of other joints what the host says."""
+    """The skeleton before, moved by what its bones moved; joints that are new stand as the host says."""
     if {*before.joints} != {*made.joints}:
         warnings.append(f"{len(made.joints)} joints, {len(before.joints)} before: the skeleton is made anew")
-        return replace(made, name=before.name, transform=before.transform)
+        return _other_joints(before, made, bones)
     if not before.joints:
         return before
     place = {joint: i for i, joint in enumerate(made.joints)}
     now = made.bind_transforms[[place[joint] for joint in before.joints]]
     then = np.array([bones[joint] for joint in before.joints]).reshape(-1, 4, 4)
     size = max(float(np.ptp(then[:, :3, 3], axis=0).max(initial=0.0)), 1e-6)
-    moves = now @ np.linalg.inv(then)
     still = np.abs(now - then).max(axis=(1, 2)) <= _TURN * max(size, 1.0)
     if still.all():
         return before
-    moves[still] = np.eye(4)
-    moves = before.transform @ moves @ np.linalg.inv(before.transform)
-    parents, world = before.parents, np.empty_like(before.rest_transforms)
-    for i, parent in enumerate(parents):
-        world[i] = (world[parent] if parent >= 0 else before.transform) @ before.rest_transforms[i]
-    world = moves @ world
-    above = [world[parent] if parent >= 0 else before.transform for parent in parents]
+    now[still] = then[still]
     return replace(
         before,
-        bind_transforms=moves @ before.bind_transforms,
-        rest_transforms=np.array([np.linalg.solve(*pair) for pair in zip(above, world, strict=True)]),
+        bind_transforms=_moved(before.bind_transforms, then, now),
+        rest_transforms=_local(before.parents, _moved(_worlds(before), then, now)),
     )
+
+
+def _other_joints(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray]) -> Skeleton:
+    """The skeleton with the joints of `made`, each where it stands from itself or the next above it that was there."""
+    fresh = replace(made, name=before.name, transform=before.transform)
+    old = {joint: i for i, joint in enumerate(before.joints)}
+    shared = [joint for joint in made.joints if joint in old]
+    if not shared:
+        return fresh
+    parents = made.parents
+    anchors: list[str] = []
+    for joint, parent in zip(made.joints, parents, strict=True):
+        anchors.append(joint if joint in old else anchors[parent] if parent >= 0 else shared[0])
+    at = [old[anchor] for anchor in anchors]
+    then = np.array([bones[anchor] for anchor in anchors]).reshape(-1, 4, 4)
+    return replace(
+        fresh,
+        bind_transforms=_moved(before.bind_transforms[at], then, made.bind_transforms),
+        rest_transforms=_local(parents, _moved(_worlds(before)[at], then, made.bind_transforms)),
+    )
+
+
+def _moved(own: FloatArray, then: FloatArray, now: FloatArray) -> FloatArray:
+    """Matrices (j, 4, 4) that stand to `now` as `own` stand to `then`, with their own scales."""
+    scales = np.ones((len(own), 1, 4))
+    scales[:, 0, :3] = np.linalg.norm(own[:, :3, :3], axis=1)
+    result: FloatArray = own / scales @ np.linalg.inv(then) @ now * scales
+    return result
+
+
+def _worlds(skeleton: Skeleton) -> FloatArray:
+    """(j, 4, 4) joints at rest in the space of the skeleton."""
+    world = np.array(skeleton.rest_transforms, dtype=np.float64)
+    for i, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            world[i] = world[parent] @ world[i]
+    return world
+
+
+def _local(parents: IntArray, world: FloatArray) -> FloatArray:
+    """(j, 4, 4) joints relative to their parents."""
+    pairs = [(world[parent] if parent >= 0 else np.eye(4), own) for parent, own in zip(parents, world, strict=True)]
+    return np.array([np.linalg.solve(*pair) for pair in pairs])
 
 
 def _in_order(parts: FaceParts, joints: tuple[str, ...]) -> FaceParts:
