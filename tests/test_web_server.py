@@ -218,7 +218,8 @@ def test_actions_take_json_alone(face: Path) -> None:
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_ends_cleanly(face: Path, tmp_path: Path, name: str) -> None:
     program = f"""
-import pathlib, sys
+import pathlib, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # as in a terminal: a job in the background ignores it
 from facepipe.cli import main
 from facepipe_web import build
 build.DIST = pathlib.Path({str(build.DIST)!r})
