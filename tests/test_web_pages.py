@@ -244,6 +244,18 @@ def test_the_same_files_are_one_face(sample: Path, folder: Path) -> None:
     assert (results[1:], problems) == (["", 50], [])
 
 
+def test_a_quantised_glb_fills_the_picture(url: str, sample: Path, folder: Path) -> None:
+    """Its vertices are in a space of their own: the camera stands where it stands before the stage."""
+    options = facepipe_gltf.Options(quantize=True)
+    facepipe_gltf.export(facepipe.open(sample), folder / "quantised.glb", options)
+    camera = run("return facepipe.picture.camera.position.toArray()")
+    expected, _ = browse(url, READY, camera)
+    with browser.viewing(folder / "quantised.glb") as other:
+        results, problems = browse(other, READY, camera)
+    assert problems == []
+    assert np.abs(np.subtract(results[1], expected[1])).max() < 1e-3
+
+
 def test_notes_of_the_export(folder: Path) -> None:
     """What the GLB can't hold is read on the page: here more influences than glTF in three.js has."""
     parts = sample_with_sliders()

@@ -58,8 +58,9 @@ export class Picture {
     const box = new Box3();
     for (const mesh of this.faces[0].face.meshes) {
       for (const { geometry, matrixWorld } of mesh.primitives) {
-        const own = new Box3().setFromBufferAttribute(geometry.attributes.position as BufferAttribute);
-        box.union(own.applyMatrix4(matrixWorld)); // a geometry's own box holds all its morph targets at once
+        // where skinning puts it: vertices of quantised files and of others' rigs may be in any space
+        const own = new Box3().setFromBufferAttribute(geometry.getAttribute("paintNeutral") as BufferAttribute);
+        box.union(own.applyMatrix4(matrixWorld));
       }
     }
     const [center, size] = [box.getCenter(new Vector3()), box.getSize(new Vector3())];
