@@ -79,7 +79,7 @@ export class Page {
 
   private fill(): void {
     const { face, entry, regionNames } = this.own;
-    const counts = [`${face.meshes.length} meshes`, `${face.joints?.bones.length ?? 0} joints`];
+    const counts = [counted(face.meshes.length, "mesh", "meshes"), counted(face.joints?.bones.length ?? 0, "joint")];
     const about = h("header", {}, h("h1", {}, entry.label), h("p", {}, counts.join(" · ")));
     if (face.copyright) about.append(h("p", {}, face.copyright));
     about.append(...[this.own, this.other].flatMap((one) => (one ? notesOf(one) : [])));
@@ -199,4 +199,8 @@ function notesOf({ details, entry }: ViewedFace): HTMLElement[] {
   const notes = details?.notes ?? [];
   const title = `${notes.length} export note${notes.length > 1 ? "s" : ""}: ${entry.label}`;
   return notes.length ? [h("details", { class: "notes", open: notes.length < 3 }, h("summary", {}, title), ...notes.map((note) => h("p", {}, note)))] : [];
+}
+
+function counted(count: number, one: string, many = `${one}s`): string {
+  return `${count} ${count === 1 ? one : many}`;
 }
