@@ -118,6 +118,7 @@ def test_noise_keeps_chance_out() -> None:
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.slow
 def test_without_controls_they_are_found(rig: NeuralRig) -> None:
     """Frames alone: each way makes the held-out ones with the controls that are best for it, and ours comes nearest."""
     subject, seen = Subject.of(second_face(), "second.usda"), motion(FRAMES)

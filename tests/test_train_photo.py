@@ -162,6 +162,7 @@ def test_training_lowers_the_joint_loss_of_pictures_that_it_has_not_seen(trained
     assert not trained.warnings
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_file(parts: FaceParts) -> None:
     options = StartOptions(people=256, renders=8, epochs=1, steps=1)
     once, again = (train_start(parts, options) for _ in range(2))
@@ -385,6 +386,7 @@ def test_a_fit_begins_at_the_guess_where_that_is_better(
     assert worst["total"] < 1.5 * default["total"]
 
 
+@pytest.mark.slow
 def test_the_fit_command_takes_the_network(
     network_file: Path, face: Path, portraits: Portraits, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
