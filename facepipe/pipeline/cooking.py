@@ -14,7 +14,7 @@ from facepipe.locks import locked
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
-from facepipe.pipeline.report import CookReport, NodeReport
+from facepipe.pipeline.report import Action, CookReport, NodeReport
 from facepipe.pipeline.verbs import Cooked, Watch, cooker, unwatched
 
 AnyPath = str | os.PathLike[str]
@@ -144,6 +144,6 @@ class _Run:
         return node
 
 
-def _report(node: Node, action: str, why: tuple[str, ...] = ()) -> NodeReport:
+def _report(node: Node, action: Action, why: tuple[str, ...] = ()) -> NodeReport:
     verb = node.recipe.verb if node.recipe else ""
-    return NodeReport(file=node.path, verb=verb, action=action, why=why)  # type: ignore[arg-type]
+    return NodeReport(file=node.path, verb=verb, action=action, why=why)
