@@ -1,12 +1,15 @@
-"""Names as USD identifiers, and names chosen by globs."""
+"""Names as USD identifiers, names chosen by globs, and the names that a wrong one may have meant."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from facepipe.errors import InputError
+
+_LONGEST_LIKE = 200  # characters of a wrong name that are compared
 
 
 def identifier(text: str, fallback: str = "unnamed") -> str:
@@ -50,3 +53,31 @@ def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
             some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
             raise InputError(f"option {option}", f"'{pattern}' matches none of {len(names)}, expected some of: {some}")
     return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """The end of a message about a name that is not there: the known one that is most like it, or nothing.
+
+    >>> did_you_mean("jawopn", ["jawOpen", "jawLeft"]), did_you_mean("tail", ["jawOpen"])
+    (", did you mean 'jawOpen'?", '')
+    """
+    folded = {one.casefold(): one for one in reversed(list(known))}
+    near = get_close_matches(name[:_LONGEST_LIKE].casefold(), folded, n=1)
+    return f", did you mean '{folded[near[0]]}'?" if near else ""
+
+
+def find(name: str, known: Collection[str], where: object, what: str) -> str:
+    """The known name that is `name`, or alone differs from it in case.
+
+    :param where: what the name was given as, and `what` it should be one of, for messages
+    :raises InputError: no such name, or only ones that differ in case alone
+    """
+    if name in known:
+        return name
+    alike = [one for one in known if one.casefold() == name.casefold()]
+    if len(alike) == 1:
+        return alike[0]
+    if alike:
+        raise InputError(where, f"no {what} '{name}', but {len(alike)} that differ in case, like '{alike[0]}'")
+    some = ", ".join(list(known)[:4]) + (" ..." if len(known) > 4 else "") or "none, there are none"
+    raise InputError(where, f"no {what} '{name}'{did_you_mean(name, known) or f', expected one of: {some}'}")
