@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
+
 if TYPE_CHECKING:
     from facepipe.stage import Face
 

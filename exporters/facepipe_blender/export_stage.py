@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from facepipe.errors import InputError
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
-from facepipe.pipeline.host_face import author_neural_rig, face_layer
+from facepipe.pipeline.host_face import author_neural_rig, face_layer, is_face
 
 from .build_face import Built, build_face
 from .face_objects import FaceObjects, faces_among
@@ -108,8 +108,8 @@ def _put(layer: Sdf.Layer, path: Sdf.Path, parts: FaceParts, view: StageView) ->
 def _finish(layer: Sdf.Layer, built: Sequence[Built], *, empty: bool, alone: bool) -> None:
     """The first face is the default prim; a face alone has its own units, where nothing else is left."""
     stage = Usd.Stage.Open(layer)
-    roots = [prim for prim in stage.GetPseudoRoot().GetChildren() if not _is_face(prim)]
-    faces = [prim for prim in stage.GetPseudoRoot().GetChildren() if _is_face(prim)]
+    roots = [prim for prim in stage.GetPseudoRoot().GetChildren() if not is_face(prim)]
+    faces = [prim for prim in stage.GetPseudoRoot().GetChildren() if is_face(prim)]
     stage.SetDefaultPrim(faces[0])
     for prim in roots if empty else ():
         stage.RemovePrim(prim.GetPath())
@@ -122,7 +122,3 @@ def _finish(layer: Sdf.Layer, built: Sequence[Built], *, empty: bool, alone: boo
         rate = stage.GetTimeCodesPerSecond()
         stage.SetStartTimeCode(min(float(one[0]) for one in times) * rate)
         stage.SetEndTimeCode(max(float(one[-1]) for one in times) * rate)
-
-
-def _is_face(prim: Usd.Prim) -> bool:
-    return prim.IsA(UsdSkel.Root) and "FacepipeFaceAPI" in prim.GetAppliedSchemas()

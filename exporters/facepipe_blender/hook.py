@@ -7,7 +7,6 @@ from typing import Any
 import bpy
 
 from facepipe.errors import FacepipeError
-from facepipe.pipeline.host_face import register_schemas
 
 from .export_stage import export_faces
 from .import_stage import import_faces
@@ -32,7 +31,6 @@ class FaceHook(bpy.types.USDHook):
         if not scene.facepipe_usd:
             return False
         try:
-            register_schemas()
             active = scene.view_layers[0].objects.active
             FaceHook.warnings = export_faces(export_context.get_stage(), scene.objects, active)
             tell(FaceHook.warnings)
@@ -46,7 +44,6 @@ class FaceHook(bpy.types.USDHook):
     def on_import(import_context: Any) -> bool:
         """Bring back what Blender drops of faces."""
         try:
-            register_schemas()
             tell(import_faces(import_context.get_stage(), import_context.get_prim_map()))
         except FacepipeError as error:
             tell([str(error)], error=True)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from facepipe.errors import FacepipeError
 from facepipe.pipeline.host_face import register_schemas
 
 from .hook import FaceHook
-from .messages import FACEPIPE_OT_tell, tell
+from .messages import FACEPIPE_OT_tell
 from .operators import FACEPIPE_OT_blend, FACEPIPE_OT_export
 from .panel import FACEPIPE_PT_face
 
@@ -17,10 +16,7 @@ CLASSES = (FACEPIPE_OT_tell, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_
 
 def register_all() -> None:
     """Register classes and the scene's property."""
-    try:
-        register_schemas()  # before Blender opens a stage
-    except FacepipeError as error:
-        tell([str(error)], error=True)
+    register_schemas()  # for Blender's USD, where it has opened no stage yet
     bpy.types.Scene.facepipe_usd = bpy.props.BoolProperty(
         name="Faces in USD files",
         description="Armatures and meshes with shape keys are exported to USD as faces of facepipe",

@@ -6,15 +6,15 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-import facepipe_schemas
+from facepipe_schemas import register as register_schemas
 from pxr import Sdf, Usd
 
 from facepipe import tokens
-from facepipe.errors import SchemaError
 from facepipe.parts import FaceParts, Material, Recipe
 from facepipe.pipeline.edited_mesh import sculpted
 from facepipe.rig.activation import Curve, curves
 from facepipe.stage import Face, open_face
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
 from facepipe.stage.author_regions import check_region_name
 from facepipe.stage.files import relative_path, save_layer
@@ -30,6 +30,7 @@ __all__ = [
     "face_layer",
     "face_to_bytes",
     "faces_on",
+    "is_face",
     "neural_rig_of",
     "open_face",
     "recipe_from",
@@ -38,14 +39,9 @@ __all__ = [
 ]
 
 
-def register_schemas() -> None:
-    """Make the schemas known to the host's USD.
-
-    :raises SchemaError: a USD that was in use before, which takes no more schemas
-    """
-    facepipe_schemas.register()
-    if Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(tokens.FACE_API) is None:
-        raise SchemaError("USD", "was in use before facepipe's schemas were there, expected a restart of the program")
+def is_face(prim: Usd.Prim) -> bool:
+    """Whether a prim is a face."""
+    return is_applied(prim, tokens.FACE_API)
 
 
 def faces_on(stage: Usd.Stage) -> tuple[Face, ...]:
@@ -54,7 +50,7 @@ def faces_on(stage: Usd.Stage) -> tuple[Face, ...]:
     :raises SchemaError: a face that doesn't follow the stage convention
     """
     default = stage.GetDefaultPrim()
-    found = [prim for prim in stage.Traverse() if tokens.FACE_API in prim.GetAppliedSchemas()]
+    found = [prim for prim in stage.Traverse() if is_face(prim)]
     return tuple(Face(stage, prim) for prim in sorted(found, key=lambda prim: prim != default))
 
 

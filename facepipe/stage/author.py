@@ -12,6 +12,7 @@ from facepipe import __version__, tokens
 from facepipe.finite import require_finite
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
+from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_animations import author_animation, author_time_range
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
@@ -58,14 +59,14 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None, *, frames_p
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
     prim = root.GetPrim()
     stage.SetDefaultPrim(prim)
-    prim.ApplyAPI(tokens.FACE_API)
+    apply_schema(prim, tokens.FACE_API)
     for name, value in (
         (tokens.ATTRIBUTION, parts.attribution),
         (tokens.ATTACH_JOINT, parts.attach_joint),
         (tokens.VERSION, __version__),
     ):
         if value:
-            prim.GetAttribute(name).Set(value)
+            put_value(prim, name, value)
     check_photos(parts.name, parts.photos)
     _author_below(stage, root, parts, textures or {})
     check_sliders(parts.name, parts.sliders)

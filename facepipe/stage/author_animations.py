@@ -14,8 +14,9 @@ from facepipe.errors import InputError
 from facepipe.parts import Animation, FloatArray, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
+from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute
 from facepipe.stage.differences import same
-from facepipe.stage.opinions import editable, free_path, put
+from facepipe.stage.opinions import editable, free_path
 from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
 
 _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
@@ -102,13 +103,14 @@ def _write(prim: UsdSkel.Animation, animation: Animation, fields: Collection[str
     rate = prim.GetPrim().GetStage().GetTimeCodesPerSecond()
     times = [Usd.TimeCode.Default()] if animation.times is None else [Usd.TimeCode(t * rate) for t in animation.times]
     if "coefficients" in fields and animation.coefficients is not None:
-        prim.GetPrim().ApplyAPI(tokens.POSE_API)
+        apply_schema(prim.GetPrim(), tokens.POSE_API)
     for field in fields:
         name, to_usd = _ATTRIBUTES[field]
-        attribute, values = prim.GetPrim().GetAttribute(name), getattr(animation, field)
+        values = getattr(animation, field)
         if values is None or to_usd is list:
-            put(attribute, list(values) if values else None)
+            put_value(prim.GetPrim(), name, list(values) if values else None)
             continue
+        attribute = schema_attribute(prim.GetPrim(), name)
         attribute.Clear()
         for time, row in zip(times, values, strict=True):
             attribute.Set(to_usd(row), time)

@@ -11,6 +11,7 @@ from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.names import unique_identifiers
 from facepipe.parts import FloatArray, Mesh, Skin
+from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_blendshapes import author_blendshapes
 from facepipe.stage.author_regions import SUBSET_FAMILY, author_regions
 from facepipe.stage.bindings import inherited_attribute
@@ -75,14 +76,15 @@ def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
     """Write the landmarks and the anchor of `mesh` on a Mesh prim."""
     for scheme, landmarks in mesh.landmarks.items():
         check_property_name(prim.GetPath(), "landmark scheme", scheme, tokens.LANDMARKS_API)
-        prim.ApplyAPI(tokens.LANDMARKS_API, scheme)
-        prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:indices").Set(to_ints(landmarks.indices))
-        names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names")
-        if landmarks.names or names.HasAuthoredValue():  # those of earlier landmarks must not stay
-            names.Set(list(landmarks.names))
+        apply_schema(prim, tokens.LANDMARKS_API, scheme)
+        prefix = f"{tokens.LANDMARKS_PREFIX}{scheme}"
+        put_value(prim, f"{prefix}:indices", to_ints(landmarks.indices))
+        names = f"{prefix}:names"
+        if landmarks.names or prim.GetAttribute(names).HasAuthoredValue():  # those of earlier landmarks must not stay
+            put_value(prim, names, list(landmarks.names))
     if mesh.anchor is not None:
-        prim.ApplyAPI(tokens.ANCHOR_API)
-        prim.GetAttribute(tokens.ANCHOR).Set(int(mesh.anchor))
+        apply_schema(prim, tokens.ANCHOR_API)
+        put_value(prim, tokens.ANCHOR, int(mesh.anchor))
 
 
 def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:

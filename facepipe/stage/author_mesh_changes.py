@@ -10,6 +10,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import Mesh
+from facepipe.stage.api_schemas import put_value, remove_schema
 from facepipe.stage.author_blendshapes import author_blendshape_changes
 from facepipe.stage.author_mesh import author_landmarks, author_normals, author_skin
 from facepipe.stage.author_regions import author_regions
@@ -96,10 +97,10 @@ def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:
     author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))
     for name in removed:
         for field in ("indices", "names"):
-            put(prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{name}:{field}"), None)
-        prim.RemoveAPI(tokens.LANDMARKS_API, name)
+            put_value(prim, f"{tokens.LANDMARKS_PREFIX}{name}:{field}", None)
+        remove_schema(prim, tokens.LANDMARKS_API, name)
     if new.anchor is None and old.anchor is not None:
-        put(prim.GetAttribute(tokens.ANCHOR), None)
-        prim.RemoveAPI(tokens.ANCHOR_API)
+        put_value(prim, tokens.ANCHOR, None)
+        remove_schema(prim, tokens.ANCHOR_API)
     lines = [f"landmarks {name}" for name in (*changed, *removed)]
     return lines if new.anchor == old.anchor else [*lines, "anchor"]

@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import PhotoView
+from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.differences import same
 from facepipe.stage.film import to_film
 from facepipe.stage.opinions import editable, free_path, put
@@ -74,7 +75,7 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
 
 
 def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
-    prim.ApplyAPI(tokens.PHOTO_API)
+    apply_schema(prim, tokens.PHOTO_API)
     names, key = sorted(photo.tint), photo.key
     for name, value in (
         (tokens.PHOTO_IMAGE, photo.image),
@@ -89,4 +90,4 @@ def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
         (tokens.PHOTO_TINTED_MATERIALS, names or None),
         (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[one] for one in names])) if names else None),
     ):
-        put(prim.GetAttribute(name), value)
+        put_value(prim, name, value)

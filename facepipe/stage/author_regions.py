@@ -8,6 +8,7 @@ from pxr import Sdf, Usd, UsdGeom
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray, IntArray, Mesh
+from facepipe.stage.api_schemas import apply_schema, instances, remove_schema
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import floats, ints, to_floats, to_ints
 
@@ -31,8 +32,8 @@ def author_regions(prim: Usd.Prim, mesh: Mesh) -> None:
     _check_writable(prim)
     api = UsdGeom.PrimvarsAPI(prim)
     for name, mask in mesh.regions.items():
-        if name not in _instances(prim):
-            prim.ApplyAPI(tokens.REGION_API, name)
+        if name not in instances(prim, tokens.REGION_API):
+            apply_schema(prim, tokens.REGION_API, name)
         primvar = api.GetPrimvar(tokens.REGION_PRIMVAR + name)
         if not _holds(primvar, mask):
             kind = Sdf.ValueTypeNames.FloatArray
@@ -44,9 +45,9 @@ def author_regions(prim: Usd.Prim, mesh: Mesh) -> None:
         name = str(primvar.GetPrimvarName())
         if name.startswith(tokens.REGION_PRIMVAR) and name.removeprefix(tokens.REGION_PRIMVAR) not in mesh.regions:
             primvar.GetAttr().Block()  # BlockPrimvar blocks nothing that a weaker layer holds
-    for name in _instances(prim):
+    for name in instances(prim, tokens.REGION_API):
         if name not in mesh.regions:
-            prim.RemoveAPI(tokens.REGION_API, name)
+            remove_schema(prim, tokens.REGION_API, name)
 
 
 def author_region_subsets(prim: Usd.Prim, subsets: dict[str, IntArray], removed: tuple[str, ...]) -> None:
@@ -80,12 +81,6 @@ def _holds(primvar: UsdGeom.Primvar, mask: FloatArray) -> bool:
     plain = primvar.GetTypeName() == Sdf.ValueTypeNames.FloatArray
     vertex = primvar.GetInterpolation() == UsdGeom.Tokens.vertex
     return plain and vertex and np.array_equal(floats(primvar.Get()), np.asarray(mask, dtype=np.float32))
-
-
-def _instances(prim: Usd.Prim) -> list[str]:
-    """Names of the regions whose schema is applied."""
-    prefix = f"{tokens.REGION_API}:"
-    return [one.removeprefix(prefix) for one in prim.GetAppliedSchemas() if one.startswith(prefix)]
 
 
 def _check_writable(prim: Usd.Prim) -> None:

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
+from facepipe.stage.api_schemas import put_value, remove_schema
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider
 from facepipe.stage.differences import same
 from facepipe.stage.opinions import editable, put
@@ -69,8 +70,8 @@ def author_limit_changes(prim: Usd.Prim, old: BoneLimits | None, new: BoneLimits
         author_limits(prim, new)
     else:
         for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
-            put(prim.GetAttribute(name), None)
-        prim.RemoveAPI(tokens.BONE_LIMITS_API)
+            put_value(prim, name, None)
+        remove_schema(prim, tokens.BONE_LIMITS_API)
     return ("bone limits",)
 
 
@@ -81,7 +82,7 @@ def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[S
     for slider in changed:
         own = before.get(slider.name)
         if own is not None and same(replace(slider, value=own.value), own):
-            put(prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider.name}:value"), slider.value)
+            put_value(prim, f"{tokens.SLIDER_PREFIX}{slider.name}:value", slider.value)
         else:
             author_slider(prim, slider)
     removed = [name for name in before if name not in after]
@@ -89,7 +90,7 @@ def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[S
         for attribute in prim.GetAuthoredPropertiesInNamespace(f"{tokens.SLIDER_PREFIX}{name}"):
             if attribute.GetName().rpartition(":")[0] == f"{tokens.SLIDER_PREFIX}{name}":
                 put(attribute, None)
-        prim.RemoveAPI(tokens.SLIDER_API, name)
+        remove_schema(prim, tokens.SLIDER_API, name)
     return tuple(f"slider {name}" for name in (*(slider.name for slider in changed), *removed))
 
 
@@ -101,7 +102,7 @@ def author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple
         (tokens.ATTACH_JOINT, "attach joint", old.attach_joint or "", new.attach_joint or ""),
     ):
         if before != after:
-            put(prim.GetAttribute(name), after)
+            put_value(prim, name, after)
             lines.append(line)
     if _content(old.recipe) != _content(new.recipe):
         if new.recipe is not None:
@@ -109,7 +110,7 @@ def author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple
         else:
             for attribute in prim.GetAuthoredPropertiesInNamespace(tokens.RECIPE_VERB.rpartition(":")[0]):
                 put(attribute, None)
-            prim.RemoveAPI(tokens.RECIPE_API)
+            remove_schema(prim, tokens.RECIPE_API)
         lines.append("recipe")
     return tuple(lines)
 

@@ -12,7 +12,7 @@ from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits, Recipe, Skeleton, Slider
 from facepipe.rig.sliders import curves_fault, sliders_fault
-from facepipe.stage.opinions import put
+from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_matrices, to_matrix
 
@@ -37,9 +37,9 @@ def author_skeleton(stage: Usd.Stage, path: Sdf.Path, skeleton: Skeleton) -> Usd
 
 def author_limits(prim: Usd.Prim, limits: BoneLimits) -> None:
     """Write bone limits on a Skeleton prim."""
-    prim.ApplyAPI(tokens.BONE_LIMITS_API)
-    prim.GetAttribute(tokens.LIMITS_LOWER).Set(to_floats(limits.lower))
-    prim.GetAttribute(tokens.LIMITS_UPPER).Set(to_floats(limits.upper))
+    apply_schema(prim, tokens.BONE_LIMITS_API)
+    put_value(prim, tokens.LIMITS_LOWER, to_floats(limits.lower))
+    put_value(prim, tokens.LIMITS_UPPER, to_floats(limits.upper))
 
 
 def check_sliders(where: object, sliders: Sequence[Slider]) -> None:
@@ -61,18 +61,18 @@ def author_slider(prim: Usd.Prim, slider: Slider) -> None:
     fault = curves_fault(slider)
     if fault:
         raise InputError(f"{prim.GetPath()} -> slider {slider.name}", fault)
-    prim.ApplyAPI(tokens.SLIDER_API, slider.name)
+    apply_schema(prim, tokens.SLIDER_API, slider.name)
     prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
     for name in ("group", "default", "minimum", "maximum"):
-        prim.GetAttribute(prefix + name).Set(getattr(slider, name))
-    put(prim.GetAttribute(f"{prefix}value"), slider.value)
+        put_value(prim, prefix + name, getattr(slider, name))
+    put_value(prim, f"{prefix}value", slider.value)
     for fields, rows in (
         (("joints", "channels", "channelGains"), slider.channels),
         (("shapes", "shapeGains"), slider.shapes),
     ):
         for i, field in enumerate(fields):
-            put(prim.GetAttribute(prefix + field), [row[i] for row in rows] if rows else None)
-    put(prim.GetAttribute(f"{prefix}mirror"), slider.mirror)
+            put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)
+    put_value(prim, f"{prefix}mirror", slider.mirror)
     _author_curves(prim, prefix, slider)
 
 
@@ -81,16 +81,16 @@ def _author_curves(prim: Usd.Prim, prefix: str, slider: Slider) -> None:
     knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
     for field, curves in lists:
         counts = [len(curve or ()) for curve in curves]
-        put(prim.GetAttribute(prefix + field), counts if any(counts) else None)
+        put_value(prim, prefix + field, counts if any(counts) else None)
     for i, field in enumerate(("knotValues", "knotAmounts")):
-        put(prim.GetAttribute(prefix + field), [knot[i] for knot in knots] or None)
+        put_value(prim, prefix + field, [knot[i] for knot in knots] or None)
 
 
 def author_recipe(prim: Usd.Prim, recipe: Recipe) -> None:
     """Write the recipe on the face prim."""
-    prim.ApplyAPI(tokens.RECIPE_API)
-    prim.GetAttribute(tokens.RECIPE_VERB).Set(recipe.verb)
-    prim.GetAttribute(tokens.RECIPE_SOURCES).Set(list(recipe.sources))
-    prim.GetAttribute(tokens.RECIPE_DIGESTS).Set(list(recipe.digests))
-    prim.GetAttribute(tokens.RECIPE_OPTIONS).Set(json.dumps(dict(recipe.options), sort_keys=True))
-    prim.GetAttribute(tokens.RECIPE_VERSION).Set(recipe.version)
+    apply_schema(prim, tokens.RECIPE_API)
+    put_value(prim, tokens.RECIPE_VERB, recipe.verb)
+    put_value(prim, tokens.RECIPE_SOURCES, list(recipe.sources))
+    put_value(prim, tokens.RECIPE_DIGESTS, list(recipe.digests))
+    put_value(prim, tokens.RECIPE_OPTIONS, json.dumps(dict(recipe.options), sort_keys=True))
+    put_value(prim, tokens.RECIPE_VERSION, recipe.version)

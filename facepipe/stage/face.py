@@ -30,6 +30,7 @@ from facepipe.parts import (
     SliderNetwork,
 )
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
 from facepipe.stage.files import derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
@@ -360,7 +361,7 @@ def _unique_names(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:
 def _find(stage: Usd.Stage) -> Usd.Prim:
     prims = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
     for prim in prims + list(stage.Traverse()):
-        if tokens.FACE_API in prim.GetAppliedSchemas():
+        if is_applied(prim, tokens.FACE_API):
             return prim
     name = Path(stage.GetRootLayer().realPath or "stage").name
     raise SchemaError(name, "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files")

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from pxr import Sdf, Usd
 
 from facepipe import tokens
+from facepipe.stage.api_schemas import apply_schema, is_applied, put_value
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.opinions import put
 
 
 class NeuralRigLink(NamedTuple):
@@ -24,7 +24,7 @@ class NeuralRigLink(NamedTuple):
 @reads_prim
 def read_neural_rig_link(prim: Usd.Prim) -> NeuralRigLink | None:
     """The link on a face prim; None where there is none."""
-    if tokens.NEURAL_RIG_API not in prim.GetAppliedSchemas():
+    if not is_applied(prim, tokens.NEURAL_RIG_API):
         return None
     file = prim.GetAttribute(tokens.NEURAL_RIG_FILE).Get() or Sdf.AssetPath()
     resolved = Path(str(file.resolvedPath)) if file.resolvedPath else None
@@ -37,7 +37,7 @@ def author_neural_rig_link(prim: Usd.Prim, file: str, digest: str, topology: str
 
     :param file: path, relative to the layer where it can be
     """
-    prim.ApplyAPI(tokens.NEURAL_RIG_API)
-    put(prim.GetAttribute(tokens.NEURAL_RIG_FILE), Sdf.AssetPath(file))
-    put(prim.GetAttribute(tokens.NEURAL_RIG_DIGEST), digest)
-    put(prim.GetAttribute(tokens.NEURAL_RIG_TOPOLOGY), topology)
+    apply_schema(prim, tokens.NEURAL_RIG_API)
+    put_value(prim, tokens.NEURAL_RIG_FILE, Sdf.AssetPath(file))
+    put_value(prim, tokens.NEURAL_RIG_DIGEST, digest)
+    put_value(prim, tokens.NEURAL_RIG_TOPOLOGY, topology)

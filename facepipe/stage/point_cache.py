@@ -14,6 +14,7 @@ from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.parts import Animation, FloatArray, IntArray, Mesh
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
 from facepipe.stage.orientation import is_left_handed, turned
@@ -132,7 +133,7 @@ def _read(stage: Usd.Stage, also: Collection[float]) -> PointCache:
         codes_per_second=stage.GetTimeCodesPerSecond() or 24.0,
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
-        has_face=any(tokens.FACE_API in prim.GetAppliedSchemas() for prim in _prims(stage)),
+        has_face=any(is_applied(prim, tokens.FACE_API) for prim in _prims(stage)),
     )
 
 

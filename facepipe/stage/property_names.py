@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from pxr import Sdf, Usd
+from pxr import Sdf
 
 from facepipe.errors import InputError
+from facepipe.stage.api_schemas import is_reserved
 
 _RESERVED_SUFFIX = ":indices"
 
@@ -16,5 +17,5 @@ def check_property_name(where: object, what: str, name: str, schema: str | None 
     """
     if not Sdf.Path.IsValidNamespacedIdentifier(name) or name.endswith(_RESERVED_SUFFIX):
         raise InputError(where, f"{what} '{name}', expected letters, digits, underscores and no digit first")
-    if schema and not Usd.SchemaRegistry.IsAllowedAPISchemaInstanceName(schema, name):
+    if schema and is_reserved(schema, name):
         raise InputError(where, f"{what} '{name}' is the name of a property of {schema}, expected another")

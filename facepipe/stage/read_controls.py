@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import FacepipeError, InputError
 from facepipe.parts import Animation, Slider
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.control_track import Clip, ControlTrack
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
@@ -68,7 +69,7 @@ def is_recorded(path: str | os.PathLike[str]) -> bool:
     with usd_errors(path):
         stage = open_stage(path)
         prims = list(prims_below(stage.GetPseudoRoot(), path))
-    if not any(tokens.FACE_API in prim.GetAppliedSchemas() for prim in prims):
+    if not any(is_applied(prim, tokens.FACE_API) for prim in prims):
         return True
     return any(_cached(prim) for prim in prims) and any(_controlled(prim) for prim in prims)
 
@@ -153,7 +154,7 @@ def _sliders(stage: Usd.Stage) -> tuple[tuple[ControlTrack, ...], set[str]]:
     """The sliders with time samples, and the shapes that these drive."""
     tracks, driven = [], set()
     for prim in prims_below(stage.GetPseudoRoot(), "stage"):
-        if tokens.FACE_API in prim.GetAppliedSchemas():
+        if is_applied(prim, tokens.FACE_API):
             for slider in read_sliders(prim):
                 attribute = prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider.name}:value")
                 if attribute.GetNumTimeSamples():

@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom
 from facepipe import tokens
 from facepipe.errors import SchemaError
 from facepipe.parts import KeyLamp, PhotoView
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.film import Film, from_film
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.photo_faults import photo_fault
@@ -17,7 +18,7 @@ from facepipe.stage.values import floats, matrix
 
 def is_photo(prim: Usd.Prim) -> bool:
     """Whether a prim is the camera of a photo."""
-    return bool(prim.IsA(UsdGeom.Camera)) and tokens.PHOTO_API in prim.GetAppliedSchemas()
+    return bool(prim.IsA(UsdGeom.Camera)) and is_applied(prim, tokens.PHOTO_API)
 
 
 @reads_prim
@@ -31,7 +32,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     def value(name: str) -> Any:
         return prim.GetAttribute(name).Get()
 
-    width, height = (int(one) for one in value(tokens.PHOTO_SIZE))
+    width, height = (int(one) for one in value(tokens.PHOTO_SIZE) or (0, 0))
     film = Film(
         *(
             float(attribute.Get())
@@ -63,7 +64,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
         light=floats(value(tokens.PHOTO_LIGHT), 3),
         key=read_key_lamp(prim),
         tint={str(name): (tint[0], tint[1], tint[2]) for name, tint in zip(materials, tints, strict=True)},
-        landmark_error=float(value(tokens.PHOTO_LANDMARK_ERROR)),
+        landmark_error=float(value(tokens.PHOTO_LANDMARK_ERROR) or 0.0),
         animation=str(value(tokens.PHOTO_ANIMATION) or "") or None,
     )
     fault = photo_fault(photo)
@@ -75,12 +76,13 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
 def read_key_lamp(prim: Usd.Prim) -> KeyLamp | None:
     """The lamp of a photo, whatever its numbers are; None: it has none, or a black one."""
 
-    def numbers(name: str) -> list[float]:
-        return [float(one) for one in floats(prim.GetAttribute(name).Get())]
+    def numbers(name: str, *otherwise: float) -> list[float]:
+        found = prim.GetAttribute(name).Get()
+        return [float(one) for one in floats(otherwise if found is None else found)]
 
-    color = numbers(tokens.PHOTO_KEY_COLOR)
+    color = numbers(tokens.PHOTO_KEY_COLOR, 0, 0, 0)
     if not any(color):
         return None
-    (red, green, blue), (x, y, z) = color, numbers(tokens.PHOTO_KEY_DIRECTION)
-    (shine,), (exponent,) = numbers(tokens.PHOTO_KEY_SHINE), numbers(tokens.PHOTO_KEY_EXPONENT)
+    (red, green, blue), (x, y, z) = color, numbers(tokens.PHOTO_KEY_DIRECTION, 0, 0, 1)
+    (shine,), (exponent,) = numbers(tokens.PHOTO_KEY_SHINE, 0), numbers(tokens.PHOTO_KEY_EXPONENT, 20)
     return KeyLamp(direction=(x, y, z), color=(red, green, blue), shine=shine, exponent=exponent)

@@ -13,6 +13,7 @@ from facepipe import tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.rig.slider_network import network_fault
+from facepipe.stage.api_schemas import apply_schema, is_applied, put_value, remove_schema
 from facepipe.stage.differences import same
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.opinions import put
@@ -27,7 +28,7 @@ def read_slider_network(prim: Usd.Prim) -> SliderNetwork | None:
 
     :raises SchemaError: lists that are not parallel, numbers that are not those of its layers, or a damaged network
     """
-    if tokens.SLIDER_NETWORK_API not in prim.GetAppliedSchemas():
+    if not is_applied(prim, tokens.SLIDER_NETWORK_API):
         return None
 
     def value(name: str) -> Any:
@@ -59,7 +60,7 @@ def read_slider_network(prim: Usd.Prim) -> SliderNetwork | None:
             for part, (into, out) in zip(np.split(weights, list(accumulate(sizes))[:-1]), pairwise(layers), strict=True)
         ),
         biases=tuple(np.split(biases, list(accumulate(layers[1:]))[:-1])),
-        activation=str(value(tokens.NETWORK_ACTIVATION)),  # type: ignore[arg-type]
+        activation=str(value(tokens.NETWORK_ACTIVATION) or "tanh"),  # type: ignore[arg-type]
         info=_info(prim, str(value(tokens.NETWORK_INFO) or "{}")),
     )
     fault = network_fault(network)
@@ -95,7 +96,7 @@ def check_face_network(where: object, parts: FaceParts, error: type[FacepipeErro
 
 def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
     """Apply a network to the face prim."""
-    prim.ApplyAPI(tokens.SLIDER_NETWORK_API)
+    apply_schema(prim, tokens.SLIDER_NETWORK_API)
     layers = [len(network.sliders), *(len(bias) for bias in network.biases)]
     for name, found in (
         (tokens.NETWORK_SLIDERS, list(network.sliders)),
@@ -108,7 +109,7 @@ def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
         (tokens.NETWORK_ACTIVATION, network.activation),
         (tokens.NETWORK_INFO, json.dumps(dict(network.info), sort_keys=True) if network.info else ""),
     ):
-        put(prim.GetAttribute(name), found)
+        put_value(prim, name, found)
 
 
 def author_network_change(prim: Usd.Prim, old: SliderNetwork | None, new: SliderNetwork | None) -> tuple[str, ...]:
@@ -120,5 +121,5 @@ def author_network_change(prim: Usd.Prim, old: SliderNetwork | None, new: Slider
         return ("slider network",)
     for attribute in prim.GetAuthoredPropertiesInNamespace(_PREFIX):
         put(attribute, None)
-    prim.RemoveAPI(tokens.SLIDER_NETWORK_API)
+    remove_schema(prim, tokens.SLIDER_NETWORK_API)
     return ("slider network removed",)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
+from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.traversal import prims_below
@@ -154,7 +155,7 @@ class FaceView:
         self.stage = stage
         where = stage.GetRootLayer().realPath or stage.GetRootLayer().identifier
         everything = list(prims_below(stage.GetPseudoRoot(), where))
-        found = [prim for prim in everything if tokens.FACE_API in prim.GetAppliedSchemas()]
+        found = [prim for prim in everything if is_applied(prim, tokens.FACE_API)]
         default = stage.GetDefaultPrim()
         self.prim: Usd.Prim | None = default if default in found else next(iter(found), None)
         self.prims = list(prims_below(self.prim, where)) if self.prim else everything[1:]

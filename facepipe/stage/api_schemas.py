@@ -1,0 +1,74 @@
+"""Our API schemas on prims, by the metadata and the attributes that stand there.
+
+USD builds its schema registry once, at first use. In a process that opened a stage before the schemas were there, USD
+neither applies them nor has their attributes; here both work alike, and write the same.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import facepipe_schemas
+from pxr import Sdf, Usd
+
+from facepipe.stage.opinions import put
+
+_INSTANCE = "__INSTANCE_NAME__"  # in the names of a multiple-apply schema's attributes
+
+
+def is_applied(prim: Usd.Prim, schema: str) -> bool:
+    """Whether a single-apply schema is on the prim."""
+    return schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def instances(prim: Usd.Prim, schema: str) -> list[str]:
+    """Names under which a multiple-apply schema is on the prim."""
+    prefix = f"{schema}:"
+    applied = map(str, prim.GetPrimTypeInfo().GetAppliedAPISchemas())
+    return [one.removeprefix(prefix) for one in applied if one.startswith(prefix)]
+
+
+def apply_schema(prim: Usd.Prim, schema: str, instance: str = "") -> None:
+    """Put a schema on the prim, of a multiple-apply one the instance."""
+    prim.AddAppliedSchema(f"{schema}:{instance}" if instance else schema)
+
+
+def remove_schema(prim: Usd.Prim, schema: str, instance: str = "") -> None:
+    """Take a schema, or an instance of it, off the prim; its attributes stay."""
+    prim.RemoveAppliedSchema(f"{schema}:{instance}" if instance else schema)
+
+
+def schema_attribute(prim: Usd.Prim, name: str) -> Usd.Attribute:
+    """An attribute of the prim to write; created where it is one of our schemas that USD doesn't know."""
+    attribute = prim.GetAttribute(name)
+    declared = None if attribute else _attributes().get(_declared_name(name))
+    return attribute if declared is None else prim.CreateAttribute(name, declared[0], False, declared[1])
+
+
+def put_value(prim: Usd.Prim, name: str, value: Any) -> None:
+    """Set the one value of an attribute of our schemas, in place of all time samples; None hides what weaker layers
+    say."""
+    put(prim.GetAttribute(name) if value is None else schema_attribute(prim, name), value)
+
+
+def is_reserved(schema: str, instance: str) -> bool:
+    """Whether an instance of a multiple-apply schema can't be called so, since an attribute of the schema is."""
+    last = instance.rpartition(":")[2]
+    return any(one.name.rpartition(":")[2] == last for one in _layer().GetPrimAtPath(f"/{schema}").attributes)
+
+
+def _declared_name(name: str) -> str:
+    """The name in the schema: that of an instance stands between the two words before it and the attribute's own."""
+    words = name.split(":")
+    return name if name in _attributes() else ":".join([*words[:2], _INSTANCE, words[-1]])
+
+
+@functools.cache
+def _attributes() -> dict[str, tuple[Sdf.ValueTypeName, Sdf.Variability]]:
+    return {str(one.name): (one.typeName, one.variability) for prim in _layer().rootPrims for one in prim.attributes}
+
+
+@functools.cache
+def _layer() -> Sdf.Layer:
+    return Sdf.Layer.FindOrOpen(str(facepipe_schemas.path() / "generatedSchema.usda"))
