@@ -17,7 +17,10 @@ from facepipe.errors import InputError
 from facepipe.importers import load
 from facepipe.importers.makehuman import Options, parse_targets, read
 from facepipe.importers.makehuman_landmarks import BASE_VERTICES
+from facepipe.importers.makehuman_sliders import ARKIT_UNITS
 from facepipe.parts import Animation, FaceParts
+from facepipe.rig import build, slide
+from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.bone_coefficients import coefficient_matrices
 
 PACKED = "makehuman/makehuman_head.npz"
@@ -154,6 +157,56 @@ def test_pose_units_move_points_as_the_formula_says(face: Any) -> None:
         again = face().skeleton.rest_transforms @ coefficient_matrices(pose.coefficients[0])
         assert np.abs(again - local).max() < 1e-9, pose.name
     assert np.abs(skinned(face(), local_transforms(poses[0])) - all_points(face())).max() < 1e-5
+
+
+@pytest.mark.parametrize("face", [base, targeted])
+def test_sliders_turn_bones_as_pose_units_in_part(face: Any) -> None:
+    """At v a pose unit turns each bone by v times its angle; a slider comes within 0.012 mm, at its end exactly."""
+    parts, rig = face(), build(face())
+    names, vectors = arrays()["poseunit_names"].tolist(), arrays()["poseunit_rotvec"].astype(np.float64)
+    assert [one.name for one in parts.sliders] == names[1:]  # but for Rest
+    for slider in parts.sliders[::4]:
+        for value, most in ((0.07, 0.012), (0.55, 0.012), (1.0, 5e-4)):
+            coefficients, _ = slide(parts.sliders, parts.skeleton.joints, {slider.name: value})
+            expected = posed_by_formula(parts, value * vectors[names.index(slider.name)])
+            assert 100 * np.abs(rig.evaluate(coefficients=coefficients) - expected).max() < most, slider.name
+
+
+def test_sliders_have_mirrors_and_groups() -> None:
+    sliders = {one.name: one for one in base().sliders}
+    mirrored = [name for name in sliders if ("Left" in name or "Right" in name)]
+    for name in mirrored:
+        assert sliders[sliders[name].mirror or ""].mirror == name
+    assert sliders["LeftEyeturnRight"].mirror == "RightEyeturnLeft"
+    assert [one.mirror for name, one in sliders.items() if name not in mirrored] == [None] * (59 - len(mirrored))
+    assert {one.group for one in sliders.values()} == {"brows", "eyes", "nose", "cheeks", "tongue", "jaw", "mouth"}
+
+
+def test_arkit_sliders_are_what_their_pose_units_do_together() -> None:
+    parts = read(shared(PACKED), Options(sliders="arkit")).parts
+    assert {one.name for one in parts.sliders} <= ARKIT_SHAPES
+    assert {"jawOpen", "eyeBlinkLeft", "mouthSmileLeft", "mouthSmileRight", "tongueOut"} <= set(ARKIT_UNITS)
+    assert {one.name for one in parts.sliders} == set(ARKIT_UNITS)
+    units = {one.name: one for one in base().sliders}
+    by_name = {one.name: one for one in parts.sliders}
+    assert by_name["eyeBlinkLeft"].channels == units["LeftUpperLidClosed"].channels
+    assert by_name["eyeLookInRight"].mirror == "eyeLookInLeft"
+    local = {one.name: local_transforms(one) for one in base().animations}
+    rest, rig = parts.skeleton.rest_transforms, build(parts)
+    for name in ("mouthFunnel", "browInnerUp"):
+        upper, lower = (np.linalg.solve(rest, local[unit]) for unit in ARKIT_UNITS[name])
+        coefficients, _ = slide(parts.sliders, parts.skeleton.joints, {name: 1.0})
+        expected = rig.evaluate(joint_transforms=rest @ upper @ lower)
+        assert 100 * np.abs(rig.evaluate(coefficients=coefficients) - expected).max() < 5e-4
+    eye = parts.skeleton.joints.index(next(one for one in parts.skeleton.joints if one.endswith("eye_L")))
+    ahead = []
+    for name in ("eyeLookOutLeft", "eyeLookInLeft"):
+        coefficients, _ = slide(parts.sliders, parts.skeleton.joints, {name: 1.0})
+        world = rig.joint_worlds(rig.local_transforms(coefficients))[eye] @ np.linalg.inv(
+            rig.joint_worlds(rig.rest)[eye]
+        )
+        ahead.append(world[:3, :3] @ (0.0, 0.0, 1.0))
+    assert ahead[0][0] > 0.2 > -0.2 > ahead[1][0]  # x is the subject's left
 
 
 def test_skin_weights_are_sorted_and_sum_to_one() -> None:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import REGIONS, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
+from facepipe.importers.makehuman_sliders import arkit_sliders, unit_sliders
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.names import identifier
@@ -56,6 +58,8 @@ MATERIALS = (
     Material(name="Tongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
     Material(name="Eyelashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.15),
 )
+
+SLIDERS = {"units": unit_sliders, "arkit": arkit_sliders}
 
 
 def parse_targets(text: str) -> dict[str, float]:
@@ -92,6 +96,13 @@ class Options:
             "(expression/caucasian/*); none by default, since the face moves by its joints"
         },
     )
+    sliders: Literal["units", "arkit"] = field(
+        default="units",
+        metadata={
+            "help": "sliders over the joints: one of each pose unit, or of the ARKit shapes that pose units make",
+            "choices": ("units", "arkit"),
+        },
+    )
     meters_per_unit: float = field(
         default=0.1, metadata={"help": "metres in a unit of the base mesh", "range": (1e-6, 1e3), "unit": "m"}
     )
@@ -120,6 +131,7 @@ def read(source: Path, options: Options) -> Imported:
         meshes=meshes,
         skeleton=skeleton,
         animations=pose_units(data, skeleton),
+        sliders=SLIDERS[options.sliders](data, skeleton),
         materials=tuple(material for material in MATERIALS if any(mesh.material == material.name for mesh in meshes)),
         attribution=ATTRIBUTION,
         recipe=import_recipe("makehuman", {source: (source,)}, options),

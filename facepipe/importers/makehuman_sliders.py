@@ -1,0 +1,161 @@
+"""Sliders of MakeHuman's pose units, and of ARKit's shapes as far as pose units make them.
+
+A pose unit at v turns each bone by v times its angle, about its axis (as quaternions interpolate). Euler angles follow
+that in curves: straight pieces, as many as keep every angle within `_ANGLE`, twice as many until they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.importers.makehuman_data import MakeHumanData
+from facepipe.names import unique_identifiers
+from facepipe.parts import Curve, Skeleton, Slider
+from facepipe.rig import CHANNELS, matrix_coefficients
+from facepipe.rig.sliders import with_mutual_mirrors
+
+FloatArray = npt.NDArray[np.floating]
+
+_ANGLE = 2e-4  # radians that an angle may be off between two knots
+_STILL = 1e-5  # radians that are rounding in the data: bones turned by less stay
+_NOTHING = 1e-7  # radians of one angle that are none
+_MOST = 32  # pieces
+_BETWEEN = 4  # values of a piece at which angles are compared
+
+_GROUPS = {  # words in the names of pose units
+    "brows": ("Brow",),
+    "eyes": ("Lid", "Eye"),
+    "nose": ("Nose",),
+    "cheeks": ("Cheek", "Nasolabial"),
+    "tongue": ("Tongue",),
+    "jaw": ("Jaw", "Chin"),
+    "mouth": ("Lip", "Mouth"),
+}
+
+_LEFT_SIDE = {  # ARKit shape -> pose units, Left and Right exchanged for the other side
+    "browDownLeft": ("LeftBrowDown",),
+    "browOuterUpLeft": ("LeftOuterBrowUp",),
+    "cheekSquintLeft": ("LeftCheekUp",),
+    "eyeBlinkLeft": ("LeftUpperLidClosed",),
+    "eyeLookDownLeft": ("LeftEyeDown",),
+    "eyeLookInLeft": ("LeftEyeturnRight",),
+    "eyeLookOutLeft": ("LeftEyeturnLeft",),
+    "eyeLookUpLeft": ("LeftEyeUp",),
+    "eyeSquintLeft": ("LeftLowerLidUp",),
+    "eyeWideLeft": ("LeftUpperLidOpen",),
+    "jawLeft": ("ChinLeft",),
+    "mouthFrownLeft": ("MouthLeftPullDown",),
+    "mouthLeft": ("MouthMoveLeft",),
+    "mouthSmileLeft": ("MouthLeftPullUp",),
+    "mouthStretchLeft": ("MouthLeftPullSide",),
+}
+_WHOLE = {
+    "browInnerUp": ("LeftInnerBrowUp", "RightInnerBrowUp"),
+    "cheekPuff": ("CheeksPump",),
+    "jawForward": ("ChinForward",),
+    "jawOpen": ("JawDrop",),
+    "mouthFunnel": ("UpperLipForward", "lowerLipForward"),
+    "mouthPucker": ("LipsKiss",),
+    "mouthRollLower": ("lowerLipBackward",),
+    "mouthRollUpper": ("UpperLipBackward",),
+    "mouthShrugLower": ("lowerLipUp",),
+    "tongueOut": ("TongueOut",),
+}
+
+
+def other_side(name: str) -> str:
+    """The name with left and right exchanged."""
+    return name.replace("Left", "\0").replace("Right", "Left").replace("\0", "Right")
+
+
+ARKIT_UNITS: Mapping[str, tuple[str, ...]] = {
+    **_WHOLE,
+    **_LEFT_SIDE,
+    **{other_side(name): tuple(map(other_side, units)) for name, units in _LEFT_SIDE.items()},
+}
+
+
+def unit_sliders(data: MakeHumanData, skeleton: Skeleton) -> tuple[Slider, ...]:
+    """A slider, 0 to 1, of each pose unit that turns something, called as the pose unit."""
+    names = unique_identifiers(data.names("poseunit_names"))
+    return _sliders(
+        {name: (unit,) for name, unit in zip(names, data.names("poseunit_names"), strict=True)}, data, skeleton
+    )
+
+
+def arkit_sliders(data: MakeHumanData, skeleton: Skeleton) -> tuple[Slider, ...]:
+    """A slider of each ARKit shape whose pose units (`ARKIT_UNITS`) are all there."""
+    there = set(data.names("poseunit_names"))
+    return _sliders({name: units for name, units in ARKIT_UNITS.items() if there.issuperset(units)}, data, skeleton)
+
+
+def _sliders(units: Mapping[str, Sequence[str]], data: MakeHumanData, skeleton: Skeleton) -> tuple[Slider, ...]:
+    numbers = {name: number for number, name in enumerate(data.names("poseunit_names"))}
+    vectors = data["poseunit_rotvec"].astype(np.float64)
+    vectors = np.where(np.linalg.norm(vectors, axis=2, keepdims=True) > _STILL, vectors, 0.0)
+    axes = skeleton.bind_transforms[:, :3, :3]
+    found = []
+    for name, own in units.items():
+        knots = _knots([np.einsum("bji,bj->bi", axes, vectors[numbers[unit]]) for unit in own])
+        entries = [
+            entry
+            for joint, channel in np.argwhere(np.abs(knots).max(axis=0) > _NOTHING).tolist()
+            for entry in _entries(skeleton.joints[joint], CHANNELS[3 + channel], knots[:, joint, channel])
+        ]
+        if entries:
+            curves = tuple(curve for _, curve in entries)
+            found.append(
+                Slider(
+                    name=name,
+                    group=next((group for group, words in _GROUPS.items() if any(w in own[0] for w in words)), ""),
+                    channels=tuple(channel for channel, _ in entries),
+                    channel_curves=curves if any(curves) else (),
+                    mirror=other_side(name) if other_side(name) != name else None,
+                )
+            )
+    return with_mutual_mirrors(found)
+
+
+def _knots(turns: Sequence[FloatArray]) -> FloatArray:
+    """(pieces + 1, B, 3) Euler angles of rotations, one after another, from 0 to 1."""
+    pieces = 1
+    while True:
+        knots, fine = _angles(turns, pieces), _angles(turns, _BETWEEN * pieces)
+        at = np.linspace(0.0, 1.0, _BETWEEN, endpoint=False)[:, None, None]
+        between = np.concatenate([knots[:-1, None] * (1.0 - at) + knots[1:, None] * at]).reshape(-1, *knots.shape[1:])
+        if pieces >= _MOST or np.abs(between - fine[:-1]).max(initial=0.0) <= _ANGLE:
+            return knots
+        pieces *= 2
+
+
+def _angles(turns: Sequence[FloatArray], pieces: int) -> FloatArray:
+    """(pieces + 1, B, 3) rx ry rz of bones, along their own axes, at even values from 0 to 1.
+
+    :param turns: (B, 3) rotation vectors along the axes of each bone
+    """
+    from scipy.spatial.transform import Rotation
+
+    values = np.linspace(0.0, 1.0, pieces + 1)
+    matrices = np.tile(np.eye(4), (len(values), len(turns[0]), 1, 1))
+    for vectors in turns:
+        rotated = Rotation.from_rotvec((values[:, None, None] * vectors).reshape(-1, 3)).as_matrix()
+        matrices[..., :3, :3] = matrices[..., :3, :3] @ rotated.reshape(*matrices.shape[:2], 3, 3)
+    return np.asarray(matrix_coefficients(matrices)[..., 3:6])
+
+
+def _entries(joint: str, channel: str, angles: FloatArray) -> list[tuple[tuple[str, str, float], Curve | None]]:
+    """What adds up to an angle at even values: one entry, or what rises and what falls where it turns back."""
+    if len(angles) == 2:
+        return [((joint, channel, float(angles[1])), None)]
+    values = np.linspace(0.0, 1.0, len(angles))
+    steps = np.diff(angles)
+    found: list[tuple[tuple[str, str, float], Curve | None]] = []
+    for sign in (1.0, -1.0):
+        risen = np.concatenate([[0.0], np.cumsum(np.maximum(sign * steps, 0.0))])
+        if risen[-1] > _NOTHING:
+            curve = tuple(zip(values.tolist(), (risen / risen[-1]).tolist(), strict=True))
+            found.append(((joint, channel, float(sign * risen[-1])), curve))
+    return found
