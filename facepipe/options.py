@@ -25,6 +25,8 @@ def check_ranges(options: DataclassInstance) -> None:
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
+        if value is None and field.default is None:
+            continue
         if "choices" in field.metadata and value not in field.metadata["choices"]:
             expected = ", ".join(map(str, field.metadata["choices"]))
             raise InputError(f"option {field.name}", f"is {value!r}, expected one of {expected}")

@@ -27,7 +27,7 @@ from import_data import shared
 from node import node_packages, three_load
 
 from facepipe.importers import load
-from facepipe.parts import Blendshape, FaceParts, Skeleton, Skin
+from facepipe.parts import FaceParts, Skeleton, Skin
 from facepipe.rig import coefficient_matrices
 from facepipe.stage import Face
 
@@ -237,36 +237,6 @@ def test_inbetween_curves_reproduce_the_shape(writing: Writing) -> None:
     ]:
         moved = file.evaluate({"jawOpen": weight})["Head"][shape.point_indices] - neutral
         assert np.abs(moved - offsets * parts.meters_per_unit).max() < 1e-7
-
-
-def test_quantised_error_is_what_the_report_says(writing: Writing) -> None:
-    parts = placed_face()
-    exact, quantised = writing(parts, "exact.glb"), writing(parts, "quantised.glb", quantize=True)
-    found, expected = quantised[0].evaluate(), exact[0].evaluate()
-    error = difference(found, expected, parts) * 1000
-    assert quantised[1].error_mm is not None
-    assert 0 < error <= quantised[1].error_mm * 1.001 + 1e-4
-    assert quantised[1].error_mm < 1e-4 * head_height(parts) * 1000
-    assert quantised[1].bytes < exact[1].bytes
-    node = next(one for one in quantised[0].list("nodes") if "skin" in one)
-    assert not {"translation", "rotation", "scale", "matrix"} & set(node)
-
-
-def test_quantised_error_holds_for_all_shapes_together(writing: Writing) -> None:
-    rng = np.random.default_rng(8)
-    parts = tiny_face()
-    points = np.arange(36, dtype=np.int32)
-    shapes = tuple(
-        Blendshape(name=f"shape{i}", point_indices=points, offsets=rng.normal(size=(36, 3)) / 5) for i in range(12)
-    )
-    parts = replace(parts, meshes=(replace_mesh(parts.meshes[0], blendshapes=shapes),))
-    file, report = writing(parts, quantize=True)
-    weights = dict.fromkeys((one.name for one in shapes), 1.0)
-    together = difference(file.evaluate(weights), reference(parts, weights), parts) * 1000
-    alone = max(difference(file.evaluate({name: 1.0}), reference(parts, {name: 1.0}), parts) for name in weights) * 1000
-    assert report.error_mm is not None
-    assert alone < together <= report.error_mm * 1.001
-    assert report.error_mm < 5 * together
 
 
 def test_shear_and_mirrored_joints_are_reported(writing: Writing) -> None:

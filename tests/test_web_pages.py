@@ -236,8 +236,9 @@ def test_glb_and_onnx_of_different_faces(sample: Path, folder: Path, name: str, 
 
 
 def test_the_same_files_are_one_face(sample: Path, folder: Path) -> None:
+    """A quantised GLB too: its vertices and joints are those of the plain one."""
     face = facepipe.open(sample)
-    facepipe_gltf.export(face, folder / "own.glb")
+    facepipe_gltf.export(face, folder / "own.glb", facepipe_gltf.Options(quantize=True))
     export_parts(face.parts(), folder / "own.onnx", Options(sliders=True))
     with browser.viewing(folder / "own.glb", onnx=folder / "own.onnx") as url:
         results, problems = browse(url, READY, MESSAGES, run("return face.sliders.length"))
@@ -245,7 +246,7 @@ def test_the_same_files_are_one_face(sample: Path, folder: Path) -> None:
 
 
 def test_a_quantised_glb_fills_the_picture(url: str, sample: Path, folder: Path) -> None:
-    """Its vertices are in a space of their own: the camera stands where it stands before the stage."""
+    """The camera stands where it stands before the stage."""
     options = facepipe_gltf.Options(quantize=True)
     facepipe_gltf.export(facepipe.open(sample), folder / "quantised.glb", options)
     camera = run("return facepipe.picture.camera.position.toArray()")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.parts import FaceParts, FloatArray, Mesh
-from facepipe_gltf.encoding import Encoding, Grid, decode, grid_around
+from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
 from facepipe_gltf.morph_normals import with_normals
-from facepipe_gltf.morphs import Morphs, blocks
+from facepipe_gltf.morphs import Morphs, blocks, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Placement, place, smooth_normals
 from facepipe_gltf.sculpts import Sculpt, sculpts_of
@@ -48,7 +48,7 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     points = placement.points(mesh.points)
     normals, corner_normals = _normals(mesh, corners, points, placement)
     sculpts = sculpts_of(mesh, shapes)
-    if options.morph_normals and sculpts:
+    if options.with_target_normals and sculpts:
         authored = corners.points[:, ::-1] if placement.mirrored else corners.points
         sculpts = with_normals(sculpts, mesh.points, authored)
     return Baked(
@@ -59,35 +59,24 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
         corner_normals=corner_normals,
         sculpts=sculpts,
         placement=placement,
-        influences=limit(mesh.skin, options.influences, f"{parts.name} -> {mesh.name}")
+        influences=limit(mesh.skin, options.most_influences, f"{parts.name} -> {mesh.name}")
         if mesh.skin is not None and skinned
         else None,
     )
 
 
-def grids(meshes: Sequence[Baked]) -> list[Grid]:
-    """A quantisation grid per mesh: skinned meshes share one, since they share their inverse binds."""
-    skinned = [one for one in meshes if one.influences is not None]
-    common = _grid(skinned)
-    return [common if one.influences is not None else _grid([one]) for one in meshes]
+def storage_error(baked: Baked, encoding: Encoding, smallest: float) -> float:
+    """Upper bound in metres of how far a point is off in the bind pose, whatever shapes are on together.
 
-
-def _grid(meshes: Sequence[Baked]) -> Grid:
-    return grid_around([one.points for one in meshes], [block.offsets for one in meshes for block in one.morphs()])
-
-
-def quantisation_error(baked: Baked, grid: Grid) -> float:
-    """Upper bound in metres of how far quantisation moves a point in the bind pose, whatever shapes are on together.
-
-    The errors of the point and of all its offsets add up, each at full weight.
+    What quantisation does to the offsets of a point, and those left out, add up: along each axis those of one sign.
     """
-    encoding = Encoding(grid)
-    base = decode(encoding.positions(baked.points)) * grid.half + grid.center - baked.points
-    total = np.linalg.norm(base, axis=1)
+    sums = np.zeros((2, 3, len(baked.points)))
     for block in baked.morphs():
-        error = decode(encoding.offsets(block.offsets)) * grid.half - block.offsets
-        total += np.bincount(block.points, np.linalg.norm(error, axis=1), len(total))
-    return float(total.max(initial=0.0))
+        error = decode(encoding.offsets(without_small(block, smallest).offsets)) - block.offsets
+        for sign, total in zip((1, -1), sums, strict=True):
+            for axis, own in zip(np.maximum(sign * error.T, 0), total, strict=True):
+                own += np.bincount(block.points, axis, len(own))
+    return float(np.linalg.norm(sums.max(axis=0), axis=0).max(initial=0.0))
 
 
 def _normals(

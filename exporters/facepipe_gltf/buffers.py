@@ -72,7 +72,8 @@ class Buffers:
     MAT4 arrays are expected in the column-vector convention and stored column-major, as glTF wants them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, dense: bool = False) -> None:
+        self._dense = dense  # no sparse accessors
         self.accessors: list[Json] = []
         self.sparse_count = 0
         self._views: dict[_Key, _View] = {}
@@ -89,12 +90,15 @@ class Buffers:
         return self._add_dense(array, use, normalized, extent)
 
     def add_morph(self, rows: Rows, count: int, *, bounds: bool) -> int:
-        """An accessor of `count` elements that are zero but at some; sparse where that is smaller."""
+        """An accessor of `count` elements that are zero but at some; sparse where that is smaller.
+
+        The morph targets that move nothing share one accessor.
+        """
         extent = rows.extent if bounds else None
         if not len(rows.vertices):
             return self._zero(rows, count, extent)
         indices = rows.vertices.astype(_index_type(int(rows.vertices[-1])))
-        if indices.nbytes + rows.values.nbytes < count * _padded_row(rows.values):
+        if not self._dense and indices.nbytes + rows.values.nbytes < count * _padded_row(rows.values):
             return self._add_sparse(indices, rows.values, count, rows.normalized, extent)
         dense = np.zeros((count, *rows.values.shape[1:]), dtype=rows.values.dtype)
         dense[rows.vertices] = rows.values
@@ -125,11 +129,15 @@ class Buffers:
         return self._push(accessor)
 
     def _zero(self, rows: Rows, count: int, extent: Extent | None) -> int:
-        """One shared accessor of zeros per vertex count; stores one zero, since not every loader takes none."""
+        """One shared accessor of zeros per vertex count; a sparse one stores one, since not every loader takes none."""
         key = (count, extent is not None, rows.values.dtype.char)
         if key not in self._zeros:
-            one = np.zeros((1, *rows.values.shape[1:]), dtype=rows.values.dtype)
-            self._zeros[key] = self._add_sparse(np.zeros(1, np.uint8), one, count, rows.normalized, extent)
+            one = np.zeros((count if self._dense else 1, *rows.values.shape[1:]), dtype=rows.values.dtype)
+            self._zeros[key] = (
+                self._add_dense(one, "vertex", rows.normalized, extent)
+                if self._dense
+                else self._add_sparse(np.zeros(1, np.uint8), one, count, rows.normalized, extent)
+            )
         return self._zeros[key]
 
     def _add_sparse(self, indices: Array, values: Array, count: int, normalized: bool, extent: Extent | None) -> int:

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 import facepipe
+from facepipe.options import check_ranges
 from facepipe.parts import FaceParts
 from facepipe_gltf.animations import AnimationWriter
-from facepipe_gltf.baking import Baked, bake, grids, quantisation_error
+from facepipe_gltf.baking import Baked, bake, storage_error
 from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.checks import check
-from facepipe_gltf.encoding import Encoding, Grid
+from facepipe_gltf.encoding import Encoding
+from facepipe_gltf.engines import check_engine, engine_warnings
 from facepipe_gltf.influence_error import influence_error
 from facepipe_gltf.joints import JointNodes, joint_nodes
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
@@ -22,7 +24,7 @@ from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
-from facepipe_gltf.space import numbers, space_of
+from facepipe_gltf.space import space_of
 from facepipe_gltf.textures import Image
 
 Json = dict[str, Any]
@@ -46,8 +48,10 @@ def write(parts: FaceParts, options: Options) -> Document:
     """The glTF document of a face.
 
     :raises ExportError: NaN or infinity, counts that don't fit, or skin weights that can't be normalised
-    :raises InputError: a shape glob that matches nothing
+    :raises InputError: a shape glob that matches nothing, or an option that the engine can't read
     """
+    check_ranges(options)
+    check_engine(options)
     check(parts)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
         return _Writer(parts, options).document()
@@ -67,27 +71,26 @@ class _Writer:
     def document(self) -> Document:
         parts, options = self.parts, self.options
         self.space = space_of(parts)
-        self.buffers = Buffers()
+        self.buffers = Buffers(dense=options.is_dense)
         self.materials = MaterialWriter(parts.materials)
         shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
         meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes]
         meshes = [baked for baked in meshes if len(baked.corners.faces)]
-        mesh_grids: list[Grid | None] = [*grids(meshes)] if options.quantize else [None] * len(meshes)
-        for baked, grid in zip(meshes, mesh_grids, strict=True):
-            self._mesh(baked, grid)
+        for baked in meshes:
+            self._mesh(baked)
         if self.uncolored:
             self.warnings.append(f"display colours of {meshes_said([*self.uncolored])} left out, materials decide")
         scene = list(range(len(self.nodes)))
-        joints, skins = self._skin(meshes, mesh_grids)
+        joints, skins = self._skin(meshes)
         if joints is not None:
             scene += joints.roots
         animations = self._animations(joints) if options.animations else []
-        return self._assemble(scene, skins, animations, meshes, mesh_grids, shapes)
+        return self._assemble(scene, skins, animations, meshes, shapes)
 
-    def _mesh(self, baked: Baked, grid: Grid | None) -> None:
+    def _mesh(self, baked: Baked) -> None:
         """One mesh and the node that shows it, at the scene root."""
         mesh = baked.mesh
-        writer = PrimitiveWriter(baked, Encoding(grid), self.buffers, len(self.parts.skeleton.joints))
+        writer = PrimitiveWriter(baked, self.options, self.buffers, len(self.parts.skeleton.joints))
         chosen = []
         for name, triangles in by_material(baked):
             surface = self.materials.surface(name, mesh)
@@ -102,8 +105,6 @@ class _Writer:
         node: Json = {"name": mesh.name, "mesh": len(self.meshes)}
         if baked.influences is not None:
             node["skin"] = 0
-        elif grid is not None:
-            node |= {"translation": numbers(grid.center), "scale": numbers([grid.half] * 3)}
         self.meshes.append(entry)
         self.nodes.append(node)
         self.counts["vertices"] += writer.vertex_count
@@ -111,17 +112,13 @@ class _Writer:
         self.counts["primitives"] += len(primitives)
         self.counts["targets"] += len(baked.sculpts)
 
-    def _skin(self, meshes: Sequence[Baked], mesh_grids: Sequence[Grid | None]) -> tuple[JointNodes | None, list[Json]]:
+    def _skin(self, meshes: Sequence[Baked]) -> tuple[JointNodes | None, list[Json]]:
         """The one skin that all skinned meshes share, and its nodes."""
-        skinned = [i for i, one in enumerate(meshes) if one.influences is not None]
-        if not skinned:
+        if not any(one.influences is not None for one in meshes):
             return None, []
         skeleton = self.parts.skeleton
         joints = joint_nodes(skeleton, self.space, len(self.nodes))
         inverse_binds = self.space.inverse_binds(np.asarray(skeleton.bind_transforms, dtype=np.float64))
-        grid = mesh_grids[skinned[0]]
-        if grid is not None:  # not in the node: a skinned mesh's node has no transform
-            inverse_binds = inverse_binds @ grid.matrix
         if self.parts.attach_joint is not None:
             joints.nodes[joints.roots[0] - len(self.nodes)]["extras"] = {
                 "facepipe": {"attachJoint": self.parts.attach_joint}
@@ -145,7 +142,6 @@ class _Writer:
         skins: list[Json],
         animations: list[Json],
         meshes: Sequence[Baked],
-        mesh_grids: Sequence[Grid | None],
         shapes: Sequence[str],
     ) -> Document:
         textures = self.materials.textures
@@ -177,19 +173,25 @@ class _Writer:
             binary=binary,
             images=textures.images,
             counts=self._counts(skins, animations, shapes),
-            warnings=(*self.warnings, *skin_warnings(meshes, self.options.influences), *textures.warnings),
+            warnings=(
+                *self.warnings,
+                *skin_warnings(meshes, self.options.most_influences),
+                *textures.warnings,
+                *engine_warnings(self.options.reader, self.nodes),
+            ),
             dropped=dropped(self.parts, meshes, self.options),
-            error_mm=self._error_mm(meshes, mesh_grids),
+            error_mm=self._error_mm(meshes),
         )
 
-    def _error_mm(self, meshes: Sequence[Baked], mesh_grids: Sequence[Grid | None]) -> float | None:
-        """The two errors of `ExportReport.error_mm` together, in mm; None where there is neither."""
-        pairs = zip(meshes, mesh_grids, strict=True)
-        errors = [quantisation_error(one, grid) for one, grid in pairs if grid is not None]
+    def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
+        """The errors of `ExportReport.error_mm` together, in mm; None where there is none."""
+        options = self.options
+        encoding, smallest = Encoding(options.quantize), options.drop_deltas / 1000
+        stored = [storage_error(one, encoding, smallest) for one in meshes] if options.quantize or smallest else []
         fewer = influence_error(self.parts, meshes, self.space)
-        if not errors and fewer is None:
+        if not stored and fewer is None:
             return None
-        return (max(errors, default=0.0) + (fewer or 0.0)) * 1000
+        return (max(stored, default=0.0) + (fewer or 0.0)) * 1000
 
     def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
         return self.counts | {

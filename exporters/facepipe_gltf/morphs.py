@@ -67,6 +67,15 @@ def _morphs(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray
     return Morphs(starts, points, offsets, placement.normal_offsets(np.concatenate(own), normals[points], points))
 
 
+def without_small(morphs: Morphs, smallest: float) -> Morphs:
+    """Offsets shorter than `smallest` metres become zero, and those of their normals with them."""
+    if not smallest:
+        return morphs
+    long = np.linalg.norm(morphs.offsets, axis=1, keepdims=True) >= smallest
+    normals = None if morphs.normal_offsets is None else morphs.normal_offsets * long
+    return morphs._replace(offsets=morphs.offsets * long, normal_offsets=normals)
+
+
 def table_of(morphs: Morphs, encoded: Encoded) -> Table:
     """The rows (k, 3) of `encoded` that are not zero.
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from facepipe_gltf.engines import ANY, ENGINES, Engine
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What goes into the file, and how compactly."""
+    """What goes into the file, and how compactly; None: what the engine asks for."""
 
     mode: Literal["skin", "morph", "both"] = field(
         default="both",
@@ -17,15 +19,56 @@ class Options:
             "choices": ("skin", "morph", "both"),
         },
     )
-    influences: Literal[4, 8] = field(
-        default=4, metadata={"help": "largest number of joints that move one vertex", "choices": (4, 8)}
+    engine: str | None = field(
+        default=None,
+        metadata={
+            "help": "what will load the file: sets the options below as it needs them, refuses those that it can't "
+            "read, and says which names it changes",
+            "choices": tuple(ENGINES),
+        },
+    )
+    influences: Literal[4, 8] | None = field(
+        default=None,
+        metadata={
+            "help": "largest number of joints that move one vertex (default 4, or as many as --engine reads)",
+            "choices": (4, 8),
+        },
     )
     shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
-    morph_normals: bool = field(
-        default=False,
+    morph_normals: bool | None = field(
+        default=None,
         metadata={"help": "compute the normals of blendshapes that have none"},
     )
     animations: bool = field(default=False, metadata={"help": "export poses and animations"})
     quantize: bool = field(
-        default=False, metadata={"help": "store vertices as 8 and 16 bit integers (KHR_mesh_quantization)"}
+        default=False,
+        metadata={"help": "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)"},
     )
+    dense: bool | None = field(
+        default=None,
+        metadata={"help": "store every value of every morph target, for readers that get sparse ones wrong"},
+    )
+    drop_deltas: float = field(
+        default=0.0,
+        metadata={"help": "leave out offsets of blendshapes shorter than this", "unit": "mm", "range": (0.0, 100.0)},
+    )
+
+    @property
+    def reader(self) -> Engine:
+        """What the file is for."""
+        return ANY if self.engine is None else ENGINES[self.engine]
+
+    @property
+    def most_influences(self) -> int:
+        """How many joints may move one vertex."""
+        return self.influences or (4 if self.engine is None else self.reader.influences)
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether no accessor may be sparse."""
+        return not self.reader.sparse if self.dense is None else self.dense
+
+    @property
+    def with_target_normals(self) -> bool:
+        """Whether shapes without normals get them computed."""
+        return self.reader.target_normals if self.morph_normals is None else self.morph_normals

@@ -11,7 +11,8 @@ from facepipe.parts import FloatArray, IntArray
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
-from facepipe_gltf.morphs import Morphs, Table, rows_of, table_of
+from facepipe_gltf.morphs import Morphs, Table, rows_of, table_of, without_small
+from facepipe_gltf.options import Options
 from facepipe_gltf.tangents import orientation, tangents
 from facepipe_gltf.vertices import Vertices, vertices_of
 
@@ -30,9 +31,10 @@ class Chosen(NamedTuple):
 class PrimitiveWriter:
     """Writes the primitives of one mesh into `buffers`."""
 
-    def __init__(self, baked: Baked, encoding: Encoding, buffers: Buffers, joint_count: int) -> None:
+    def __init__(self, baked: Baked, options: Options, buffers: Buffers, joint_count: int) -> None:
         self._baked = baked
-        self._encoding = encoding
+        self._encoding = Encoding(options.quantize)
+        self._smallest = options.drop_deltas / 1000
         self._buffers = buffers
         self._joint_type = np.uint8 if joint_count <= 1 << 8 else np.uint16
         self.vertex_count = 0
@@ -120,7 +122,8 @@ class PrimitiveWriter:
     def _targets(self, primitives: Sequence[Vertices]) -> list[list[dict[str, Rows]]]:
         """The targets of each primitive: one per sculpt, all with the same attributes."""
         targets: list[list[dict[str, Rows]]] = [[] for _ in primitives]
-        for morphs in self._baked.morphs():
+        for block in self._baked.morphs():
+            morphs = without_small(block, self._smallest)
             offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))
             normal_tables = self._normal_tables(morphs)
             for own, vertices in zip(targets, primitives, strict=True):
@@ -136,7 +139,7 @@ class PrimitiveWriter:
         """Normal offsets as float32 and, in a quantised file, as integers too; empty where there are none."""
         if morphs.normal_offsets is None:
             return []
-        encodings = [Encoding()] if self._encoding.grid is None else [Encoding(), self._encoding]
+        encodings = [Encoding()] if not self._encoding.quantize else [Encoding(), self._encoding]
         return [table_of(morphs, one.directions(morphs.normal_offsets)) for one in encodings]
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:

@@ -24,7 +24,7 @@ CONVENTIONS = {
     f"; channels and shapes of more than {_MOST_ENTRIES:,} entries in all are null: the graph holds them too",
     "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
     "skinning_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
-    "For vertices of the face's GLB, not quantised: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
+    "For vertices of the face's GLB: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
     "morph_weights": "activations of the morph targets, inbetweens among them; meshes[i].targets numbers those of a "
     "mesh in the order of its GLB targets",
 }

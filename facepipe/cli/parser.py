@@ -62,7 +62,7 @@ def _settings(field: Any, hint: Any) -> dict[str, Any]:
     help_text = f"{metadata.get('help', '')}{unit}{shown}".replace("%", "%%")
     kinds = [kind for kind in _flat(hint) if kind is not type(None)]
     if kinds == [bool]:
-        action = argparse.BooleanOptionalAction if default else "store_true"
+        action = "store_true" if default is False else argparse.BooleanOptionalAction
         return {"action": action, "default": default, "help": help_text}
     settings: dict[str, Any] = {"default": default, "help": help_text}
     if "choices" in metadata:

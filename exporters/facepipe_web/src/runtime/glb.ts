@@ -20,7 +20,6 @@ export interface LoadedGlb {
   root: Group;
   meshes: FaceMesh[];
   skeleton: Skeleton | null;
-  quantised: boolean;
   copyright: string;
 }
 
@@ -41,7 +40,7 @@ export async function readGlb(url: string): Promise<LoadedGlb> {
     throw new FaceError(url, `is no GLB that three.js reads: ${error.message.split("\n")[0]}`);
   });
   const { associations } = gltf.parser;
-  const json = gltf.parser.json as { meshes?: MeshRecord[]; extensionsRequired?: string[]; asset: { copyright?: string } };
+  const json = gltf.parser.json as { meshes?: MeshRecord[]; asset: { copyright?: string } };
   const found = new Map<number, FaceMesh>();
   let skeleton: Skeleton | null = null;
   gltf.scene.traverse((object: Object3D) => {
@@ -62,7 +61,6 @@ export async function readGlb(url: string): Promise<LoadedGlb> {
     root,
     meshes: [...found].sort(([a], [b]) => a - b).map(([, mesh]) => mesh),
     skeleton,
-    quantised: json.extensionsRequired?.includes("KHR_mesh_quantization") ?? false,
     copyright: json.asset.copyright ?? "",
   };
 }

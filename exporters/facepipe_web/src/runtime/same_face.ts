@@ -15,9 +15,6 @@ export function checkSameFace(glb: LoadedGlb, metadata: Metadata, where: string)
   const joints = output(metadata, "skinning_matrices")?.joints ?? [];
   const own = glb.skeleton?.bones.length ?? 0;
   if (joints.length !== own) throw differ(`${own} joints in the GLB, ${joints.length} in the ONNX`);
-  if (glb.quantised && joints.length) {
-    throw new FaceError(where, "the GLB is quantised, expected one without --quantize");
-  }
   const targets = output(metadata, "morph_weights")?.targets ?? [];
   const records = new Map(metadata.meshes.map((one) => [one.name, one]));
   for (const mesh of glb.meshes) {

@@ -58,7 +58,7 @@ export class Picture {
     const box = new Box3();
     for (const mesh of this.faces[0].face.meshes) {
       for (const { geometry, matrixWorld } of mesh.primitives) {
-        // where skinning puts it: vertices of quantised files and of others' rigs may be in any space
+        // where skinning puts it: vertices of others' files may be in any space
         const own = new Box3().setFromBufferAttribute(geometry.getAttribute("paintNeutral") as BufferAttribute);
         box.union(own.applyMatrix4(matrixWorld));
       }
