@@ -298,6 +298,8 @@ class FaceParts:
     meshes: tuple[Mesh, ...] = ()
     skeleton: Skeleton = field(default_factory=Skeleton)
     animations: tuple[Animation, ...] = ()
+    played: str | None = None  # the animation that the skeleton plays (skel:animationSource)
+    frames_per_second: float = 24.0  # time codes in a second
     sliders: tuple[Slider, ...] = ()
     slider_network: SliderNetwork | None = None
     bone_limits: BoneLimits | None = None

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from gltf_builder import PNG, Array, Builder, Model, build, make_model, matrix, quaternion
+from pxr import Usd, UsdSkel
 
 from facepipe.errors import InputError
 from facepipe.importers import gltf
 from facepipe.importers.imported import Imported
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput
+from facepipe.stage import save_parts
 
 SCAN = Path(__file__).parents[2] / "shared" / "data" / "scans" / "LeePerrySmith.glb"
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
@@ -164,6 +166,9 @@ def animated(model: Model) -> tuple[Builder, Array, dict[tuple[int, str], Callab
     return builder, np.unique(np.concatenate(every)), tracks
 
 
+Tracks = dict[tuple[int, str], Callable[[float], Array]]
+
+
 def interpolate(mode: str, rotation: bool, times: Array, keys: Array, at: float) -> Array:
     """glTF 2.0 appendix C at one time; cubic keys are (k, 3, width): in-tangent, value, out-tangent."""
     at = float(np.clip(at, times[0], times[-1]))
@@ -196,21 +201,89 @@ def test_animation_moves_points_as_gltf_says(tmp_path: Path) -> None:
     (animation,), (mesh,) = parts.animations, parts.meshes
     assert animation.name == "talk"
     assert animation.times is not None
-    assert np.array_equal(animation.times, times)
+    keys = [int(np.abs(animation.times - at).argmin()) for at in times]
+    assert np.abs(animation.times[keys] - times).max() < 1e-6
     assert animation.shape_weights is not None
-    for i, at in enumerate(times):
-        trs = [
-            tuple(
-                tracks[node, path](at) if (node, path) in tracks else rest
-                for path, rest in zip(("translation", "rotation", "scale"), model.trs[node], strict=True)
-            )
-            for node in range(len(model.trs))
-        ]
-        weights = tracks[11, "weights"](at)
-        expected = model.evaluate(weights, trs)[model.triangles]  # type: ignore[arg-type]
+    for i, at in zip(keys, times, strict=True):
         named = dict(zip(animation.shapes, animation.shape_weights[i], strict=True))
         got = evaluate(parts, mesh, named, pose(parts, animation, i))
-        assert np.abs(corners(mesh, got) - expected).max() < 1e-5 * height(model)
+        assert np.abs(corners(mesh, got) - moved(model, tracks, at)).max() < 1e-5 * height(model)
+
+
+def moved(model: Model, tracks: dict[tuple[int, str], Callable[[float], Array]], at: float) -> Array:
+    """Corners of the model at a time, as the channels say."""
+    trs = [
+        tuple(
+            tracks[node, path](at) if (node, path) in tracks else rest
+            for path, rest in zip(("translation", "rotation", "scale"), model.trs[node], strict=True)
+        )
+        for node in range(len(model.trs))
+    ]
+    return model.evaluate(tracks[11, "weights"](at), trs)[model.triangles]  # type: ignore[arg-type]
+
+
+def at_any_time(imported: Imported, folder: Path, model: Model, tracks: Tracks, times: Array) -> Array:
+    """How far points are from what the channels say when USD interpolates the saved face, in head heights."""
+    parts, stage_file = imported.parts, folder / "again.usda"
+    save_parts(parts, stage_file)
+    stage = Usd.Stage.Open(str(stage_file))
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    skeleton = next(UsdSkel.Skeleton(one) for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton))
+    query = cache.GetSkelQuery(skeleton)
+    playing = query.GetAnimQuery()
+    assert playing.GetPrim().GetName() == "talk"
+    names = list(playing.GetBlendShapeOrder())
+    off = []
+    for at in times:
+        code = at * stage.GetTimeCodesPerSecond()
+        local = np.swapaxes(np.array(query.ComputeJointLocalTransforms(code)), 1, 2)
+        weights = dict(zip(names, playing.ComputeBlendShapeWeights(code), strict=True))
+        got = corners(parts.meshes[0], evaluate(parts, parts.meshes[0], weights, local))
+        off.append(np.abs(got - moved(model, tracks, at)).max() / height(model))
+    return np.array(off)
+
+
+def test_steps_and_curves_mean_the_same_at_any_time_in_usd(tmp_path: Path) -> None:
+    model = make_model()
+    builder, _, tracks = animated(model)
+    imported = read(tmp_path, builder)
+    assert any("held until 0.98 ms before" in line for line in imported.warnings)
+    assert any("CUBICSPLINE keys became lines: off by at most" in line for line in imported.warnings)
+    times = np.random.default_rng(8).random(200)
+    times = np.concatenate([times[(times < 0.398) | (times > 0.4)], [0.3989, 0.4001]])  # STEP changes at 0.4
+    assert at_any_time(imported, tmp_path, model, tracks, times).max() < 1.5e-3
+    assert at_any_time(imported, tmp_path, model, tracks, np.array([0.3995])).max() > 1e-2  # where it changes
+
+
+def test_animations_are_sampled_at_a_frame_rate(tmp_path: Path) -> None:
+    model = make_model()
+    builder, _, tracks = animated(model)
+    imported = read(tmp_path, builder, fps=40.0)
+    (animation,) = imported.parts.animations
+    assert imported.parts.frames_per_second == 40.0
+    assert animation.times is not None
+    assert animation.times.tolist() == [frame / 40 for frame in range(41)]
+    assert animation.shape_weights is not None
+    for i, at in enumerate(animation.times):
+        named = dict(zip(animation.shapes, animation.shape_weights[i], strict=True))
+        got = evaluate(imported.parts, imported.parts.meshes[0], named, pose(imported.parts, animation, i))
+        assert np.abs(corners(imported.parts.meshes[0], got) - moved(model, tracks, at)).max() < 1e-5 * height(model)
+    assert any("sampled at 40 frames per second: off by at most" in line for line in imported.warnings)
+
+
+@pytest.mark.parametrize(("times", "rate"), [([0.0, 1 / 30, 2.0], 30), ([7 / 25], 25), ([0.0, 0.5], 24), ([0.013], 24)])
+def test_the_frame_rate_is_that_which_all_keys_fall_on(times: list[float], rate: float, tmp_path: Path) -> None:
+    builder = build(make_model())
+    sampler = {"input": builder.array(np.array(times)), "output": builder.array(np.zeros((len(times), 3)))}
+    channels = [{"sampler": 0, "target": {"node": 1, "path": "translation"}}]
+    builder.add("animations", {"channels": channels, "samplers": [sampler], "name": "slide"})
+    parts = read(tmp_path, builder).parts
+    assert parts.frames_per_second == rate
+    assert parts.played == ("slide" if len(times) > 1 else None)  # one key is a pose
+    if len(times) > 1 and parts.animations[0].times is not None:
+        assert (parts.animations[0].times * rate % 1 == 0).all()
 
 
 def test_animation_of_other_nodes_is_named_in_a_warning(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def _free_paths(layer: Sdf.Layer, built: Sequence[Built]) -> list[Sdf.Path]:
 
 def _put(layer: Sdf.Layer, path: Sdf.Path, parts: FaceParts, view: StageView) -> None:
     """Copy the face to a path, with the materials that Blender wrote."""
-    source = face_layer(parts, view.stage.GetTimeCodesPerSecond())
+    source = face_layer(replace(parts, frames_per_second=view.stage.GetTimeCodesPerSecond()))
     if not Sdf.CopySpec(source, source.rootPrims[0].path, layer, path):
         raise InputError(path, "can't be written on the stage")
     names = unique_identifiers(one.name for one in parts.materials)

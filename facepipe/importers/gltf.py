@@ -13,6 +13,7 @@ from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document
 from facepipe.importers.imported import Imported, import_recipe
+from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, Mesh
 
 
@@ -28,15 +29,23 @@ class Options:
         default=None,
         metadata={"help": "number of the scene to read; the file's default scene where not given"},
     )
+    fps: float | None = field(
+        default=None,
+        metadata={
+            "help": "frames per second that animations are sampled at; their own keys where not given",
+            "range": (1.0, 1000.0),
+        },
+    )
 
 
 def read(source: Path, options: Options) -> Imported:
-    """The face in the scene of a glTF file: metres, Y up, v up, vertices joined into points.
+    """The face in the scene of a glTF file: metres, Y up, v up, vertices joined into points; it plays its first clip.
 
     Skinned meshes are brought into skeleton space; a mesh below a joint follows that joint.
 
     :raises InputError: not glTF 2.0, an unsupported required extension, or data that doesn't hold together
     """
+    check_ranges(options)
     try:
         with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which `_check_finite` refuses
             document = open_document(source)
@@ -56,12 +65,15 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
     _note_hidden(document, nodes)
+    animations = gltf_animations.read_animations(document, nodes, joints, assembly.roles, options.fps)
     return FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
         meshes=meshes,
         skeleton=joints.skeleton,
-        animations=gltf_animations.read_animations(document, nodes, joints, assembly.roles),
+        animations=animations.all,
+        played=animations.first_clip,
+        frames_per_second=animations.frames_per_second,
         materials=gltf_materials.read_materials(document, materials, _bound(meshes)),
         attribution=_attribution(document),
         recipe=import_recipe("gltf", {source: document.files}, options),

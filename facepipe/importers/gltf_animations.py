@@ -1,57 +1,111 @@
 """glTF animations of joints and morph weights as animations of the face.
 
-All channels of an animation are resampled at the union of their key times; between those times the result is
-linear (rotations: slerp), which is what LINEAR channels are anyway.
+All channels of an animation are resampled at the union of their key times and of those that `gltf_key_times` adds for
+STEP and CUBICSPLINE; between these the result is linear (rotations: slerp), which is what LINEAR channels are anyway.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
+from facepipe.importers.gltf_key_times import (
+    TICK,
+    Channel,
+    frame_rate,
+    lines_error,
+    on_frames,
+    sample_times,
+)
 from facepipe.importers.gltf_morphs import Role
 from facepipe.importers.gltf_names import Names
 from facepipe.importers.gltf_nodes import Nodes, Trs, decompose, local_trs, trs_matrix
-from facepipe.importers.gltf_samplers import Sampler, read_sampler, sample
+from facepipe.importers.gltf_samplers import read_sampler
 from facepipe.importers.gltf_skins import Joints
 from facepipe.parts import Animation, FloatArray
 
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
 
 
-@dataclass(frozen=True)
-class _Channel:
-    node: int
-    path: str
-    sampler: Sampler
+class Animations(NamedTuple):
+    """What a file animates, and the frames per second that its keys fall on."""
+
+    all: tuple[Animation, ...]
+    frames_per_second: float
+
+    @property
+    def first_clip(self) -> str | None:
+        """Name of the first animation that is more than a pose."""
+        return next((one.name for one in self.all if one.times is not None), None)
 
 
 def read_animations(
-    document: Document, nodes: Nodes, joints: Joints, shapes: Mapping[int, Sequence[Role]]
-) -> tuple[Animation, ...]:
-    """All animations that move joints or shapes.
+    document: Document,
+    nodes: Nodes,
+    joints: Joints,
+    shapes: Mapping[int, Sequence[Role]],
+    fps: float | None = None,
+) -> Animations:
+    """All animations that move joints or shapes; one with a single key is a pose.
 
     :param shapes: roles of the morph targets of every node that shows a mesh with some
+    :param fps: frames per second to sample at; None: the keys, as they are
     :raises InputError: samplers whose times or values don't fit
     """
     names = Names()
-    found = []
+    read = []
     for value in document.entries("animations"):
         channels = _channels(document, value, joints, shapes)
         if channels:
             name = value.get("name")
             identifier = names.new("" if name is None else name.text(), "Animation")
-            found.append(_animation(document, value, identifier, channels, nodes, joints, shapes))
-    return tuple(found)
+            read.append((value, identifier, channels))
+    keys = [channel.sampler.times for _, _, channels in read for channel in channels]
+    rate = fps or frame_rate(np.concatenate(keys) if keys else np.zeros(0))
+    return Animations(
+        tuple(
+            _on_frames(
+                _animation(
+                    document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps)
+                ),
+                rate,
+            )
+            for value, name, channels in read
+        ),
+        rate,
+    )
 
 
-def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]]) -> list[_Channel]:
+def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
+    """When to sample an animation, and what that means for its keys as warnings."""
+    if fps is not None:
+        ends = [channel.sampler.times[[0, -1]] for channel in channels]
+        document.budget.spend(int(min(8.0 * fps * float(np.ptp(ends)), 1e15)), value)
+    times = sample_times(channels, fps)
+    curves = [channel for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
+    document.budget.spend(8 * len(times), value)
+    if fps is not None:
+        document.warn(value, f"sampled at {fps:g} frames per second: off by at most {lines_error(channels, times)}")
+        return times
+    if any(channel.sampler.mode == "STEP" for channel in channels):
+        document.warn(value, f"STEP keys are held until {TICK * 1000:.2g} ms before the next")
+    if curves:
+        document.warn(value, f"CUBICSPLINE keys became lines: off by at most {lines_error(curves, times)}")
+    return times
+
+
+def _on_frames(animation: Animation, rate: float) -> Animation:
+    return animation if animation.times is None else replace(animation, times=on_frames(animation.times, rate))
+
+
+def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]]) -> list[Channel]:
     samplers = value.require("samplers").items()
-    found: dict[tuple[int, str], _Channel] = {}
+    found: dict[tuple[int, str], Channel] = {}
     left_out = 0
     for channel in value.require("channels").items():
         target = channel.require("target")
@@ -68,11 +122,9 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         if number >= len(samplers):
             raise reference.error(f"{number}, but there are {len(samplers)} samplers")
         kind, width = _PATHS[path] if path in _PATHS else ("SCALAR", len(shapes[index]))
-        found[index, path] = _Channel(index, path, read_sampler(document, samplers[number], kind, width))
+        found[index, path] = Channel(index, path, read_sampler(document, samplers[number], kind, width))
     if left_out:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
-    if any(channel.sampler.mode != "LINEAR" for channel in found.values()):
-        document.warn(value, "STEP and CUBICSPLINE keys are sampled at the key times and linear between them")
     return list(found.values())
 
 
@@ -80,12 +132,12 @@ def _animation(
     document: Document,
     value: Value,
     name: str,
-    channels: list[_Channel],
+    channels: list[Channel],
     nodes: Nodes,
     joints: Joints,
     shapes: Mapping[int, Sequence[Role]],
+    times: FloatArray,
 ) -> Animation:
-    times = np.unique(np.concatenate([channel.sampler.times for channel in channels]))
     moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _PATHS})
     weights = [channel for channel in channels if channel.path == "weights"]
     width = 24 * len(moved) + 2 * sum(len(shapes[channel.node]) for channel in weights)
@@ -94,7 +146,7 @@ def _animation(
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
     return Animation(
         name=name,
-        times=times,
+        times=times if len(times) > 1 else None,
         joints=tuple(joints.skeleton.joints[joint] for joint in moved),
         translations=None if motion is None else motion.translation.astype(np.float32),
         rotations=None if motion is None else motion.rotation.astype(np.float32),
@@ -108,13 +160,13 @@ def _joint_motion(
     document: Document,
     value: Value,
     times: FloatArray,
-    channels: list[_Channel],
+    channels: list[Channel],
     moved: list[int],
     nodes: Nodes,
     joints: Joints,
 ) -> Trs:
     """Local transforms (t, j, ...) of the joints `moved`; what no channel moves stays as the node has it."""
-    by_target = {(channel.node, channel.path): channel.sampler for channel in channels}
+    by_target = {(channel.node, channel.path): channel for channel in channels}
     node_of = {joint: node for node, joint in joints.of_node.items()}
     tracks = []
     for joint in moved:
@@ -122,9 +174,9 @@ def _joint_motion(
         still = local_trs(nodes.values[node])
         parts = []
         for path, rest in zip(_PATHS, (still.translation, still.rotation, still.scale), strict=True):
-            sampler = by_target.get((node, path))
+            channel = by_target.get((node, path))
             constant = np.tile(rest, (len(times), 1))
-            parts.append(constant if sampler is None else sample(sampler, times, path == "rotation"))
+            parts.append(constant if channel is None else channel.at(times))
         tracks.append(_under(document, value, joints.above[joint], Trs(*parts)))
     return Trs(
         np.stack([track.translation for track in tracks], axis=1),
@@ -148,14 +200,14 @@ def _shape_motion(
     document: Document,
     value: Value,
     times: FloatArray,
-    channels: list[_Channel],
+    channels: list[Channel],
     shapes: Mapping[int, Sequence[Role]],
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Shape names and weights (t, s). A shape's weight is the sum of its targets' activations times their weights:
     this undoes the activation curves of inbetweens, which are piecewise linear."""
     found: dict[str, FloatArray] = {}
     for channel in channels:
-        values = sample(channel.sampler, times)
+        values = channel.at(times)
         own: dict[str, FloatArray] = {}
         for role, column in zip(shapes[channel.node], values.T, strict=True):
             own[role.shape] = own.get(role.shape, 0.0) + role.weight * column

@@ -60,14 +60,16 @@ def read(source: Path, options: Options) -> Imported:
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
     skeleton, new_names = _renamed(parts.skeleton, warnings)
     _check_transforms(source, parts)
+    animations = tuple(
+        kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
+    )
     sliders = _kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings)
     parts = replace(
         parts,
         meshes=meshes,
         skeleton=skeleton,
-        animations=tuple(
-            kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
-        ),
+        animations=animations,
+        played=parts.played if any(one.name == parts.played for one in animations) else None,
         sliders=sliders,
         slider_network=_kept_network(parts.slider_network, sliders, new_names, _shape_names(meshes), warnings),
         materials=_distinct_textures(parts.materials),

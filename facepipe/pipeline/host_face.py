@@ -54,15 +54,13 @@ def faces_on(stage: Usd.Stage) -> tuple[Face, ...]:
     return tuple(Face(stage, prim) for prim in sorted(found, key=lambda prim: prim != default))
 
 
-def face_layer(parts: FaceParts, frames_per_second: float = 24.0) -> Sdf.Layer:
+def face_layer(parts: FaceParts) -> Sdf.Layer:
     """A layer in memory with the face as its default prim; textures are named, not written.
-
-    :param frames_per_second: time codes in a second, of animations
 
     :raises InputError: NaN, or a name that USD can't hold
     """
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    stage = author(parts, frames_per_second=frames_per_second)  # it keeps its layer alive
+    stage = author(parts)  # it keeps its layer alive
     layer.TransferContent(stage.GetRootLayer())
     return layer
 

@@ -39,6 +39,7 @@ def make(seed: int = 0) -> FaceParts:
         meshes=_finished(neutral, _skins(neutral, masks, bones), blendshapes),
         skeleton=bones.skeleton,
         animations=clips.build(bones),
+        played=clips.TALK,
         sliders=controls.sliders(),
         bone_limits=controls.bone_limits(bones.skeleton),
         materials=materials.build(who, colors.head(neutral.head.points, who)),

@@ -9,6 +9,7 @@ import numpy as np
 from facepipe.parts import Animation, FloatArray
 from facepipe.sample.rig import HEAD, JAW, Rig
 
+TALK = "talk"
 _RATE = 24
 
 
@@ -56,7 +57,7 @@ def _talk(rig: Rig) -> Animation:
         HEAD: np.stack([0.04 * slow, 0.06 * slow, zero], axis=1),
         JAW: np.stack([0.10 * beat, zero, zero], axis=1),
     }
-    return _animation("talk", rig, times, shapes, turns)
+    return _animation(TALK, rig, times, shapes, turns)
 
 
 def _animation(

@@ -8,6 +8,7 @@ from pxr import UsdSkel
 from facepipe.errors import InputError
 from facepipe.finite import require_finite
 from facepipe.parts import Animation, FloatArray
+from facepipe.stage.author_animations import author_source
 from facepipe.stage.face import Face
 from facepipe.stage.guard import usd_errors
 from facepipe.stage.opinions import editable
@@ -25,7 +26,7 @@ def play(face: Face, name: str) -> None:
     if found is None:
         raise InputError(face.where, f"no animation '{name}'")
     skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))
-    UsdSkel.BindingAPI.Apply(editable(skeleton)).CreateAnimationSourceRel().SetTargets([found.GetPath()])
+    author_source(editable(skeleton), found.GetPath())
 
 
 def moving_animation(face: Face) -> Animation | None:

@@ -13,7 +13,7 @@ from facepipe.finite import require_finite
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.stage.api_schemas import apply_schema, put_value
-from facepipe.stage.author_animations import author_animation, author_time_range
+from facepipe.stage.author_animations import author_animation, author_source, author_time_range
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.author_photos import author_photo_changes, check_photos
@@ -48,14 +48,13 @@ def _with_relative_sources(parts: FaceParts, folder: Path) -> FaceParts:
     return replace(parts, recipe=replace(parts.recipe, sources=sources))
 
 
-def author(parts: FaceParts, textures: dict[str, str] | None = None, *, frames_per_second: float = 24.0) -> Usd.Stage:
+def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stage:
     """A stage in memory that holds the face as its default prim.
 
     :param textures: asset path by texture name; names themselves where not given
-    :param frames_per_second: time codes in a second, of animations
     """
     require_finite(parts, parts.name)
-    stage = new_stage(parts.meters_per_unit, parts.up_axis, frames_per_second)
+    stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
     prim = root.GetPrim()
     stage.SetDefaultPrim(prim)
@@ -99,5 +98,7 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
             parts.animations, unique_identifiers(one.name for one in parts.animations), strict=True
         ):
             author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
+            if animation.name == parts.played:
+                author_source(skeleton.GetPrim(), folder.AppendChild(name))
         author_time_range(stage, parts.animations)
     author_photo_changes(root.GetPrim(), (), (), parts.photos)

@@ -36,6 +36,11 @@ def author_animation(stage: Usd.Stage, path: Sdf.Path, animation: Animation, ske
     _write(UsdSkel.Animation.Define(stage, path), done, tuple(_ATTRIBUTES))
 
 
+def author_source(skeleton: Usd.Prim, animation: Sdf.Path) -> None:
+    """Author what a Skeleton plays, where something opens the stage."""
+    UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([animation])
+
+
 def author_animation_changes(
     face: Usd.Prim, prims: Sequence[Usd.Prim], old: Sequence[Animation], new: Sequence[Animation], skeleton: Skeleton
 ) -> tuple[str, ...]:

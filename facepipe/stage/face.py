@@ -124,6 +124,19 @@ class Face:
         with self._trail():
             return self._finite(tuple(read_animation(one) for one in self._below() if one.IsA(UsdSkel.Animation)))
 
+    @property
+    def played(self) -> str | None:
+        """Name of the pose or clip below the face that its skeleton plays."""
+        with self._trail():
+            source = UsdSkel.BindingAPI(self._skeleton_prim).GetInheritedAnimationSource()
+        below = (one for one in self._below() if one.IsA(UsdSkel.Animation))
+        return next((str(one.GetName()) for one in below if one == source), None)
+
+    @property
+    def frames_per_second(self) -> float:
+        """Time codes of the stage in a second."""
+        return float(self.stage.GetTimeCodesPerSecond()) or 24.0
+
     @cached_property
     def sliders(self) -> tuple[Slider, ...]:
         """The face's sliders, by name."""
@@ -181,6 +194,8 @@ class Face:
             meshes=self.meshes,
             skeleton=self.skeleton,
             animations=self.animations,
+            played=self.played,
+            frames_per_second=self.frames_per_second,
             sliders=self.sliders,
             slider_network=self.slider_network,
             bone_limits=limits,

@@ -18,6 +18,10 @@ from facepipe.errors import ExportError, InputError
 from facepipe.stage.guard import USD_ERRORS, reason
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
+_METADATA = (
+    *("metersPerUnit", "upAxis", "timeCodesPerSecond", "framesPerSecond", "defaultPrim"),
+    *("startTimeCode", "endTimeCode"),
+)
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -137,6 +141,7 @@ def new_stage(meters_per_unit: float, up_axis: str, frames_per_second: float = 2
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if up_axis == "Z" else UsdGeom.Tokens.y)
     stage.SetTimeCodesPerSecond(frames_per_second)
+    stage.SetFramesPerSecond(frames_per_second)
     return stage
 
 
@@ -170,7 +175,7 @@ def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
         raise InputError(target, "is the input itself, expected another output file")
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths.append(base.identifier)
-    for key in ("metersPerUnit", "upAxis", "timeCodesPerSecond", "defaultPrim", "startTimeCode", "endTimeCode"):
+    for key in _METADATA:
         if base.pseudoRoot.HasInfo(key):
             layer.pseudoRoot.SetInfo(key, base.pseudoRoot.GetInfo(key))
     return layer

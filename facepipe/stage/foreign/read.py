@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
@@ -84,13 +85,17 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         for one, name in zip(meshes, names, strict=True)
     )
     sliders = face.sliders(scene)
+    source = None if prim is None else UsdSkel.BindingAPI(prim).GetInheritedAnimationSource() or None
+    animations = _animations(scene, source, skeleton, read)
     return FaceParts(
         name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
         meters_per_unit=_meters_per_unit(scene),
         up_axis="Z" if _up_axis(scene) == "Z" else "Y",
         meshes=read,
         skeleton=skeleton,
-        animations=_animations(scene, skeleton, read),
+        animations=tuple(animations.values()),
+        played=None if source is None or source not in animations else animations[source].name,
+        frames_per_second=float(scene.stage.GetTimeCodesPerSecond()) or 24.0,
         sliders=sliders,
         slider_network=face.slider_network(scene, sliders),
         bone_limits=None if prim is None else face.limits(scene, prim, len(skeleton.joints)),
@@ -115,10 +120,13 @@ def _mesh(
     return mesh
 
 
-def _animations(scene: Scene, skeleton: Skeleton, meshes: tuple[Mesh, ...]) -> tuple[Animation, ...]:
+def _animations(
+    scene: Scene, source: Usd.Prim | None, skeleton: Skeleton, meshes: tuple[Mesh, ...]
+) -> dict[Usd.Prim, Animation]:
+    """The animations of the face, that which its skeleton plays wherever it stands; names unique."""
     shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
-    found = []
-    for prim in scene.prims:
+    found: dict[Usd.Prim, Animation] = {}
+    for prim in dict.fromkeys([*scene.prims, *([] if source is None else [source])]):
         if not prim.IsA(UsdSkel.Animation):
             continue
         try:
@@ -132,8 +140,13 @@ def _animations(scene: Scene, skeleton: Skeleton, meshes: tuple[Mesh, ...]) -> t
         missing = [name for name in ("translations", "rotations", "scales") if getattr(animation, name) is None]
         if missing and animation.joints:
             scene.warn(f"no {' and '.join(missing)}: taken from rest", [prim])
-        found.append(animation)
-    return tuple(found)
+        found[prim] = animation
+    count = Counter(one.name for one in found.values())
+    free = unique_identifiers(one.name for one in found.values())
+    return {
+        prim: one if count[one.name] == 1 else replace(one, name=name)
+        for (prim, one), name in zip(found.items(), free, strict=True)
+    }
 
 
 def _meters_per_unit(scene: Scene) -> float:
