@@ -179,20 +179,23 @@ def _shape_bytes(rig: NeuralRig, first: Teacher, folder: Path) -> int:
     """What shapes add to a GLB."""
     import facepipe_gltf
 
-    from facepipe.processors.neural_rig import with_neural_rig
-
-    parts = with_neural_rig(first.parts, rig, "teacher")
+    parts = _attached(first, rig)
     bare = replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
     sizes = [int(facepipe_gltf.export(Held(one), folder / "face.glb").bytes) for one in (parts, bare)]
     return sizes[0] - sizes[1]
 
 
+def _attached(first: Teacher, rig: NeuralRig) -> Any:
+    """The face with the shapes of the neural rig alone."""
+    from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions
+
+    return AttachNeuralRig(options=AttachOptions(keep_shapes=False))(first.parts, rig, "teacher").parts
+
+
 def _measured(name: str, rig: NeuralRig, first: Teacher, unseen: Motion, folder: Path, runs: int) -> Iterator[Row]:
     from facepipe_onnx import Options, export_parts
 
-    from facepipe.processors.neural_rig import with_neural_rig
-
-    parts = with_neural_rig(first.parts, rig, name)
+    parts = _attached(first, rig)
     dense = 12 * len(rig.shapes) * len(rig.rest)
     yield Row(
         name, f"shapes of the GLB ({dense / 1000.0:,.0f} KB of points)", _shape_bytes(rig, first, folder) / 1000.0

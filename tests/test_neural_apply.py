@@ -72,7 +72,7 @@ def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, caps
     assert (link.file, link.path) == ("../head.fpnr", tmp_path / "head.fpnr")
     recipe, _ = recipe_of(tmp_path / "out" / "neural.usda", "neural-rig")
     assert recipe.sources == ("../head.usda", "../head.fpnr")
-    assert recipe.options == {"offset_tolerance_mm": 0.01}
+    assert recipe.options == {"keep_shapes": True, "offset_tolerance_mm": 0.01}
     assert recipe.digests[1] == link.digest
 
 

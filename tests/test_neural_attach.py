@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 from neural_faces import CONTROLS, face, neural_rig, random_values
 
-from facepipe.errors import TopologyError
-from facepipe.parts import Animation, FaceParts
+from facepipe.errors import InputError, TopologyError
+from facepipe.parts import Animation, Blendshape, FaceParts
 from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
-from facepipe.rig import build, slide
+from facepipe.rig import (
+    build,
+    coefficient_matrices,
+    rest_coefficients,
+    sample_transforms,
+    sample_weights,
+    slide,
+)
 from facepipe.rig.neural_rig import NeuralRig
 
 PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
@@ -79,9 +86,10 @@ def test_what_the_face_has_stays() -> None:
     for before, after in zip(parts.meshes, found.meshes, strict=True):
         assert after.points is before.points
         assert (after.skin, after.regions, after.uv_sets) == (before.skin, before.regions, before.uv_sets)
-    assert [(one.name, one.minimum, one.maximum, one.default) for one in found.sliders] == [
+    assert [(one.name, one.minimum, one.maximum, one.default) for one in found.sliders[:-1]] == [
         (one.name, one.minimum, one.maximum, one.default) for one in CONTROLS
     ]
+    assert found.sliders[-1] == parts.sliders[1]  # no control of the rig
     lip = found.sliders[1]
     assert (lip.group, lip.value) == ("mouth", 0.5)
 
@@ -91,16 +99,95 @@ def test_shapes_that_move_nothing_are_no_shapes() -> None:
     rig = neural_rig(parts, bones=True)
     still = replace(rig, shapes=rig.shapes * np.array([1.0, 0.0, 1.0, 1.0])[:, None, None])
     found = with_neural_rig(parts, still, "face")
-    assert {shape.name for shape in found.meshes[0].blendshapes} == {"neural_000", "neural_001", "neural_002"}
+    own = [shape.name for shape in parts.meshes[0].blendshapes]
+    assert [shape.name for shape in found.meshes[0].blendshapes] == [*own, "neural_000", "neural_001", "neural_002"]
     values = random_values(still, 5)
     assert np.abs(millimetres(found, still, values) - still.points(values)).max() < 1e-4
 
 
-def test_animations_of_the_rig_before_are_left_out_and_named() -> None:
-    parts = replace(face(), animations=(Animation(name="Talk"),))
-    found = AttachNeuralRig()(parts, neural_rig(parts, bones=True), "face")
-    assert found.parts.animations == ()
-    assert found.warnings == ("animations are of the rig that is replaced, left out: Talk",)
+def bent(parts: FaceParts) -> FaceParts:
+    """The face with its joints away from bind at rest, a clip that turns all of them and plays shapes, and a pose."""
+    skeleton, random = parts.skeleton, np.random.default_rng(3)
+    if not skeleton.joints:
+        weights = random.random((4, 2))
+        clip = Animation(name="Talk", times=np.arange(4.0), shapes=("jawOpen", "mouthSmileLeft"), shape_weights=weights)
+        return replace(parts, animations=(clip,))
+    coefficients = np.tile(rest_coefficients(len(skeleton.joints)), (5, 1, 1))
+    coefficients += 0.2 * random.normal(size=coefficients.shape)
+    rest = skeleton.rest_transforms @ coefficient_matrices(coefficients[0])
+    clip = Animation(
+        name="Talk",
+        times=np.arange(4.0),
+        joints=skeleton.joints,
+        coefficients=coefficients[1:],
+        shapes=("jawOpen", "mouthSmileLeft"),
+        shape_weights=random.random((4, 2)),
+    )
+    pose = replace(clip, name="Pose", times=None, coefficients=coefficients[2:3], shapes=(), shape_weights=None)
+    return replace(parts, skeleton=replace(skeleton, rest_transforms=rest), animations=(clip, pose))
+
+
+def at_own_rest(parts: FaceParts, rig: NeuralRig) -> NeuralRig:
+    """A rig without bones with the face's points at rest, and without motion at its defaults."""
+    if rig.bones is not None:
+        return rig
+    to = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    return replace(rig, rest=build(parts).evaluate() @ to[:3, :3].T)
+
+
+@pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])
+def test_shapes_and_clips_of_the_face_play_as_before(kind: str) -> None:
+    parts = bent(face("Z", 0.001, joints=kind != "points without joints"))
+    rig = at_own_rest(parts, neural_rig(parts, bones=kind == "bones"))
+    attached = AttachNeuralRig()(parts, rig, "face")
+    before, after, height = build(parts), build(attached.parts), np.ptp(rig.rest)
+    assert attached.warnings == ()
+    for weights in ({"jawOpen": 0.4}, {"jawOpen": 1.0}, {"mouthSmileLeft": -0.5}):
+        assert np.abs(after.evaluate(weights) - before.evaluate(weights)).max() < 1e-5 * height
+    assert [(one.name, one.joints) for one in attached.parts.animations] == [
+        (one.name, one.joints) for one in parts.animations
+    ]
+    for old, new in zip(parts.animations, attached.parts.animations, strict=True):
+        for number in range(1 if old.times is None else len(old.times)):
+            points = [
+                one.evaluate(
+                    sample_weights(animation, number),
+                    joint_transforms=sample_transforms(parts.skeleton, animation, number),
+                )
+                for one, animation in ((before, old), (after, new))
+            ]
+            assert np.abs(points[1] - points[0]).max() < 1.5 * attached.clips_mm + 1e-5 * height
+    assert (attached.clips_mm > 0) == (kind == "points")
+    assert attached.clips_mm < 0.1
+
+
+def test_smaller_files_are_asked_for_and_what_goes_is_named() -> None:
+    parts = bent(face())
+    options = AttachOptions(keep_shapes=False)
+    found = AttachNeuralRig(options=options)(parts, neural_rig(parts, bones=True), "face")
+    names = {shape.name for mesh in found.parts.meshes for shape in mesh.blendshapes}
+    assert names == {f"neural_{number:03d}" for number in range(4)}
+    assert [one.name for one in found.parts.animations] == ["Pose"]
+    assert found.warnings == ("left out: clips that play shapes which are not kept: Talk",)
+
+
+def test_a_rig_in_place_of_another_leaves_nothing_of_it() -> None:
+    parts = bent(face())
+    once = with_neural_rig(parts, at_own_rest(parts, neural_rig(parts, bones=False)), "face")
+    again = AttachNeuralRig()(once, at_own_rest(once, neural_rig(once, bones=False, seed=5, shapes=2)), "face").parts
+    own = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
+    names = {shape.name for mesh in again.meshes for shape in mesh.blendshapes}
+    assert own | {"neural_000", "neural_001"} <= names
+    assert "neural_002" not in names
+    taken = replace(
+        parts, meshes=(replace(parts.meshes[0], blendshapes=renamed(parts.meshes[0].blendshapes)), *parts.meshes[1:])
+    )
+    with pytest.raises(InputError, match=r"face -> neural_001: a shape called as one of the neural rig's"):
+        with_neural_rig(taken, neural_rig(taken, bones=True), "face")
+
+
+def renamed(shapes: tuple[Blendshape, ...]) -> tuple[Blendshape, ...]:
+    return (replace(shapes[0], name="neural_001"), *shapes[1:])
 
 
 def test_faces_of_other_meshes_joints_or_skin_are_refused() -> None:

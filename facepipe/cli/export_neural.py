@@ -23,13 +23,14 @@ class NeuralExportReport(ExportReport):
     """What was written, and what shapes leave out."""
 
     dropped_mm: float  # by which points can be off for offsets that are left out
+    clips_mm: float  # by which points of clips are off at most
 
 
 def add_neural_option(parser: argparse.ArgumentParser) -> None:
     """`--neural` and what of its shapes is kept."""
     from facepipe.processors.neural_rig import AttachOptions
 
-    text = "neural rig (.fpnr) in place of the sliders and shapes of FACE; a .onnx is the graph of its controls"
+    text = "neural rig (.fpnr) whose controls are the sliders of FACE; a .onnx is the graph of its controls"
     parser.add_argument("--neural", type=Path, metavar="RIG", help=text)
     add_options(parser, AttachOptions, "options of --neural", sparse=True)
 
@@ -83,9 +84,11 @@ def with_neural(report: ExportReport, neural: AttachedNeuralRig) -> NeuralExport
     """The report of an export of a neural rig."""
     own = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     own["warnings"] = (*report.warnings, *neural.warnings)
-    return NeuralExportReport(**own, dropped_mm=neural.dropped_mm)
+    return NeuralExportReport(**own, dropped_mm=neural.dropped_mm, clips_mm=neural.clips_mm)
 
 
 def neural_text(neural: AttachedNeuralRig) -> str:
     """The report for people."""
-    return f"neural rig: points are off by at most {neural.dropped_mm:.4f} mm for offsets that its shapes leave out"
+    clips = f", in clips by {neural.clips_mm:.4f} mm" if neural.clips_mm else ""
+    left = f"points are off by at most {neural.dropped_mm:.4f} mm for offsets that its shapes leave out"
+    return f"neural rig: {left}{clips}"

@@ -19,7 +19,7 @@ def add_apply(actions: argparse._SubParsersAction[Parser]) -> None:
     from facepipe.processors.neural_rig import AttachOptions
 
     example = "example: facepipe neural-rig apply head.usda head.fpnr -o neural.usda"
-    parser = actions.add_parser("apply", help="put a neural rig on a face, in place of its sliders", epilog=example)
+    parser = actions.add_parser("apply", help="put a neural rig on a face: its controls are sliders", epilog=example)
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage of the meshes that it was learned on")
     parser.add_argument("rig", type=Path, metavar="RIG", help="neural rig: .fpnr")
     add_output(parser, "override layer to write: .usda .usdc .usd .usdz")
@@ -46,4 +46,5 @@ def apply(arguments: argparse.Namespace) -> int:
 def _text(out: Path, report: ApplyNeuralRigReport) -> str:
     what = f"{report.controls} sliders over {report.channels} channels and {report.shapes} shapes, {report.units} units"
     left = f"; {report.offsets:,} offsets, without those that are left out points are off by at most "
-    return f"{out}: {what}{left}{report.dropped_mm:.4f} mm"
+    clips = f", in clips by {report.clips_mm:.4f} mm" if report.clips_mm else ""
+    return f"{out}: {what}{left}{report.dropped_mm:.4f} mm{clips}"

@@ -4,8 +4,8 @@ train samples the controls of a face (its sliders, and the shapes that none of t
 face's rig, and learns from the frames; or it learns from a stage with what another program baked of its rig: controls
 over time, and a point cache (docs/neural_rig.md). It needs the extra train (torch).
 
-apply puts a neural rig on a face of the meshes that it was learned on, in place of its sliders and shapes: an override
-layer that links the rig. `facepipe export --neural` writes what an engine loads.
+apply puts a neural rig on a face of the meshes that it was learned on, its controls as sliders beside all that the face
+has: an override layer that links the rig. `facepipe export --neural` writes what an engine loads.
 
 invert finds the controls of points, of a pose, of a point cache over time or of a face that a SkelAnimation moves, on
 the meshes that the rig was learned on.

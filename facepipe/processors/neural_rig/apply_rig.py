@@ -29,12 +29,13 @@ class ApplyNeuralRigReport(Report):
     units: int  # of the hidden layer
     offsets: int  # of all shapes and meshes
     dropped_mm: float  # by which points can be off for offsets that are left out
+    clips_mm: float  # by which points of clips are off at most
     authored: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ApplyNeuralRig:
-    """A neural rig on a face in place of its sliders and shapes (`AttachNeuralRig`)."""
+    """A neural rig on a face: its controls are the face's sliders (`AttachNeuralRig`)."""
 
     file: Path
     options: AttachOptions = field(default_factory=AttachOptions)
@@ -64,6 +65,7 @@ class ApplyNeuralRig:
             units=len(rig.hidden),
             offsets=attached.offsets,
             dropped_mm=attached.dropped_mm,
+            clips_mm=attached.clips_mm,
             authored=authored,
             warnings=(*attached.warnings, *(_NO_LINK if packed else ())),
         )

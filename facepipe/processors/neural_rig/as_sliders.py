@@ -11,7 +11,6 @@ import numpy.typing as npt
 from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.rig import CHANNELS
 from facepipe.rig.neural_rig import Control, NeuralRig
-from facepipe.rig.sliders import with_mutual_mirrors
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -32,7 +31,7 @@ def _factors(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> FloatArray
 
 
 def neural_sliders(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> tuple[Slider, ...]:
-    """The controls, with what is straight of what they do.
+    """The controls, with what is straight of what they do; mirrors as on the face.
 
     :param scales: (r,) activations of shapes, millimetres, at which their weights are 1
     """
@@ -51,7 +50,7 @@ def neural_sliders(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> tupl
             shapes=tuple((shape_name(i), gain) for i, gain in enumerate(gains[:count]) if gain),
         )
         found.append(_as_before(slider, control, own.get(control.name)))
-    return with_mutual_mirrors(found)
+    return tuple(found)
 
 
 def _as_before(slider: Slider, control: Control, before: Slider | None) -> Slider:

@@ -1,22 +1,35 @@
-"""A face that a neural rig moves: its controls are sliders, its hidden layer their network, its basis blendshapes."""
+"""A face that a neural rig moves: its controls are sliders, its hidden layer their network, its basis blendshapes.
+
+Nothing that the face had is taken away for it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.errors import InputError, TopologyError
 from facepipe.options import check_ranges
-from facepipe.parts import Blendshape, FaceParts, Mesh
+from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name
+from facepipe.processors.neural_rig.kept_motion import (
+    BakedClips,
+    at_rest,
+    baked_clips,
+    clip_shape_name,
+    kept_sliders,
+    own_shapes,
+)
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
 from facepipe.rig.bones import bones_in
 from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.sliders import with_mutual_mirrors
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -37,15 +50,23 @@ class AttachOptions:
             "unit": "mm",
         },
     )
+    keep_shapes: bool = field(
+        default=True,
+        metadata={
+            "help": "keep the face's own shapes beside the rig's, to be set as before and for clips that play them; "
+            "without them files are smaller"
+        },
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class AttachedNeuralRig:
-    """A face with a neural rig in place of its own sliders and shapes."""
+    """A face with a neural rig, and what it had."""
 
     parts: FaceParts
     dropped_mm: float  # by which points can be off for what shapes leave out, with activations from -1 to 1
-    offsets: int  # that shapes hold, of all meshes
+    offsets: int  # that the rig's shapes hold, of all meshes
+    clips_mm: float  # by which points of clips are off at most, where a rig without bones plays them by shapes
     warnings: tuple[str, ...] = ()
 
 
@@ -53,10 +74,11 @@ class AttachedNeuralRig:
 class AttachNeuralRig:
     """Puts a neural rig on a face of the meshes that it was learned on.
 
-    Skeleton, regions, landmarks, materials and bone limits stay; sliders, shapes and animations are replaced.
-    With bones the joints and skin of the face stay, and must be those of the rig. Without bones what was skinned
-    follows the first joint rigidly, so that it isn't skinned twice and still goes with the body; its points are the
-    rig's at rest. Shapes are scaled so that their weights stay about within -1..1 over the ranges of the controls.
+    Its controls are sliders in place of those of the same names. All else stays: skeleton, regions, materials, limits,
+    other sliders, the face's own shapes, clips. With bones the joints and skin of the face must be those of the rig.
+    Without bones what was skinned follows the first joint rigidly, so that it isn't skinned twice and still goes with
+    the body; its points are the rig's at rest, and clips that turn joints play shapes for what the first joint doesn't
+    do. Shapes are scaled so that their weights stay about within -1..1 over the ranges of the controls.
     """
 
     options: AttachOptions = field(default_factory=AttachOptions)
@@ -64,32 +86,35 @@ class AttachNeuralRig:
     def __call__(self, parts: FaceParts, rig: NeuralRig, where: str) -> AttachedNeuralRig:
         """The face that the rig moves.
 
-        :raises InputError: an option out of range
+        :raises InputError: an option out of range, or a shape of the face that is called as one of the rig's
         :raises TopologyError: other meshes, joints or skin than the rig was learned on, or a singular space
         """
         check_ranges(self.options)
         check_neural_rig(parts, rig, where)
-        whole = rig
-        rig, scales, moved = _kept(whole, self.options.offset_tolerance_mm)
-        meshes, ends = [], np.cumsum([len(mesh.points) for mesh in parts.meshes])
-        for mesh, space, end in zip(parts.meshes, _spaces(parts, rig), ends, strict=True):
-            own = slice(end - len(mesh.points), end)
-            linear = np.linalg.inv(space)[:3, :3]
-            shapes = _shapes(rig.shapes[:, own] * scales[:, None, None], moved[:, own], linear)
-            meshes.append(_mesh(mesh, rig, rig.rest[own], space, shapes))
+        whole, tolerance = rig, self.options.offset_tolerance_mm
+        rig, scales, moved = _kept(whole, tolerance)
+        own = own_shapes(parts) if self.options.keep_shapes else frozenset()
+        names = tuple(shape_name(number) for number in range(len(rig.shapes)))
+        offsets = np.where(moved[..., None], rig.shapes * scales[:, None, None], 0.0)
+        clips = _clips(parts, rig, own, names, offsets, tolerance)
+        shapes = dict(zip(names, offsets, strict=True))
+        shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clips.shapes)}
+        _check_names(where, own & shapes.keys())
+        kept = kept_sliders(parts, rig, own)
         attached = replace(
             parts,
-            meshes=tuple(meshes),
-            sliders=neural_sliders(parts, rig, scales),
+            meshes=_meshes(parts, rig, own, shapes),
+            sliders=with_mutual_mirrors((*neural_sliders(parts, rig, scales), *kept)),
             slider_network=neural_network(parts, rig, scales),
-            animations=(),
-            photos=tuple(replace(photo, animation=None) for photo in parts.photos),
+            animations=clips.animations,
+            photos=_photos(parts, clips.animations),
         )
         return AttachedNeuralRig(
             parts=attached,
-            dropped_mm=_left_out(whole, self.options.offset_tolerance_mm),
+            dropped_mm=_left_out(whole, tolerance),
             offsets=int(moved.sum()),
-            warnings=_dropped(parts),
+            clips_mm=clips.error_mm,
+            warnings=_dropped(parts, attached),
         )
 
 
@@ -160,15 +185,67 @@ def _left_out(rig: NeuralRig, tolerance: float) -> float:
     return float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0))
 
 
-def _shapes(offsets: FloatArray, own: npt.NDArray[np.bool_], linear: FloatArray) -> tuple[Blendshape, ...]:
-    """Blendshapes of one mesh; those that move none of its points are not on it."""
+def _check_names(where: str, taken: Collection[str]) -> None:
+    """:raises InputError: shapes of the face that are called as further ones"""
+    if taken:
+        raise InputError(f"{where} -> {min(taken)}", "a shape called as one of the neural rig's, expected another name")
+
+
+def _meshes(
+    parts: FaceParts, rig: NeuralRig, own: Collection[str], shapes: Mapping[str, FloatArray]
+) -> tuple[Mesh, ...]:
+    """The meshes at the rig's rest, with the shapes `own` of the face and (n, 3) millimetres of further ones."""
+    meshes, ends = [], np.cumsum([len(mesh.points) for mesh in parts.meshes])
+    for mesh, space, turned, end in zip(parts.meshes, _spaces(parts, rig), _turned(parts, rig), ends, strict=True):
+        points, back = slice(end - len(mesh.points), end), np.linalg.inv(space)[:3, :3]
+        before = [shape for shape in mesh.blendshapes if shape.name in own]
+        if turned is not None:
+            before = [at_rest(shape, back @ turned) for shape in before]
+        further = _shapes({name: offsets[points] for name, offsets in shapes.items()}, back)
+        meshes.append(_mesh(mesh, rig, rig.rest[points], space, (*before, *further)))
+    return tuple(meshes)
+
+
+def _shapes(shapes: Mapping[str, FloatArray], linear: FloatArray) -> tuple[Blendshape, ...]:
+    """Blendshapes of one mesh, of (n, 3) millimetres; those that move none of its points are not on it."""
     found = []
-    for number, (all_offsets, moved) in enumerate(zip(offsets, own, strict=True)):
-        points = np.flatnonzero(moved).astype(np.int32)
+    for name, own in shapes.items():
+        points = np.flatnonzero(own.any(axis=1)).astype(np.int32)
         if len(points):
-            moves = all_offsets[points] @ linear.T
-            found.append(Blendshape(name=shape_name(number), point_indices=points, offsets=moves))
+            found.append(Blendshape(name=name, point_indices=points, offsets=own[points] @ linear.T))
     return tuple(found)
+
+
+def _turned(parts: FaceParts, rig: NeuralRig) -> list[FloatArray | None]:
+    """(n, 3, 3) of every mesh, from its own shapes' offsets to the world's, millimetres; None where they stay."""
+    if rig.bones is not None or not parts.skeleton.joints:
+        return [None] * len(parts.meshes)
+    own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    matrices = own.skinning_matrices(own.rest)[:, :3, :3].reshape(-1, 9)
+    blended = to[:3, :3] @ (own.influences @ matrices).reshape(-1, 3, 3)
+    pieces = np.split(blended, own.mesh_offsets[1:-1])
+    return [piece @ space[:3, :3] for piece, space in zip(pieces, mesh_spaces(parts), strict=True)]
+
+
+def _clips(
+    parts: FaceParts, rig: NeuralRig, own: Collection[str], names: Sequence[str], offsets: FloatArray, tolerance: float
+) -> BakedClips:
+    """Clips of shapes that are there, and of joints: as they are with bones, by shapes without."""
+    still = [one for one in parts.animations if set(one.shapes) <= set(own)]
+    baked = [] if rig.bones is not None else [one for one in parts.animations if one.joints]
+    again = {one.name: one for one in baked}
+    found = BakedClips(animations=(), shapes=np.zeros((0, *rig.rest.shape)), error_mm=0.0)
+    if baked:
+        found = baked_clips(parts, baked, names, offsets, tolerance)
+        again = {one.name: one for one in found.animations}
+    kept = tuple(again.get(one.name, one) for one in parts.animations if one.name in again or one in still)
+    return replace(found, animations=kept)
+
+
+def _photos(parts: FaceParts, animations: Sequence[Animation]) -> tuple[PhotoView, ...]:
+    """Photos, without the poses that are gone."""
+    names = {one.name for one in animations}
+    return tuple(one if one.animation in names else replace(one, animation=None) for one in parts.photos)
 
 
 def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shapes: tuple[Blendshape, ...]) -> Mesh:
@@ -183,6 +260,13 @@ def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shape
     return replace(mesh, points=points, skin=skin, blendshapes=shapes)
 
 
-def _dropped(parts: FaceParts) -> tuple[str, ...]:
-    names = [one.name for one in parts.animations]
-    return (f"animations are of the rig that is replaced, left out: {', '.join(names)}",) if names else ()
+def _dropped(parts: FaceParts, attached: FaceParts) -> tuple[str, ...]:
+    lines = []
+    for what, before, after in (
+        ("clips that play shapes which are not kept", parts.animations, attached.animations),
+        ("sliders of joints or shapes that no longer move the face", parts.sliders, attached.sliders),
+    ):
+        there = {one.name for one in after}
+        gone = [one.name for one in before if one.name not in there]
+        lines += [f"left out: {what}: {', '.join(gone)}"] if gone else []
+    return tuple(lines)

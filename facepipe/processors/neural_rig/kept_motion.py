@@ -1,0 +1,130 @@
+"""What a face has beside the controls of a neural rig, and keeps: its own shapes, sliders and clips."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.motion_basis import motion_basis
+from facepipe.parts import Animation, Blendshape, FaceParts, Slider
+from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.rig import build, sample_transforms, sample_weights
+from facepipe.rig.neural_rig import NeuralRig
+
+FloatArray = npt.NDArray[np.floating]
+
+_MOST_SHAPES = 256  # that clips add
+_MOST_FRAMES = 512  # that these are chosen by
+
+
+def clip_shape_name(number: int) -> str:
+    """Of a shape that baked clips play beside those of the rig."""
+    return f"clip_{number:03d}"
+
+
+def own_shapes(parts: FaceParts) -> frozenset[str]:
+    """Names of the shapes that the face has of its own: not those of a neural rig that was put on it before."""
+    names = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
+    network = parts.slider_network
+    if network is None or network.info.get("kind") != "neural rig":
+        return frozenset(names)
+    return frozenset(name for name in names - set(network.shapes) if not name.startswith("clip_"))
+
+
+def kept_sliders(parts: FaceParts, rig: NeuralRig, shapes: Collection[str]) -> tuple[Slider, ...]:
+    """Sliders that are no controls of the rig, and whose shapes and joints still move the face.
+
+    :param shapes: that the face keeps
+    """
+    controls = {one.name for one in rig.controls}
+    return tuple(
+        one
+        for one in parts.sliders
+        if one.name not in controls
+        and all(shape in shapes for shape, _ in one.shapes)
+        and (rig.bones is not None or not one.channels)
+    )
+
+
+def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
+    """A shape whose offsets are turned point by point.
+
+    :param matrices: (n, 3, 3) of the points of its mesh
+    """
+    own = matrices[shape.point_indices]
+
+    def turned(offsets: FloatArray | None) -> FloatArray | None:
+        return None if offsets is None else np.einsum("kij,kj->ki", own, offsets)
+
+    inbetweens = tuple(
+        replace(one, offsets=np.einsum("kij,kj->ki", own, one.offsets), normal_offsets=turned(one.normal_offsets))
+        for one in shape.inbetweens
+    )
+    return replace(
+        shape,
+        offsets=np.einsum("kij,kj->ki", own, shape.offsets),
+        normal_offsets=turned(shape.normal_offsets),
+        inbetweens=inbetweens,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakedClips:
+    """Clips as weights of shapes."""
+
+    animations: tuple[Animation, ...]
+    shapes: FloatArray  # (k, n, 3) millimetres, that they play beside those of the rig
+    error_mm: float  # the largest, of any point
+
+
+def baked_clips(
+    parts: FaceParts, animations: Sequence[Animation], names: Sequence[str], shapes: FloatArray, tolerance: float
+) -> BakedClips:
+    """Clips that turn joints, of a face whose points follow the first joint alone: weights for where they go beyond it.
+
+    :param names: of the shapes that the face has for its rig
+    :param shapes: (r, n, 3) millimetres at a weight of 1
+    :param tolerance: millimetres that weights and further shapes may leave, RMS
+    """
+    frames = np.stack([moved for one in animations for moved in _beyond_first_joint(parts, one)])
+    flat, own = frames.reshape(len(frames), -1), shapes.reshape(len(shapes), -1)
+    weights = np.linalg.lstsq(own @ own.T, own @ flat.T, rcond=1e-9)[0].T
+    left = flat - weights @ own
+    chosen = left[:: max(1, -(-len(left) // _MOST_FRAMES))].reshape(-1, *frames.shape[1:])
+    further = motion_basis(chosen, tolerance, _MOST_SHAPES)[0]
+    amounts = left @ further.reshape(len(further), -1).T
+    sizes = np.maximum(np.abs(amounts).max(axis=0), np.finfo(np.float32).eps)
+    further, amounts = further * sizes[:, None, None], amounts / sizes
+    left -= amounts @ further.reshape(len(further), -1)
+    every = (*names, *map(clip_shape_name, range(len(further))))
+    rows = np.concatenate([weights, amounts], axis=1)
+    ends = np.cumsum([_samples(one) for one in animations])
+    return BakedClips(
+        animations=tuple(
+            replace(one, shapes=every, shape_weights=own_rows)
+            for one, own_rows in zip(animations, np.split(rows, ends[:-1]), strict=True)
+        ),
+        shapes=further,
+        error_mm=float(np.linalg.norm(left.reshape(frames.shape), axis=2).max()),
+    )
+
+
+def _samples(animation: Animation) -> int:
+    return 1 if animation.times is None else len(animation.times)
+
+
+def _beyond_first_joint(parts: FaceParts, animation: Animation) -> Iterator[FloatArray]:
+    """(n, 3) float32 millimetres from rest of each sample, with what the first joint does to skinned meshes undone."""
+    rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    rest = rig.evaluate()
+    still = rig.joint_worlds(rig.rest)[0]
+    skinned = np.concatenate([np.full(len(mesh.points), mesh.skin is not None) for mesh in parts.meshes])
+    for number in range(_samples(animation)):
+        local = sample_transforms(parts.skeleton, animation, number)
+        points = rig.evaluate(sample_weights(animation, number), joint_transforms=local)
+        back = still @ np.linalg.pinv(rig.joint_worlds(local)[0])
+        points[skinned] = points[skinned] @ back[:3, :3].T + back[:3, 3]
+        yield ((points - rest) @ to[:3, :3].T).astype(np.float32)
