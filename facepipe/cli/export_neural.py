@@ -39,8 +39,9 @@ def check_neural(arguments: argparse.Namespace) -> None:
     """:raises InputError: flags that don't go together"""
     if arguments.neural is not None and arguments.distil:
         raise InputError("--neural", "given with --distil, expected one of them")
-    if arguments.neural is None and hasattr(arguments, "offset_tolerance_mm"):
-        raise InputError("--offset-tolerance-mm", "given without --neural, expected both")
+    for flag in ("offset_tolerance_mm", "keep_shapes"):
+        if arguments.neural is None and hasattr(arguments, flag):
+            raise InputError(f"--{flag.replace('_', '-')}", "given without --neural, expected both")
 
 
 def neural_face(arguments: argparse.Namespace, face: Face, options: Any) -> AttachedNeuralRig | None:
