@@ -16,6 +16,7 @@ from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import FaceParts, Slider
 from facepipe.processors.neural_rig import (
+    InvertNeuralRig,
     Motion,
     SampleMotion,
     SampleMotionOptions,
@@ -24,9 +25,10 @@ from facepipe.processors.neural_rig import (
     TrainNeuralRigOptions,
     load_neural_rig,
     save_neural_rig,
+    with_neural_rig,
 )
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
-from facepipe.rig import CHANNELS, rest_coefficients
+from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
@@ -67,18 +69,39 @@ def test_frames_that_nobody_drew_are_near_too(motion: Motion, trained: TrainedNe
     assert off < 1.5 * trained.report.error_mean_mm
 
 
-def test_what_is_straight_is_learned_exactly() -> None:
+def straight_face() -> FaceParts:
     parts = replace(scan_domes.face(), sliders=(), animations=())
-    straight = tuple(
+    meshes = tuple(
         replace(mesh, blendshapes=tuple(replace(one, inbetweens=()) for one in mesh.blendshapes))
         for mesh in parts.meshes
     )
-    motion = SampleMotion(options=SampleMotionOptions(spread=60, sweep=5, together=20))(
-        replace(parts, meshes=straight), "head.usda"
-    )
-    found = TrainNeuralRig(options=replace(OPTIONS, steps=100, tolerance_mm=1e-6))(motion)
-    assert found.report.error_max_mm < 1e-3
-    assert found.report.shapes == 2
+    return replace(parts, meshes=meshes)
+
+
+def test_of_what_is_straight_nothing_is_learned(
+    trained: TrainedNeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not trained.report.straight
+    parts, head, file = straight_face(), tmp_path / "head.usda", tmp_path / "head.fpnr"
+    save_parts(parts, head)
+    few = ("--spread", 60, "--sweep", 5, "--together", 20, "--tolerance-mm", 1e-6, "--encoder-steps", 5)
+    code, out, err = run(capsys, "neural-rig", "train", head, "-o", file, *few, "--plot", tmp_path / "p.png", "--json")
+    assert code == 0, err
+    report = json.loads(out)
+    assert (report["steps"], report["shapes"]) == (0, 2)
+    assert max(report["error_max_mm"], report["linear_max_mm"]) < 1e-3
+    assert report["warnings"] == [err.strip().removeprefix("facepipe: warning: ")]
+    assert "head.usda: nothing to learn: 2 controls move the points straight, within 0.000" in err
+    assert "a plain `facepipe export` is smaller, and exact" in err
+    rig = load_neural_rig(file)
+    assert len(rig.hidden) == 0
+    attached = with_neural_rig(parts, rig, "head")
+    assert attached.slider_network is None
+    expected, height = build(parts).evaluate({"jawOpen": 0.7}), np.ptp(rig.rest)
+    coefficients, weights = slide(attached.sliders, parts.skeleton.joints, {"jawOpen": 0.7})
+    assert np.abs(build(attached).evaluate(weights, coefficients=coefficients) - expected).max() < 1e-5 * height
+    found = InvertNeuralRig()(rig, rig.points(np.array([[0.3, 0.8]])))
+    assert np.allclose(found.values, [[0.3, 0.8]], atol=5e-3)
 
 
 def test_controls_beyond_their_limits_are_held_there(trained: TrainedNeuralRig) -> None:

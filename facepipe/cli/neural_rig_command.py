@@ -92,6 +92,7 @@ def _train(arguments: argparse.Namespace) -> int:
     motion = _motion(arguments)
     with progress("train", options.steps) as bar:
         trained = TrainNeuralRig(options=options)(motion, bar.update, arguments.checkpoint)
+    warn(trained.report.warnings)  # before the encoder, which takes its time too
     encoded = _encoder(arguments, motion)
     report = json.loads(trained.report.to_json())
     report["encoder"] = json.loads(encoded.report.to_json()) if encoded else None
@@ -99,7 +100,6 @@ def _train(arguments: argparse.Namespace) -> int:
     save_neural_rig(trained.rig, out, report, encoded.encoder if encoded else None)
     if arguments.checkpoint is not None:
         arguments.checkpoint.unlink(missing_ok=True)
-    warn(trained.report.warnings)
     text = [_text(out, trained.report), *([_encoder_text(encoded.report)] if encoded else [])]
     emit({"path": str(out), **report}, "\n".join(text), as_json=arguments.json)
     return 0
@@ -115,7 +115,7 @@ def _check_files(arguments: argparse.Namespace, out: Path) -> None:
 
 
 def _draw(path: Path | None, trained: TrainedNeuralRig) -> None:
-    if path is None:
+    if path is None or trained.report.straight:
         return
     from facepipe.render.training_curve import draw_training_curve
 

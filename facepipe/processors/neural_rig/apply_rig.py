@@ -57,11 +57,10 @@ class ApplyNeuralRig:
         if not packed:
             file = relative_path(str(self.file), Path(out).absolute().parent)
             author_neural_rig_link(face.prim, file, digest([self.file]), rig.topology)
-        network = attached.parts.slider_network
         return ApplyNeuralRigReport(
             controls=len(rig.controls),
             channels=len(rig.channels),
-            shapes=len(network.shapes) if network else 0,
+            shapes=attached.shapes,
             units=len(rig.hidden),
             offsets=attached.offsets,
             dropped_mm=attached.dropped_mm,

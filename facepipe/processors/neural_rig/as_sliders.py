@@ -63,8 +63,10 @@ def _as_before(slider: Slider, control: Control, before: Slider | None) -> Slide
     return replace(slider, group=before.group, mirror=before.mirror, value=value)
 
 
-def neural_network(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> SliderNetwork:
-    """The hidden layer over plain values; the shares of their ranges are in its weights."""
+def neural_network(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> SliderNetwork | None:
+    """The hidden layer over plain values; the shares of their ranges are in its weights. None without units."""
+    if not len(rig.hidden):
+        return None
     low, high, rest = (
         np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")
     )

@@ -65,7 +65,8 @@ class AttachedNeuralRig:
 
     parts: FaceParts
     dropped_mm: float  # by which points can be off for what shapes leave out, with activations from -1 to 1
-    offsets: int  # that the rig's shapes hold, of all meshes
+    shapes: int  # of the rig
+    offsets: int  # that these hold, of all meshes
     clips_mm: float  # by which points of clips are off at most, where a rig without bones plays them by shapes
     warnings: tuple[str, ...] = ()
 
@@ -112,6 +113,7 @@ class AttachNeuralRig:
         return AttachedNeuralRig(
             parts=attached,
             dropped_mm=_left_out(whole, tolerance),
+            shapes=len(names),
             offsets=int(moved.sum()),
             clips_mm=clips.error_mm,
             warnings=_dropped(parts, attached),

@@ -16,6 +16,7 @@ from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
+from facepipe.processors.neural_rig.straight_rig import straight_rig
 from facepipe.reports import Report
 from facepipe.rig.neural_rig import NeuralRig, from_default
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating]
 
 _WATCHED = 0.1  # of the frames to learn
+_STRAIGHT_MM = 1e-3  # more than blendshapes may be off where there is nothing to learn beside them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,11 @@ class NeuralRigReport(Report):
     left_out: tuple[str, ...]  # controls that no frame moves
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
 
+    @property
+    def straight(self) -> bool:
+        """Whether blendshapes, one a control, are all of the rig, so that nothing was learned."""
+        return self.linear_max_mm <= _STRAIGHT_MM
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedNeuralRig:
@@ -97,7 +104,8 @@ class TrainedNeuralRig:
 @dataclass(frozen=True, kw_only=True)
 class TrainNeuralRig:
     """Bones as they are known, principal shapes of what they leave of the motion, and coefficients and activations by a
-    linear map with a layer of sparse units beside it.
+    linear map with a layer of sparse units beside it. Where blendshapes, one a control, miss no point of the frames
+    held out by more than 0.001 mm, there is no such layer: the linear map is solved for, and the report warns.
 
     Source: neural-face-rig, the first submodel's forward direction (S101, S301); bones, low rank, the exact linear part
     and sparse units are ours.
@@ -122,6 +130,9 @@ class TrainNeuralRig:
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
         learned, checked = motion.without(still).split(options.held_out, options.seed)
+        straight = best_blendshapes(learned)
+        if _largest_mm(straight, checked) <= _STRAIGHT_MM:
+            return self._straight(motion, learned, checked, straight)
         kept = Checkpoint.of(checkpoint, "rig", motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
         basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes, options.detail)
@@ -140,9 +151,29 @@ class TrainNeuralRig:
             keep=kept.keep if kept else lambda _: None,
         )
         rig = _assembled(learned, basis, trained)
-        report = replace(_report(rig, learned, checked, options), steps=trained.steps, left_out=still)
+        report = replace(_report(rig, learned, checked, straight, options), steps=trained.steps, left_out=still)
         report = replace(report, source=motion.source, warnings=motion.warnings)
         return TrainedNeuralRig(rig=rig, report=report, curve=trained.curve)
+
+    def _straight(self, motion: Motion, learned: Motion, checked: Motion, straight: Straight) -> TrainedNeuralRig:
+        """The rig where nothing is to be learned."""
+        basis = OutputBasis.of(learned, self.options.tolerance_mm, self.options.shapes, self.options.detail)
+        rig = straight_rig(learned, basis)
+        report = _report(rig, learned, checked, straight, self.options)
+        warnings = (*motion.warnings, _nothing_to_learn(motion, report))
+        report = replace(report, left_out=motion.constant, source=motion.source, warnings=warnings)
+        return TrainedNeuralRig(rig=rig, report=report, curve=np.zeros((0, 3)))
+
+
+def _largest_mm(straight: Straight, checked: Motion) -> float:
+    off = (straight.points(row) - points for row, points in zip(checked.values, checked.points, strict=True))
+    return float(max(np.linalg.norm(one, axis=1).max() for one in off))
+
+
+def _nothing_to_learn(motion: Motion, report: NeuralRigReport) -> str:
+    found = f"{len(motion.controls)} controls move the points straight, within {report.linear_max_mm:.5f} mm"
+    plain = "" if motion.source == "samples" else ": a plain `facepipe export` is smaller, and exact"
+    return f"{motion.where}: nothing to learn: {found}{plain}"
 
 
 def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, Motion]:
@@ -175,9 +206,10 @@ def _assembled(motion: Motion, basis: OutputBasis, trained: Trained) -> NeuralRi
     )
 
 
-def _report(rig: NeuralRig, learned: Motion, checked: Motion, options: TrainNeuralRigOptions) -> NeuralRigReport:
-    models: list[NeuralRig | Straight] = [rig, best_blendshapes(learned)]
-    models.append(ridge(learned, options.tolerance_mm, options.shapes))
+def _report(
+    rig: NeuralRig, learned: Motion, checked: Motion, straight: Straight, options: TrainNeuralRigOptions
+) -> NeuralRigReport:
+    models: list[NeuralRig | Straight] = [rig, straight, ridge(learned, options.tolerance_mm, options.shapes)]
     off: list[list[FloatArray]] = [[], [], []]
     for values, points in zip(checked.values, checked.points, strict=True):
         for own, one in zip(off, models, strict=True):
