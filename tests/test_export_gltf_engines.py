@@ -161,6 +161,18 @@ def test_what_an_engine_cannot_read_is_refused(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_the_documentation_has_the_same_table() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "files.md").read_text(encoding="utf-8")
+    for name, engine in ENGINES.items():
+        row = next(line for line in text.splitlines() if line.startswith(f"| `{name}`"))
+        _, influences, targets, quantize, meshopt, normals = (cell.strip() for cell in row.split("|")[1:7])
+        assert int(influences) == engine.influences
+        assert targets == ("sparse" if engine.sparse else "dense")
+        assert quantize == ("yes" if engine.quantized else "refused")
+        assert meshopt == ("yes" if engine.meshopt else "refused")
+        assert normals == ("computed" if engine.target_normals else "those of the face")
+
+
 def test_an_option_beats_what_the_engine_asks_for(writing: Writing) -> None:
     parts = tiny_face()
     file, _ = writing(parts, engine="three", morph_normals=False, dense=True)

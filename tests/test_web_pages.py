@@ -15,6 +15,7 @@ from blend_line import made
 from browser import DRAWN, READY, Step, browse, run
 from facepipe_onnx import Options, export_parts
 from faces import tiny_face
+from node import HERE
 from slider_faces import sample_with_sliders
 
 import facepipe
@@ -245,9 +246,12 @@ def test_the_same_files_are_one_face(sample: Path, folder: Path) -> None:
     assert (results[1:], problems) == (["", 50], [])
 
 
-def test_a_quantised_glb_fills_the_picture(url: str, sample: Path, folder: Path) -> None:
-    """The camera stands where it stands before the stage."""
-    options = facepipe_gltf.Options(quantize=True)
+def test_a_quantised_glb_fills_the_picture(
+    url: str, sample: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A compressed one too: the camera stands where it stands before the stage."""
+    monkeypatch.setenv("NODE_PATH", str(HERE / "node_modules"))
+    options = facepipe_gltf.Options(quantize=True, meshopt=True)
     facepipe_gltf.export(facepipe.open(sample), folder / "quantised.glb", options)
     camera = run("return facepipe.picture.camera.position.toArray()")
     expected, _ = browse(url, READY, camera)

@@ -72,8 +72,9 @@ class Buffers:
     MAT4 arrays are expected in the column-vector convention and stored column-major, as glTF wants them.
     """
 
-    def __init__(self, *, dense: bool = False) -> None:
+    def __init__(self, *, dense: bool = False, apart: bool = False) -> None:
         self._dense = dense  # no sparse accessors
+        self._apart = apart  # each list of indices in a view of its own
         self.accessors: list[Json] = []
         self.sparse_count = 0
         self._views: dict[_Key, _View] = {}
@@ -123,7 +124,8 @@ class Buffers:
     def _add_dense(self, array: Array, use: Use, normalized: bool, extent: Extent | None) -> int:
         accessor = self._accessor(array, len(array), normalized, extent)
         stride = _padded_row(array) if use == "vertex" else 0
-        accessor["bufferView"], offset = self._append(_Key(use, stride, ""), _rows(array, stride))
+        label = str(len(self.accessors)) if self._apart and use == "index" else ""
+        accessor["bufferView"], offset = self._append(_Key(use, stride, label), _rows(array, stride))
         if offset:
             accessor["byteOffset"] = offset
         return self._push(accessor)

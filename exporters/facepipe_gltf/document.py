@@ -21,6 +21,7 @@ from facepipe_gltf.influence_error import influence_error
 from facepipe_gltf.joints import JointNodes, joint_nodes
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
+from facepipe_gltf.meshopt import compressed
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
@@ -54,7 +55,8 @@ def write(parts: FaceParts, options: Options) -> Document:
     check_engine(options)
     check(parts)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
-        return _Writer(parts, options).document()
+        document = _Writer(parts, options).document()
+    return compressed(document) if options.meshopt else document
 
 
 @dataclass
@@ -71,7 +73,7 @@ class _Writer:
     def document(self) -> Document:
         parts, options = self.parts, self.options
         self.space = space_of(parts)
-        self.buffers = Buffers(dense=options.is_dense)
+        self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
         self.materials = MaterialWriter(parts.materials)
         shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
         meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes]

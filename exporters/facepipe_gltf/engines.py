@@ -1,7 +1,7 @@
 """What each engine's glTF reader takes: one table.
 
 Tested with three.js, Babylon.js, Blender, Godot 3 and assimp, which stands for any engine. What Unity's glTFast and
-Unreal's Interchange take is what their documentation lists: KHR_mesh_quantization by both.
+Unreal's Interchange take is what their documentation lists: KHR_mesh_quantization by both, meshopt by glTFast.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ class Engine:
     influences: Literal[4, 8] = 8  # joints of a vertex that it reads
     sparse: bool = True  # it reads sparse accessors of morph targets
     quantized: bool = True  # it reads KHR_mesh_quantization
+    meshopt: bool = False  # it reads EXT_meshopt_compression
     target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
     changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
 
 
-ANY = Engine(title="glTF 2.0")
+ANY = Engine(title="glTF 2.0", meshopt=True)
 ENGINES: Mapping[str, Engine] = {
     "blender": Engine(title="Blender"),
     "godot": Engine(
@@ -43,10 +44,14 @@ ENGINES: Mapping[str, Engine] = {
         changed_names=((r'[.:@/"]', ""),),
     ),
     "three": Engine(
-        title="three.js", influences=4, target_normals=True, changed_names=((r"\s", "_"), (r"[\[\].:/]", ""))
+        title="three.js",
+        influences=4,
+        meshopt=True,
+        target_normals=True,
+        changed_names=((r"\s", "_"), (r"[\[\].:/]", "")),
     ),
-    "babylon": Engine(title="Babylon.js", target_normals=True),
-    "unity": Engine(title="Unity (glTFast)", influences=4, target_normals=True),
+    "babylon": Engine(title="Babylon.js", meshopt=True, target_normals=True),
+    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, target_normals=True),
     "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
     "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False),
 }
@@ -61,6 +66,8 @@ def check_engine(options: Options) -> None:
         raise _refused("--no-dense", engine, "gets sparse morph targets wrong")
     if options.quantize and not engine.quantized:
         raise _refused("--quantize", engine, "reads no quantised attributes reliably")
+    if options.meshopt and not engine.meshopt:
+        raise _refused("--meshopt", engine, "reads no EXT_meshopt_compression")
 
 
 def _refused(flag: str, engine: Engine, why: str) -> InputError:

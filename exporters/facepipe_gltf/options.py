@@ -48,6 +48,10 @@ class Options:
         default=None,
         metadata={"help": "store every value of every morph target, for readers that get sparse ones wrong"},
     )
+    meshopt: bool = field(
+        default=False,
+        metadata={"help": "compress without loss (EXT_meshopt_compression); needs node with its package meshoptimizer"},
+    )
     drop_deltas: float = field(
         default=0.0,
         metadata={"help": "leave out offsets of blendshapes shorter than this", "unit": "mm", "range": (0.0, 100.0)},
@@ -66,7 +70,7 @@ class Options:
     @property
     def is_dense(self) -> bool:
         """Whether no accessor may be sparse."""
-        return not self.reader.sparse if self.dense is None else self.dense
+        return (self.meshopt or not self.reader.sparse) if self.dense is None else self.dense
 
     @property
     def with_target_normals(self) -> bool:

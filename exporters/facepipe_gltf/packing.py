@@ -29,7 +29,7 @@ def embedded(document: Document) -> tuple[Json, list[Chunk]]:
     if images:
         result |= {"images": images, "bufferViews": views}
     if size:
-        result["buffers"] = [{"byteLength": size}]
+        result["buffers"] = [{"byteLength": size}, *result.get("buffers", [])[1:]]
     return result, binary
 
 
@@ -41,7 +41,7 @@ def separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
         binary = b"".join(document.binary)
         name = sidecar_name(target, binary, "", ".bin")
         sidecars[name] = binary
-        result["buffers"] = [{"byteLength": len(binary), "uri": name}]
+        result["buffers"] = [{"byteLength": len(binary), "uri": name}, *result["buffers"][1:]]
     images = []
     for entry, image in zip(result.get("images", []), document.images, strict=True):
         name = sidecar_name(target, image.data, image.name, image.extension)

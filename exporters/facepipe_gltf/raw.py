@@ -21,11 +21,16 @@ Json = dict[str, Any]
 _GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+MESHOPT = "EXT_meshopt_compression"
 _MOST_ZEROS = 1 << 25
 
 
 class Broken(Exception):  # noqa: N818  (what a check reports, not what a user sees)
     """An accessor that can't be read, and why."""
+
+
+class Compressed(Broken):
+    """An accessor whose data is compressed, which is not decoded here."""
 
 
 class RawDocument:
@@ -124,6 +129,8 @@ class RawDocument:
         view = self.item("bufferViews", index)
         if view is None:
             raise Broken(f"bufferView {index} is not there")
+        if MESHOPT in (view.get("extensions") or {}):
+            raise Compressed(f"bufferView {index} is compressed")
         start, length, buffer = view.get("byteOffset", 0), view.get("byteLength"), self._buffer(view.get("buffer"))
         element = width * np.dtype(dtype).itemsize
         stride = view.get("byteStride", element)

@@ -38,6 +38,7 @@ for (const name of bundled) {
   const text = read(join(packages, name, "LICENSE")) || read("licences/onnxruntime-web.txt");
   writeFileSync(join(out, "licences", `${name}.txt`), `${name} ${version}, ${license}\n\n${text}`);
 }
+cpSync("licences/meshoptimizer.txt", join(out, "licences", "meshoptimizer.txt")); // its decoder comes with three
 
 function read(path) {
   try {

@@ -5,6 +5,7 @@
 //          one entry per primitive; positions are in the world, deformed
 import { readFileSync } from "node:fs";
 import { Vector3 } from "three";
+import { MeshoptDecoder } from "three/examples/jsm/libs/meshopt_decoder.module.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 
 // node decodes no images; geometry and motion, which this program is for, need none
@@ -15,7 +16,7 @@ const [path] = process.argv.slice(2);
 const request = JSON.parse(readFileSync(0, "utf8"));
 const bytes = readFileSync(path);
 const buffer = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength);
-const gltf = await new GLTFLoader().parseAsync(buffer, "");
+const gltf = await new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).parseAsync(buffer, "");
 
 const joints = new Set();
 gltf.scene.traverse((object) => {

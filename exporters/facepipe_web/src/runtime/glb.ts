@@ -1,5 +1,6 @@
 /** The GLB of a face in three.js: its meshes, and what they are called in the file. */
 import { type BufferGeometry, Group, type Mesh, type Object3D, type Skeleton, type SkinnedMesh } from "three";
+import { MeshoptDecoder } from "three/examples/jsm/libs/meshopt_decoder.module.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { FaceError, fetched } from "./errors";
 
@@ -36,7 +37,8 @@ interface MeshRecord {
  */
 export async function readGlb(url: string): Promise<LoadedGlb> {
   const bytes = await (await fetched(url)).arrayBuffer();
-  const gltf = await new GLTFLoader().parseAsync(bytes, url.slice(0, url.lastIndexOf("/") + 1)).catch((error: Error) => {
+  const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
+  const gltf = await loader.parseAsync(bytes, url.slice(0, url.lastIndexOf("/") + 1)).catch((error: Error) => {
     throw new FaceError(url, `is no GLB that three.js reads: ${error.message.split("\n")[0]}`);
   });
   const { associations } = gltf.parser;

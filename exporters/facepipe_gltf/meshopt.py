@@ -1,0 +1,153 @@
+"""EXT_meshopt_compression, by the npm package meshoptimizer where node has it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import struct
+import subprocess
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from facepipe.errors import ExportError, InputError
+from facepipe_gltf.raw import MESHOPT
+
+if TYPE_CHECKING:
+    from facepipe_gltf.document import Document
+
+Json = dict[str, Any]
+
+_WHERE = "--meshopt"
+_VERTICES, _INDICES = 34962, 34963
+_SIZES = {5123: 2, 5125: 4}
+_ALIGNMENT = 4
+# Modules of the working folder are left alone, as those of a downloaded folder must be.
+_PROGRAM = """
+const path = require("path"), { pathToFileURL } = require("url");
+const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modules"),
+               path.join(process.env.APPDATA || path.dirname(process.execPath), "npm", "node_modules")];
+const found = (name) => {
+  try { return pathToFileURL(require.resolve(name, { paths: roots })).href; } catch (error) { process.exit(4); }
+};
+(async () => {
+  const { MeshoptEncoder } = await import(found("meshoptimizer/encoder"));
+  const { MeshoptDecoder } = await import(found("meshoptimizer/decoder"));
+  await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
+  const chunks = [];
+  for await (const chunk of process.stdin) chunks.push(chunk);
+  const input = Buffer.concat(chunks), length = input.readUInt32LE(0);
+  let at = 4 + length;
+  for (const { count, size, mode } of JSON.parse(input.subarray(4, at).toString())) {
+    const source = new Uint8Array(input.subarray(at, at += count * size));
+    const packed = MeshoptEncoder.encodeGltfBuffer(source, count, size, mode, 0);
+    const again = new Uint8Array(count * size);
+    MeshoptDecoder.decodeGltfBuffer(again, count, size, packed, mode);
+    const head = Buffer.alloc(4);
+    head.writeUInt32LE(packed.length);
+    process.stdout.write(head), process.stdout.write(packed), process.stdout.write(again);
+  }
+})().catch((error) => { console.error(String(error)); process.exitCode = 3; });
+"""
+_NOT_INSTALLED = 4
+_SECONDS = 300
+
+
+class _Stream(NamedTuple):
+    """What of a buffer view is compressed."""
+
+    data: bytes
+    elements: int
+    size: int  # bytes of one element
+    mode: str
+
+
+def compressed(document: Document) -> Document:
+    """The document with its vertices and triangles compressed, without loss: triangles may begin with another corner.
+
+    All is decoded again and compared.
+
+    :raises InputError: node, or its package meshoptimizer, is not installed
+    :raises ExportError: what is decoded is not what was encoded
+    """
+    binary = b"".join(document.binary)
+    streams = _streams(document.json, binary)
+    packed = _packed([*streams.values()])
+    views: list[Json] = []
+    chunks: list[bytes] = []
+    size = whole = 0
+    for number, view in enumerate(document.json.get("bufferViews", [])):
+        stream = streams.get(number)
+        data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] if stream is None else next(packed)
+        place: Json = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
+        if stream is not None:
+            own = place | {"byteStride": stream.size, "count": stream.elements, "mode": stream.mode}
+            place = {"buffer": 1, "byteOffset": whole, "byteLength": len(stream.data), "extensions": {MESHOPT: own}}
+            whole += len(stream.data) + -len(stream.data) % _ALIGNMENT
+        views.append(view | place)
+        chunks += [data, bytes(-len(data) % _ALIGNMENT)]
+        size += len(data) + -len(data) % _ALIGNMENT
+    # the second buffer is in no file: readers decode into it
+    fallback: Json = {"byteLength": whole, "extensions": {MESHOPT: {"fallback": True}}}
+    result = document.json | {"bufferViews": views, "buffers": [{"byteLength": size}, fallback]}
+    for key in ("extensionsUsed", "extensionsRequired"):
+        result[key] = sorted([*result.get(key, []), MESHOPT])
+    return dataclasses.replace(document, json=result, binary=chunks) if streams else document
+
+
+def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
+    """What is compressed of each buffer view; of the others nothing. A list of triangles is a view of its own."""
+    lists = {one["bufferView"]: one for one in json_["accessors"] if "bufferView" in one}
+    streams = {}
+    for number, view in enumerate(json_["bufferViews"]):
+        start, target = view["byteOffset"], view.get("target")
+        if target == _VERTICES:
+            size = view["byteStride"]
+            data = binary[start : start + view["byteLength"]]
+            streams[number] = _Stream(data, len(data) // size, size, "ATTRIBUTES")
+        elif target == _INDICES:
+            count, size = lists[number]["count"], _SIZES[lists[number]["componentType"]]
+            streams[number] = _Stream(binary[start : start + count * size], count, size, "TRIANGLES")
+    return streams
+
+
+def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
+    """Each stream compressed, checked by what the package's decoder makes of it."""
+    header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
+    answer = _run(b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)]))
+    at = 0
+    for one in streams:
+        (length,) = struct.unpack_from("<I", answer, at)
+        data, again = answer[at + 4 : at + 4 + length], answer[at + 4 + length : at + 4 + length + len(one.data)]
+        at += 4 + length + len(one.data)
+        if not _same(again, one):
+            raise ExportError(_WHERE, f"{one.mode} are not the same when decoded again, expected no loss")
+        yield data
+
+
+def _same(again: bytes, stream: _Stream) -> bool:
+    """Whether bytes are those of a stream, triangles from any corner on."""
+    if stream.mode != "TRIANGLES":
+        return again == stream.data
+    kind = np.uint16 if stream.size == 2 else np.uint32
+    given, found = (np.frombuffer(one, kind).reshape(-1, 3) for one in (stream.data, again))
+    return bool(np.any([(np.roll(found, i, axis=1) == given).all(axis=1) for i in range(3)], axis=0).all())
+
+
+def _run(request: bytes) -> bytes:
+    node = shutil.which("node")
+    if node is None:
+        raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
+    try:
+        done = subprocess.run([node, "-e", _PROGRAM], input=request, capture_output=True, timeout=_SECONDS, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ExportError(_WHERE, f"node did not compress the file: {error}") from None
+    if done.returncode == _NOT_INSTALLED:
+        how = "`npm install --global meshoptimizer`, or NODE_PATH with the folder that holds it"
+        raise InputError(_WHERE, f"node has no package meshoptimizer, expected {how}")
+    if done.returncode:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        raise ExportError(_WHERE, f"node did not compress the file: {said[-1][:200] if said else done.returncode}")
+    return done.stdout

@@ -1,0 +1,117 @@
+"""EXT_meshopt_compression: without loss, checked before it is written, and read by three.js."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from facepipe_gltf import Options, export, meshopt
+from facepipe_gltf import validate as check
+from faces import tiny_face
+from gltf_export import Parts, random_weights
+from import_data import shared
+from node import HERE, node_packages, three_load, validate
+
+from facepipe.cli import main
+from facepipe.errors import ExportError
+from facepipe.importers import load
+from facepipe.parts import FaceParts
+from facepipe.reports import ExportReport
+from facepipe.stage import save_parts
+
+
+@pytest.fixture(autouse=True)
+def packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    node_packages()
+    monkeypatch.setenv("NODE_PATH", str(HERE / "node_modules"))
+
+
+def pair(parts: FaceParts, folder: Path, **options: Any) -> tuple[ExportReport, ExportReport]:
+    """Exports without compression and with it."""
+    plain = export(Parts(parts), folder / "plain.glb", Options(dense=True, **options))
+    return plain, export(Parts(parts), folder / "small.glb", Options(meshopt=True, **options))
+
+
+def same_in_three(parts: FaceParts, plain: Path, small: Path) -> None:
+    names = random_weights(parts, np.random.default_rng(4))
+    ours, theirs = (three_load(path, names, {})["meshes"] for path in (plain, small))
+    assert ours == theirs
+    assert any(one["targets"] for one in theirs)
+
+
+@pytest.mark.parametrize("quantize", [False, True])
+def test_three_reads_what_it_reads_of_the_plain_file(quantize: bool, tmp_path: Path) -> None:
+    plain, small = pair(tiny_face(), tmp_path, quantize=quantize)
+    same_in_three(tiny_face(), plain.path, small.path)
+    assert small.error_mm == plain.error_mm
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_files_are_valid_and_the_same_each_time(suffix: str, tmp_path: Path) -> None:
+    options = Options(meshopt=True, quantize=True, engine="babylon")
+    paths = [tmp_path / f"{name}{suffix}" for name in ("a", "b")]
+    for path in paths:
+        export(Parts(tiny_face()), path, options)
+    issues = validate(paths[:1])[paths[0]]["issues"]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0)
+    own = check(paths[0], khronos=False)
+    assert [(one.check, one.severity) for one in own] == [("facepipe:GltfCompressed", "info")]
+    if suffix == ".glb":
+        assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+@pytest.mark.parametrize("engine", ["blender", "godot", "unreal", "generic"])
+def test_engines_that_cannot_read_it(engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = export_with(["--meshopt", "--engine", engine], tmp_path, capsys)
+    assert code == 2
+    assert "EXT_meshopt_compression" in said
+
+
+def test_what_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(meshopt, "_PROGRAM", meshopt._PROGRAM.replace("meshoptimizer/", "no-such-package/"))
+    code, said = export_with(["--meshopt"], tmp_path, capsys)
+    assert code == 2
+    assert "npm install --global meshoptimizer" in said
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, said = export_with(["--meshopt"], tmp_path, capsys)
+    assert code == 2
+    assert "needs node" in said
+
+
+def export_with(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code and what is said of an export that must write nothing."""
+    stage = folder / "face.usda"
+    save_parts(tiny_face(), stage)
+    code = main(["export", str(stage), "-o", str(folder / "face.glb"), *words])
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert [path.name for path in folder.iterdir()] == ["face.usda"]
+    return code, said
+
+
+def test_a_coder_that_loses_something_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = meshopt._run
+
+    def lossy(request: bytes) -> bytes:
+        return honest(request)[:-1] + b"\x7f"
+
+    monkeypatch.setattr(meshopt, "_run", lossy)
+    with pytest.raises(ExportError, match="when decoded again"):
+        export(Parts(tiny_face()), tmp_path / "face.glb", Options(meshopt=True))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", ["ict/ict_facekit", "makehuman/makehuman_head"])
+def test_real_heads(source: str, tmp_path: Path) -> None:
+    kind, name = source.split("/")
+    parts = load(kind, shared(f"{name.partition('_head')[0]}/{name}.npz")).parts
+    plain, small = pair(parts, tmp_path, quantize=True)
+    if kind == "ict":
+        same_in_three(parts, plain.path, small.path)
+        assert small.bytes < 1.7e6
+    assert small.bytes < 0.7 * plain.bytes
