@@ -105,6 +105,10 @@ class Buffers:
         dense[rows.vertices] = rows.values
         return self._add_dense(dense, "vertex", rows.normalized, extent)
 
+    def add_bytes(self, data: bytes) -> int:
+        """A buffer view of its own, for what is no accessor; its index."""
+        return self._append(_Key("bytes", 0, str(len(self._views))), data)[0]
+
     def finish(self) -> tuple[list[Json], list[Chunk]]:
         """The bufferViews, and the bytes of buffer 0 in pieces."""
         views: list[Json] = []

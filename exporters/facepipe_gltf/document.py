@@ -11,6 +11,7 @@ import numpy as np
 import facepipe
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts
+from facepipe.records.gltf import Record
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, storage_error
 from facepipe_gltf.buffers import Buffers, Chunk
@@ -24,6 +25,7 @@ from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.meshopt import compressed
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
+from facepipe_gltf.record import record_of, written
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
 from facepipe_gltf.space import space_of
 from facepipe_gltf.textures import Image
@@ -68,6 +70,8 @@ class _Writer:
     targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
     warnings: list[str] = field(default_factory=list)
     uncolored: dict[str, None] = field(default_factory=dict)  # meshes whose display colours are left out
+    colored: set[str] = field(default_factory=set)  # meshes whose display colours are in the file
+    record: Record | None = None
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
 
     def document(self) -> Document:
@@ -87,6 +91,8 @@ class _Writer:
         if joints is not None:
             scene += joints.roots
         animations = self._animations(joints) if options.animations else []
+        names = [one["name"] for one in animations]
+        self.record = record_of(parts, meshes, self.space, options, names, self.colored)
         return self._assemble(scene, skins, animations, meshes, shapes)
 
     def _mesh(self, baked: Baked) -> None:
@@ -99,6 +105,8 @@ class _Writer:
             if mesh.colors is not None and not surface.colored:
                 self.uncolored[mesh.name] = None
             chosen.append(Chosen(triangles, surface.index, surface.tangent_uv, surface.colored))
+        if all(one.colored for one in chosen):
+            self.colored.add(mesh.name)
         primitives = writer.write(chosen)
         entry: Json = {"name": mesh.name, "primitives": primitives, "extras": _mesh_extras(baked)}
         if baked.sculpts:
@@ -147,6 +155,7 @@ class _Writer:
         shapes: Sequence[str],
     ) -> Document:
         textures = self.materials.textures
+        extras = None if self.record is None else {"facepipe": written(self.record, self.buffers)}
         views, binary = self.buffers.finish()
         asset = {"version": "2.0", "generator": f"facepipe {facepipe.__version__}"}
         if self.parts.attribution:
@@ -170,6 +179,8 @@ class _Writer:
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
         document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
         document |= {key: value for key, value in lists.items() if value}
+        if extras is not None:
+            document["extras"] = extras
         return Document(
             json=document,
             binary=binary,
@@ -181,7 +192,7 @@ class _Writer:
                 *textures.warnings,
                 *engine_warnings(self.options.reader, self.nodes),
             ),
-            dropped=dropped(self.parts, meshes, self.options),
+            dropped=dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
             error_mm=self._error_mm(meshes),
         )
 

@@ -12,6 +12,8 @@ from facepipe.parts import FloatArray, IntArray, Mesh, Skeleton
 from facepipe_gltf.influences import merge
 from facepipe_gltf.space import Space
 
+_UNIT = 2e-7
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -35,7 +37,7 @@ class Placement:
     def normals(self, normals: FloatArray, rows: IntArray | None = None) -> FloatArray:
         """(k, 3) unit normals at the points `rows` in glTF space; zero where they have no length."""
         turned = _apply(self._of(self._cofactors, rows), normals)
-        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        length = _unless_near(np.linalg.norm(turned, axis=1), 1.0 / self._of(self._scales, rows))[:, None]
         return np.asarray(turned / np.where(length == 0, 1.0, length))
 
     def normal_offsets(self, offsets: FloatArray, normals: FloatArray, rows: IntArray) -> FloatArray:
@@ -46,7 +48,7 @@ class Placement:
         matrices = self._of(self._cofactors, rows)
         x, y, z = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals).T
         result = _apply(matrices, offsets)
-        length = np.sqrt(x * x + y * y + z * z)
+        length = _unless_near(np.sqrt(x * x + y * y + z * z), self._of(self._scales, rows))
         for axis in result.T:
             axis *= length
         return result
@@ -54,6 +56,10 @@ class Placement:
     @cached_property
     def _cofactors(self) -> FloatArray:
         return np.asarray(np.swapaxes(np.linalg.inv(self.matrices[:, :3, :3]), -1, -2))
+
+    @cached_property
+    def _scales(self) -> FloatArray:
+        return np.asarray(np.cbrt(np.abs(np.linalg.det(self.matrices[:, :3, :3]))))
 
     def _of(self, matrices: FloatArray, rows: IntArray | None) -> FloatArray:
         return matrices if rows is None or len(matrices) == 1 else matrices[rows]
@@ -99,6 +105,11 @@ def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
 def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     """(n, 3) area-weighted unit normals of (n, 3) points in glTF space."""
     return point_normals(points, triangles) if len(triangles) else np.tile([0.0, 1.0, 0.0], (len(points), 1))
+
+
+def _unless_near(lengths: FloatArray, expected: FloatArray) -> FloatArray:
+    """(k,) `expected` in place of lengths that float32 can't tell from it: normals of unit length keep their bits."""
+    return np.where(np.abs(lengths - expected) <= _UNIT * expected, expected, lengths)
 
 
 def _apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.parts import FloatArray, IntArray
+from facepipe.records.gltf import material_groups
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
@@ -157,11 +158,7 @@ def _normal_rows(tables: Sequence[Table], vertices: Vertices) -> list[Rows]:
 
 def by_material(baked: Baked) -> Sequence[tuple[str | None, IntArray]]:
     """Material names with the triangles (t,) that use them, the mesh's own first; only those that have some."""
-    mesh = baked.mesh
-    names = list(dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)]))
-    number = np.zeros(len(mesh.face_vertex_counts), np.int64)
-    for one in mesh.material_faces:
-        number[np.asarray(one.faces, dtype=np.int64)] = names.index(one.material)
+    names, number = material_groups(baked.mesh)
     of_triangle = number[baked.corners.faces]
     groups = [(name, np.flatnonzero(of_triangle == i)) for i, name in enumerate(names)]
     return [(name, triangles) for name, triangles in groups if len(triangles)]

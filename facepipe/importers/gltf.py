@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from facepipe.errors import InputError
-from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_skins
+from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_record, gltf_skins
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document
 from facepipe.importers.imported import Imported, import_recipe
@@ -57,10 +57,32 @@ def read(source: Path, options: Options) -> Imported:
 
 
 def _parts(document: Document, source: Path, options: Options) -> FaceParts:
+    record = gltf_record.read_record(document)
+    if record is not None:
+        try:
+            read = _read(document, source, options, own=True)
+            if options.fps is not None:
+                record = gltf_record.resampled(record, read)
+            face = gltf_record.filled(document, record, read)
+            return _with_recipe(face, document, source, options)
+        except InputError as error:
+            document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
+    return _read(document, source, options)
+
+
+def _with_recipe(face: FaceParts, document: Document, source: Path, options: Options) -> FaceParts:
+    """The face as an import, which notes how the face was made before it was exported."""
+    recipe = import_recipe("gltf", {source: document.files}, options)
+    made = {} if face.recipe is None else {"made": asdict(face.recipe)}
+    return replace(face, recipe=replace(recipe, options={**recipe.options, **made}))
+
+
+def _read(document: Document, source: Path, options: Options, *, own: bool = False) -> FaceParts:
+    """:param own: leave meshes where the file has them, as our record does the rest"""
     nodes = gltf_nodes.read_nodes(document, options.scene)
     joints = gltf_skins.read_joints(document, nodes)
     materials = gltf_materials.material_names(document)
-    assembly = Assembly(document, nodes, joints, materials, options.weld)
+    assembly = Assembly(document, nodes, joints, materials, options.weld, own)
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")

@@ -29,6 +29,7 @@ class Assembly:
     joints: Joints
     materials: list[str]
     weld: bool
+    own: bool = False  # a file of ours: what places its meshes is in the record
     names: Names = field(default_factory=lambda: Names(*_RESERVED))
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
@@ -57,6 +58,8 @@ class Assembly:
             self.roles[node] = gltf_morphs.roles(document, geometry.value, count, self.shape_names)
             self._note_weights(value)
         named = replace(mesh, name=self.names.new(self.nodes.name(node) or _name(geometry.value), "mesh"))
+        if self.own:
+            return named
         if skin >= 0:
             return placed(named, self.joints.skins[skin].geom_bind)
         return self._unskinned(node, named)

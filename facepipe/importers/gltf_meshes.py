@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from facepipe.importers import gltf_morphs, gltf_weld
+from facepipe.importers import gltf_landmarks, gltf_morphs, gltf_weld
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_names import Names
 from facepipe.importers.gltf_primitives import Geometry
@@ -40,6 +40,8 @@ def build_mesh(
         colors=_colors(document, geometry, welded),
         skin=None if slots is None else _skin(document, geometry, welded, slots),
         blendshapes=gltf_morphs.blendshapes(document, geometry, welded, names),
+        landmarks=gltf_landmarks.landmarks(document, geometry, welded),
+        anchor=gltf_landmarks.anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
         material_faces=_material_faces(geometry.materials[kept], materials) if len(bound) > 1 else (),
     )

@@ -1,0 +1,216 @@
+"""What of a face has no place in glTF, put beside it so that `facepipe import gltf` brings back the same face."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from facepipe.parts import (
+    Animation,
+    Blendshape,
+    FaceParts,
+    Inbetween,
+    IntArray,
+    Material,
+    Mesh,
+    Recipe,
+    Skeleton,
+    Skin,
+    TextureInput,
+    UvSet,
+)
+from facepipe.records.gltf import NONE, PER_POINT, MeshRecord, Record, packed, points_back, shape_names, steps_between
+from facepipe.rig.slider_network import kept as kept_outputs
+from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe_gltf.baking import Baked
+from facepipe_gltf.buffers import Buffers
+from facepipe_gltf.options import Options
+from facepipe_gltf.primitives import by_material
+from facepipe_gltf.space import Space
+
+Json = dict[str, Any]
+
+
+def record_of(
+    parts: FaceParts,
+    meshes: Sequence[Baked],
+    space: Space,
+    options: Options,
+    animations: Collection[str],
+    colored: Collection[str],
+) -> Record | None:
+    """What goes along with the face; None where it can't come back anyway, its joints baked into points.
+
+    :param animations: names of those in the file
+    :param colored: names of meshes whose display colours are in the file
+    """
+    if options.mode == "morph" or any(len(one.placement.matrices) > 1 for one in meshes):
+        return None
+    face = _husk(parts, meshes, animations, colored)
+    joints, shapes = list(face.skeleton.joints), shape_names(face.meshes)
+    return Record(
+        face=replace(face, animations=tuple(replace(one, joints=(), shapes=()) for one in face.animations)),
+        meshes=tuple(_mesh_record(one, exact=not options.quantize) for one in meshes),
+        joints=tuple(_numbers(one.joints, joints) for one in face.animations),
+        shapes=tuple(_numbers(one.shapes, shapes) for one in face.animations),
+        axes=space.axes,
+        placement=space.placement,
+    )
+
+
+def written(record: Record, buffers: Buffers) -> Json:
+    """The record in the buffers, for ``extras.facepipe`` of the document."""
+    result, block = packed(record)
+    return result | {"bufferView": buffers.add_bytes(block)}
+
+
+def _husk(
+    parts: FaceParts, meshes: Sequence[Baked], animations: Collection[str], colored: Collection[str]
+) -> FaceParts:
+    """The face without what the file holds, and without what moves nothing in it."""
+    skinned = any(one.influences is not None for one in meshes)
+    skeleton = parts.skeleton if skinned else replace(Skeleton(), name=parts.skeleton.name)
+    joints = set(skeleton.joints)
+    shapes = {sculpt.shape for one in meshes for sculpt in one.sculpts}
+    sliders = [kept(one, joints.__contains__, shapes.__contains__) for one in parts.sliders]
+    sliders = [one for one in sliders if one.channels or one.shapes]
+    network = parts.slider_network
+    if network is not None:
+        network = kept_outputs(network, joints.__contains__, shapes.__contains__)
+    if network is not None and not {one.name for one in sliders}.issuperset(network.sliders):
+        network = None
+    return replace(
+        parts,
+        meshes=tuple(_mesh_husk(one, one.mesh.name in colored) for one in meshes),
+        skeleton=skeleton,
+        animations=tuple(_animation_husk(one, joints, shapes) for one in parts.animations if one.name in animations),
+        played=parts.played if parts.played in animations else None,
+        sliders=with_mutual_mirrors(sliders),
+        slider_network=network,
+        bone_limits=parts.bone_limits if joints else None,
+        attach_joint=parts.attach_joint if joints else None,
+        materials=_material_husks(parts.materials, meshes),
+        recipe=_recipe_of_the_face(parts.recipe),
+    )
+
+
+def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
+    """How the face was made before it went through glTF: an import of our own file notes it."""
+    made = None if recipe is None or recipe.verb != "import gltf" else recipe.options.get("made")
+    if not isinstance(made, dict) or set(made) != {one.name for one in fields(Recipe)}:
+        return recipe
+    return Recipe(**made | {"sources": tuple(made["sources"]), "digests": tuple(made["digests"])})
+
+
+def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
+    mesh = baked.mesh
+    whole = _keeps_polygons(baked)
+    normals = None if mesh.normals is None else PER_POINT if len(mesh.normals) == len(mesh.points) else NONE
+    return replace(
+        mesh,
+        points=NONE,
+        face_vertex_counts=mesh.face_vertex_counts if whole else NONE,
+        face_vertex_indices=NONE,
+        normals=normals,
+        uv_sets=tuple(
+            UvSet(name=one.name, values=NONE, indices=None if one.indices is None else NONE.astype(np.int32))
+            for one in mesh.uv_sets
+        ),
+        colors=NONE if colored and mesh.colors is not None else mesh.colors,
+        skin=None
+        if mesh.skin is None or baked.influences is None
+        else Skin(joint_indices=NONE, joint_weights=NONE, geom_bind_transform=mesh.skin.geom_bind_transform),
+        blendshapes=_shape_husks(baked),
+        landmarks={},
+        anchor=None,
+        material_faces=mesh.material_faces if whole else (),
+    )
+
+
+def _keeps_polygons(baked: Baked) -> bool:
+    """Whether every polygon can be put together again: all of 3 or more corners, and no triangle left out."""
+    counts = np.asarray(baked.mesh.face_vertex_counts)
+    return bool(counts.min(initial=3) >= 3) and len(baked.corners.faces) == int((counts - 2).sum())
+
+
+def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
+    names = {sculpt.shape for sculpt in baked.sculpts}
+    return tuple(
+        Blendshape(
+            name=shape.name,
+            point_indices=NONE,
+            offsets=NONE,
+            normal_offsets=None if shape.normal_offsets is None else NONE,
+            inbetweens=tuple(
+                Inbetween(
+                    name=one.name,
+                    weight=one.weight,
+                    offsets=NONE,
+                    normal_offsets=None if one.normal_offsets is None else NONE,
+                )
+                for one in shape.inbetweens
+            ),
+        )
+        for shape in baked.mesh.blendshapes
+        if shape.name in names
+    )
+
+
+def _animation_husk(animation: Animation, joints: Collection[str], shapes: Collection[str]) -> Animation:
+    """The animation of what is in the file."""
+    own = tuple(joint for joint in animation.joints if joint in joints)
+    driven = tuple(shape for shape in animation.shapes if shape in shapes)
+    held: dict[str, Any] = {
+        name: NONE if own and getattr(animation, name) is not None else None
+        for name in ("translations", "rotations", "scales", "coefficients")
+    }
+    weights = NONE if driven and animation.shape_weights is not None else None
+    return replace(animation, joints=own, shapes=driven if weights is not None else (), shape_weights=weights, **held)
+
+
+def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:
+    place = {name: i for i, name in enumerate(every)}
+    return np.array([place[name] for name in names], np.int32)
+
+
+def _material_husks(materials: Sequence[Material], meshes: Sequence[Baked]) -> tuple[Material, ...]:
+    """The materials whose images are in the file."""
+    used = {name for one in meshes for name, _ in by_material(one)}
+    return tuple(one for one in map(_material_husk, materials) if one.name in used or not _textured(one))
+
+
+def _textured(material: Material) -> bool:
+    return any(isinstance(getattr(material, one.name), TextureInput) for one in fields(material))
+
+
+def _material_husk(material: Material) -> Material:
+    """The material, with digests in place of images."""
+    values = {one.name: getattr(material, one.name) for one in fields(material)}
+    husks: dict[str, Any] = {name: _input_husk(one) for name, one in values.items() if isinstance(one, TextureInput)}
+    return replace(material, **husks)
+
+
+def _input_husk(one: TextureInput) -> TextureInput:
+    return replace(one, texture=replace(one.texture, data=hashlib.sha256(one.texture.data).digest()))
+
+
+def _mesh_record(baked: Baked, *, exact: bool) -> MeshRecord:
+    mesh, matrix = baked.mesh, np.asarray(baked.placement.matrices[0])
+    points = np.asarray(mesh.points, np.float32)
+    used = np.zeros(len(points), np.bool_)
+    used[mesh.face_vertex_indices] = True
+    loose = np.flatnonzero(~used)
+    back = points_back(matrix, baked.points.astype(np.float32))
+    steps = steps_between(back, points) if exact else None
+    return MeshRecord(
+        point_count=len(points),
+        matrix=matrix,
+        mirrored=baked.placement.mirrored,
+        steps=steps if steps is not None and steps.any() else None,
+        loose_points=loose if len(loose) else None,
+        loose_positions=points[loose] if len(loose) else None,
+    )

@@ -1,0 +1,343 @@
+"""Our own glTF files as the faces that they were: what the file holds, put into the record beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.geometry.polygons import triangulate
+from facepipe.importers.gltf_document import Document
+from facepipe.importers.gltf_record_joints import filled_animations, joints_as_recorded
+from facepipe.parts import (
+    Blendshape,
+    FaceParts,
+    FloatArray,
+    Inbetween,
+    IntArray,
+    Material,
+    Mesh,
+    Skin,
+    Texture,
+    TextureInput,
+    UvSet,
+)
+from facepipe.records.gltf import (
+    VERSION,
+    MeshRecord,
+    Record,
+    material_groups,
+    points_back,
+    shape_names,
+    stepped,
+    unpacked,
+)
+
+_UNIT = 2e-7  # a direction this near to length 1 has it in float32
+
+
+def read_record(document: Document) -> Record | None:
+    """The record of a file that facepipe wrote; None, with a warning where it is damaged or of another version."""
+    extras = document.root.get("extras")
+    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    if ours is None or not isinstance(ours.data, dict):
+        return None
+    try:
+        version = ours.require("version").integer()
+        if version != VERSION:
+            raise ours.error(f"version {version}, expected {VERSION}")
+        data, start, length = document.view(ours.require("bufferView"))
+        size = ours.require("inflated").integer(4)
+        document.budget.spend(4 * size, ours)
+        return unpacked(data[start : start + length], size, ours.trail)
+    except InputError as error:
+        document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
+        return None
+
+
+def resampled(record: Record, read: FaceParts) -> Record:
+    """The record with the key times of the animations that were read."""
+    own = record.face.animations
+    if len(own) != len(read.animations):
+        raise _misfit(f"{len(read.animations)} animations, expected {len(own)}")
+    clips = tuple(replace(one, times=other.times) for one, other in zip(own, read.animations, strict=True))
+    return replace(record, face=replace(record.face, animations=clips, frames_per_second=read.frames_per_second))
+
+
+def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
+    """The face of the record, with what was `read` of the file.
+
+    :param read: as in the file, its meshes not placed
+    :raises InputError: the file is not what the record goes along with
+    """
+    face = record.face
+    counts = [len(read.meshes), len(face.meshes), len(record.meshes)]
+    if len(set(counts)) > 1:
+        raise _misfit(f"{counts[0]} meshes, expected {counts[1]}")
+    joints_as_recorded(record, read.skeleton)
+    pairs = zip(face.meshes, record.meshes, read.meshes, strict=True)
+    meshes = tuple(_mesh(*one) for one in pairs)
+    renamed = _new_names(read.meshes, face.meshes)
+    return replace(
+        face,
+        meshes=meshes,
+        animations=filled_animations(record, read, renamed, shape_names(face.meshes)),
+        materials=_materials(document, face.materials, read),
+    )
+
+
+def _misfit(what: str) -> InputError:
+    return InputError("facepipe", f"{what}, as facepipe wrote the file")
+
+
+def _new_names(read: Sequence[Mesh], own: Sequence[Mesh]) -> dict[str, str]:
+    pairs = [zip(one.blendshapes, other.blendshapes, strict=True) for one, other in zip(read, own, strict=True)]
+    return {one.name: other.name for shapes in pairs for one, other in shapes}
+
+
+def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
+    numbers = _numbers(husk, record, read)
+    points = np.zeros((record.point_count, 3), np.float32)
+    points[numbers] = points_back(record.matrix, read.points)
+    if record.loose_points is not None and record.loose_positions is not None:
+        points[record.loose_points] = record.loose_positions
+    if record.steps is not None:
+        if np.shape(record.steps) != points.shape:
+            raise _misfit(f"{len(points)} points of {husk.name}, expected {len(record.steps)}")
+        points = stepped(points, record.steps)
+    corners, counts = _corners(husk, record, read)
+    directions = _Directions(record.matrix)
+    indices = numbers[read.face_vertex_indices[corners]].astype(np.int32)
+    result = replace(
+        husk,
+        points=points,
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        normals=_normals(husk, record, read, corners, numbers, directions),
+        uv_sets=_uv_sets(husk, read, record.point_count, corners, numbers, indices),
+        colors=_colors(husk, read, record.point_count, numbers),
+        skin=_skin(husk, read, record.point_count, numbers),
+        blendshapes=_blendshapes(husk, read, numbers, directions),
+        landmarks={
+            scheme: replace(one, indices=numbers[one.indices].astype(np.int32))
+            for scheme, one in read.landmarks.items()
+        },
+        anchor=None if read.anchor is None else int(numbers[read.anchor]),
+        material=husk.material if len(husk.face_vertex_counts) else read.material,
+        material_faces=husk.material_faces if len(husk.face_vertex_counts) else read.material_faces,
+    )
+    _check_points(result)
+    return result
+
+
+def _numbers(husk: Mesh, record: MeshRecord, read: Mesh) -> IntArray:
+    """The number on the stage of every point that was read."""
+    count = record.point_count
+    loose = np.zeros(0, np.int32) if record.loose_points is None else record.loose_points
+    if loose.ndim != 1 or (loose.size and not (loose.min() >= 0 and loose.max() < count)):
+        raise _misfit(f"points of {husk.name} that no face uses are outside 0..{count - 1}")
+    if count != len(read.points) + len(loose):
+        raise _misfit(f"{len(read.points)} points of {husk.name}, expected {count - len(loose)}")
+    if len(read.blendshapes) != len(husk.blendshapes):
+        raise _misfit(f"{len(read.blendshapes)} shapes of {husk.name}, expected {len(husk.blendshapes)}")
+    return np.setdiff1d(np.arange(count), loose)
+
+
+def _corners(husk: Mesh, record: MeshRecord, read: Mesh) -> tuple[IntArray, IntArray]:
+    """The corner (c,) among those read of every corner of the polygons, and how many each polygon has."""
+    triangles = np.arange(len(read.face_vertex_indices)).reshape(-1, 3)
+    if record.mirrored:
+        triangles = triangles[:, ::-1]
+    counts = np.asarray(husk.face_vertex_counts)
+    if not len(counts):
+        return triangles.ravel(), np.asarray(read.face_vertex_counts)
+    if counts.min() < 3 or int((counts.astype(np.int64) - 2).sum()) != len(triangles):
+        raise _misfit(f"{len(triangles)} triangles of {husk.name}, expected {int((counts - 2).sum())}")
+    of_triangle = triangulate(counts).faces
+    groups = material_groups(husk)[1]
+    own = np.empty_like(triangles)
+    own[np.argsort(groups[of_triangle], kind="stable")] = triangles  # primitives are one a material
+    first = np.concatenate([[True], of_triangle[1:] != of_triangle[:-1]])
+    pieces = np.where(first[:, None], own, -1)
+    pieces[~first, 2] = own[~first, 2]  # a fan: one more corner a triangle
+    corners = pieces.ravel()
+    return corners[corners >= 0], counts.astype(np.int32)
+
+
+class _Directions:
+    """Normals and offsets of a file in mesh space."""
+
+    def __init__(self, matrix: FloatArray) -> None:
+        self._linear = np.asarray(matrix, np.float64)[:3, :3]
+        self._back = np.linalg.inv(self._linear)
+        self._scale = np.cbrt(abs(np.linalg.det(self._linear)))
+
+    def normals(self, values: FloatArray) -> FloatArray:
+        return np.asarray((_summed(self._linear.T, values) / self._lengths(values)).astype(np.float32))
+
+    def offsets(self, values: FloatArray) -> FloatArray:
+        return _summed(self._back, values).astype(np.float32)
+
+    def normal_offsets(self, values: FloatArray, normals: FloatArray) -> FloatArray:
+        """:param normals: (k, 3) of the same points, in the file"""
+        return np.asarray((_summed(self._linear.T, values) / self._lengths(normals)).astype(np.float32))
+
+    def _lengths(self, normals: FloatArray) -> FloatArray:
+        """(k, 1) of unit normals taken back: the scale where that is all there is, so that they keep their bits."""
+        length = np.linalg.norm(_summed(self._linear.T, normals), axis=1)
+        near = np.abs(length - self._scale) <= _UNIT * self._scale
+        return np.where(near, self._scale, np.where(length > 0.0, length, 1.0))[:, None]
+
+
+def _summed(matrix: FloatArray, values: FloatArray) -> FloatArray:
+    x, y, z = np.asarray(values, np.float64).T
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=1)
+
+
+def _spread(values: npt.NDArray[Any], numbers: IntArray, count: int) -> npt.NDArray[Any]:
+    """Values of the points `numbers` as values of all; 0 at the others."""
+    if len(values) == count:
+        return values
+    result = np.zeros((count, *values.shape[1:]), values.dtype)
+    result[numbers] = values
+    return result
+
+
+def _normals(
+    husk: Mesh, record: MeshRecord, read: Mesh, corners: IntArray, numbers: IntArray, directions: _Directions
+) -> FloatArray | None:
+    if husk.normals is None or read.normals is None:
+        return None
+    back = directions.normals(read.normals)
+    per_point = len(back) == len(read.points)
+    if husk.normals.ndim == 2:
+        return _spread(back, numbers, record.point_count) if per_point else None
+    return back[read.face_vertex_indices[corners]] if per_point else back[corners]
+
+
+def _uv_sets(
+    husk: Mesh, read: Mesh, count: int, corners: IntArray, numbers: IntArray, indices: IntArray
+) -> tuple[UvSet, ...]:
+    if len(husk.uv_sets) != len(read.uv_sets):
+        raise _misfit(f"{len(read.uv_sets)} UV sets of {husk.name}, expected {len(husk.uv_sets)}")
+    result = []
+    for own, found in zip(husk.uv_sets, read.uv_sets, strict=True):
+        if found.indices is not None:
+            result.append(UvSet(name=own.name, values=found.values, indices=found.indices[corners]))
+        else:
+            values = _spread(found.values, numbers, count)
+            result.append(UvSet(name=own.name, values=values, indices=None if own.indices is None else indices))
+    return tuple(result)
+
+
+def _colors(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> FloatArray | None:
+    if husk.colors is None or len(husk.colors):
+        return husk.colors
+    return None if read.colors is None else _spread(read.colors, numbers, count)
+
+
+def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
+    if (husk.skin is None) != (read.skin is None):
+        raise _misfit(f"skin weights of {husk.name} came or went")
+    if husk.skin is None or read.skin is None:
+        return None
+    weights = _spread(read.skin.joint_weights, numbers, count)
+    if len(weights) > len(numbers):
+        weights = np.array(weights)
+        weights[np.setdiff1d(np.arange(count), numbers), 0] = 1.0
+    return replace(husk.skin, joint_indices=_spread(read.skin.joint_indices, numbers, count), joint_weights=weights)
+
+
+def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directions) -> tuple[Blendshape, ...]:
+    normals = _point_normals(read)
+    result = []
+    for own, found in zip(husk.blendshapes, read.blendshapes, strict=True):
+        at = normals[found.point_indices] if normals is not None else np.zeros((len(found.point_indices), 3))
+        if len(own.inbetweens) != len(found.inbetweens):
+            raise _misfit(f"{len(found.inbetweens)} inbetweens of {own.name}, expected {len(own.inbetweens)}")
+        by_weight = dict(zip(np.argsort([one.weight for one in own.inbetweens]), found.inbetweens, strict=True))
+        result.append(
+            replace(
+                own,
+                point_indices=numbers[found.point_indices].astype(np.int32),
+                offsets=directions.offsets(found.offsets),
+                normal_offsets=_turned_offsets(own, found, at, directions),
+                inbetweens=tuple(
+                    replace(
+                        one,
+                        offsets=directions.offsets(by_weight[i].offsets),
+                        normal_offsets=_turned_offsets(one, by_weight[i], at, directions),
+                    )
+                    for i, one in enumerate(own.inbetweens)
+                ),
+            )
+        )
+    return tuple(result)
+
+
+def _turned_offsets(
+    own: Blendshape | Inbetween, found: Blendshape | Inbetween, normals: FloatArray, directions: _Directions
+) -> FloatArray | None:
+    if own.normal_offsets is None or found.normal_offsets is None:
+        return None
+    return directions.normal_offsets(found.normal_offsets, normals)
+
+
+def _point_normals(read: Mesh) -> FloatArray | None:
+    """Normals in the file, one a point: of corners any one's."""
+    if read.normals is None or len(read.normals) == len(read.points):
+        return read.normals
+    result = np.zeros((len(read.points), 3), np.float32)
+    result[read.face_vertex_indices] = read.normals
+    return result
+
+
+def _check_points(mesh: Mesh) -> None:
+    """:raises InputError: what the record says of points or faces doesn't fit them"""
+    count = len(mesh.points)
+    for name, mask in mesh.regions.items():
+        if np.shape(mask) != (count,) or not np.isfinite(mask).all():
+            raise _misfit(f"region {name[:40]} of {mesh.name} of {np.shape(mask)} weights, expected {count}")
+    for name, subset in mesh.point_subsets.items():
+        if subset.ndim != 1 or (subset.size and not (subset.min() >= 0 and subset.max() < count)):
+            raise _misfit(f"points of the subset {name[:40]} outside 0..{count - 1}")
+    if mesh.colors is not None and np.shape(mesh.colors) != (count, 3):
+        raise _misfit(f"colours of {mesh.name} of {np.shape(mesh.colors)} numbers, expected {count} x 3")
+    if np.shape(mesh.transform) != (4, 4) or (mesh.skin and np.shape(mesh.skin.geom_bind_transform) != (4, 4)):
+        raise _misfit(f"a transform of {mesh.name} that is no matrix")
+    material_groups(mesh)
+
+
+def _materials(document: Document, own: Sequence[Material], read: FaceParts) -> tuple[Material, ...]:
+    """The materials with images of the file; one whose images are not in it is as it was read."""
+    images = {hashlib.sha256(one.texture.data).digest(): one.texture for one in _inputs(read.materials)}
+    by_name = {one.name: one for one in read.materials}
+    result = []
+    for material in own:
+        missing = [one for one in _inputs([material]) if one.texture.data not in images]
+        if not missing:
+            result.append(_with_images(material, images))
+            continue
+        document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")
+        result.append(replace(by_name.get(material.name, Material(name=material.name)), name=material.name))
+    return tuple(result)
+
+
+def _inputs(materials: Sequence[Material]) -> list[TextureInput]:
+    values = [getattr(one, field.name) for one in materials for field in fields(one)]
+    return [value for value in values if isinstance(value, TextureInput)]
+
+
+def _with_images(material: Material, images: Mapping[bytes, Texture]) -> Material:
+    values = {one.name: getattr(material, one.name) for one in fields(material)}
+    whole: dict[str, Any] = {
+        name: replace(value, texture=replace(value.texture, data=images[value.texture.data].data))
+        for name, value in values.items()
+        if isinstance(value, TextureInput)
+    }
+    return replace(material, **whole)

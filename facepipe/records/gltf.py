@@ -1,0 +1,124 @@
+"""What goes along with a face in a glTF file, so that it comes back as the face that it was.
+
+The record is a `FaceParts` whose large arrays are empty where the file holds them in accessors, with the matrices that
+took each mesh to glTF space. ``extras.facepipe`` of the document names the buffer view that it is in.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import InputError
+from facepipe.parts import FaceParts, FloatArray, IntArray, Mesh
+from facepipe.records.arrays import ArrayReader, ArrayWriter
+from facepipe.records.fields import from_json, to_json
+
+Json = dict[str, Any]
+
+VERSION = 1
+NONE: Any = np.zeros(0)  # stands for an array that the file holds, of any kind
+PER_POINT = np.zeros((0, 3))  # normals one a point; those of face corners are `NONE`
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshRecord:
+    """What brings a mesh of the file back to the stage."""
+
+    point_count: int
+    matrix: FloatArray  # (4, 4) mesh space -> glTF space
+    mirrored: bool = False  # its triangles are turned round in the file
+    steps: FloatArray | None = None  # (n, 3) int8: float32 steps from points as read to those of the stage
+    loose_points: IntArray | None = None  # (k,) ascending: numbers of points that no face uses
+    loose_positions: FloatArray | None = None  # (k, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """A face without what its file holds elsewhere."""
+
+    face: FaceParts  # its animations name neither joints nor shapes
+    meshes: tuple[MeshRecord, ...]  # parallel to the face's
+    joints: tuple[IntArray, ...] = ()  # of each animation, numbers of the skeleton's joints
+    shapes: tuple[IntArray, ...] = ()  # of each animation, numbers among the names of the face's shapes
+    axes: FloatArray  # (4, 4): a joint's local matrix L is ``axes L inverse(axes)`` in the file
+    placement: FloatArray  # (4, 4): and a root's has it in front
+
+
+def packed(record: Record) -> tuple[Json, bytes]:
+    """The record as one deflated block, and what a document says of it: its JSON, its length in front, then arrays."""
+    arrays = ArrayWriter()
+    text = json.dumps(to_json(record, arrays), separators=(",", ":"), allow_nan=False).encode()
+    block = struct.pack("<I", len(text)) + text + arrays.finish()
+    return {"version": VERSION, "inflated": len(block)}, zlib.compress(block, 9)
+
+
+def unpacked(data: bytes, inflated: int, where: str) -> Record:
+    """The record in a deflated block.
+
+    :param inflated: bytes of it that count, all there is
+    :raises InputError: damaged, or none of ours
+    """
+    inflater = zlib.decompressobj()
+    try:
+        block = inflater.decompress(data, inflated + 1)
+        (length,) = struct.unpack_from("<I", block)
+        fields = json.loads(block[4 : 4 + length])
+    except (zlib.error, struct.error, ValueError, RecursionError):
+        raise InputError(where, "damaged, expected what facepipe wrote") from None
+    if len(block) != inflated or not inflater.eof:
+        raise InputError(where, f"{len(block)} bytes, expected {inflated}")
+    return from_json(Record, fields, ArrayReader(block[4 + length :]), where)
+
+
+def points_back(matrix: FloatArray, points: FloatArray) -> FloatArray:
+    """(n, 3) float32 points of a file in mesh space: one sum a coordinate, so that every machine gets the same bits."""
+    back = np.linalg.inv(matrix)
+    x, y, z = np.asarray(points, np.float64).T
+    columns = [back[i, 0] * x + back[i, 1] * y + back[i, 2] * z + back[i, 3] for i in range(3)]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def steps_between(found: FloatArray, wanted: FloatArray) -> FloatArray | None:
+    """(n, 3) int8 float32 steps from one array to the other; None where they are further apart."""
+    steps = _ordered(wanted) - _ordered(found)
+    if np.abs(steps).max(initial=0) > 127:
+        return None
+    return np.asarray(steps.astype(np.int8))
+
+
+def stepped(values: FloatArray, steps: FloatArray) -> FloatArray:
+    """float32 `values` moved by as many float32 steps."""
+    ordered = _ordered(values) + np.asarray(steps, np.int64)
+    bits = np.where(ordered < 0, -ordered | 0x80000000, ordered).astype(np.uint32)
+    return np.asarray(bits.view(np.float32).reshape(np.shape(values)))
+
+
+def _ordered(values: FloatArray) -> IntArray:
+    """Integers in the order of float32 values, neighbours one apart; both zeros are 0."""
+    bits = np.ascontiguousarray(values, np.float32).view(np.uint32).astype(np.int64)
+    ordered: IntArray = np.where(bits >= 0x80000000, 0x80000000 - bits, bits)
+    return ordered
+
+
+def shape_names(meshes: Sequence[Mesh]) -> list[str]:
+    """Names of the shapes of all meshes, in their order."""
+    return list(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.blendshapes))
+
+
+def material_groups(mesh: Mesh) -> tuple[list[str | None], IntArray]:
+    """Materials of a mesh, its own first, and the number (faces,) among them that each face shows."""
+    names = list(dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)]))
+    number = np.zeros(len(mesh.face_vertex_counts), np.int64)
+    for one in mesh.material_faces:
+        faces = np.asarray(one.faces, dtype=np.int64)
+        if faces.size and not (faces.min() >= 0 and faces.max() < len(number)):
+            raise InputError(f"{mesh.name} -> {one.material}", f"faces outside 0..{len(number) - 1}")
+        number[faces] = names.index(one.material)
+    return names, number
