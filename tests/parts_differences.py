@@ -30,6 +30,8 @@ def _plain(parts: FaceParts) -> FaceParts:
 
 
 def _plain_animation(animation: Animation) -> Animation:
+    if not animation.joints:
+        return dataclasses.replace(animation, translations=None, rotations=None, scales=None, coefficients=None)
     if animation.rotations is None:
         return animation
     rotations = np.asarray(animation.rotations, np.float64)

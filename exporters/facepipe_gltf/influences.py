@@ -10,6 +10,7 @@ from facepipe.errors import ExportError
 from facepipe.parts import FloatArray, IntArray, Skin
 
 _EVERY = slice(None)
+_ROUNDING = 2e-7  # that a sum of float32 weights may be off
 LOST = 1e-6  # weight that counts as left out
 
 
@@ -37,7 +38,9 @@ def limit(skin: Skin, most: int, where: str) -> Influences:
     joints = np.take_along_axis(joints, order, axis=1)
     weights = np.take_along_axis(weights, order, axis=1)
     kept = weights.sum(axis=1)
-    return Influences(np.where(weights > 0, joints, 0), weights / kept[:, None], 1.0 - kept / total)
+    lost = 1.0 - kept / total
+    kept[np.abs(kept - 1.0) <= _ROUNDING] = 1.0  # normalised before: their bits stay
+    return Influences(np.where(weights > 0, joints, 0), weights / kept[:, None], lost)
 
 
 def merge(skin: Skin, points: IntArray | slice = _EVERY) -> tuple[IntArray, FloatArray]:

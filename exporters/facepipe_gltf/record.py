@@ -13,6 +13,7 @@ from facepipe.parts import (
     Animation,
     Blendshape,
     FaceParts,
+    FloatArray,
     Inbetween,
     IntArray,
     Material,
@@ -76,8 +77,8 @@ def _husk(
     skeleton = parts.skeleton if skinned else replace(Skeleton(), name=parts.skeleton.name)
     joints = set(skeleton.joints)
     shapes = {sculpt.shape for one in meshes for sculpt in one.sculpts}
-    sliders = [kept(one, joints.__contains__, shapes.__contains__) for one in parts.sliders]
-    sliders = [one for one in sliders if one.channels or one.shapes]
+    pairs = [(one, kept(one, joints.__contains__, shapes.__contains__)) for one in parts.sliders]
+    sliders = [own for one, own in pairs if own.channels or own.shapes or not (one.channels or one.shapes)]
     network = parts.slider_network
     if network is not None:
         network = kept_outputs(network, joints.__contains__, shapes.__contains__)
@@ -100,9 +101,11 @@ def _husk(
 
 def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
     """How the face was made before it went through glTF: an import of our own file notes it."""
-    made = None if recipe is None or recipe.verb != "import gltf" else recipe.options.get("made")
-    if not isinstance(made, dict) or set(made) != {one.name for one in fields(Recipe)}:
+    if recipe is None or recipe.verb != "import gltf" or "made" not in recipe.options:
         return recipe
+    made = recipe.options["made"]
+    if not isinstance(made, dict) or set(made) != {one.name for one in fields(Recipe)}:
+        return None
     return Recipe(**made | {"sources": tuple(made["sources"]), "digests": tuple(made["digests"])})
 
 
@@ -120,15 +123,18 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
             UvSet(name=one.name, values=NONE, indices=None if one.indices is None else NONE.astype(np.int32))
             for one in mesh.uv_sets
         ),
-        colors=NONE if colored and mesh.colors is not None else mesh.colors,
+        colors=NONE if colored and mesh.colors is not None else _single(mesh.colors),
+        regions={name: np.asarray(mask, np.float32) for name, mask in mesh.regions.items()},
         skin=None
         if mesh.skin is None or baked.influences is None
         else Skin(joint_indices=NONE, joint_weights=NONE, geom_bind_transform=mesh.skin.geom_bind_transform),
         blendshapes=_shape_husks(baked),
-        landmarks={},
-        anchor=None,
         material_faces=mesh.material_faces if whole else (),
     )
+
+
+def _single(array: FloatArray | None) -> FloatArray | None:
+    return None if array is None else np.asarray(array, np.float32)
 
 
 def _keeps_polygons(baked: Baked) -> bool:

@@ -57,7 +57,7 @@ def read(source: Path, options: Options) -> Imported:
 
 
 def _parts(document: Document, source: Path, options: Options) -> FaceParts:
-    record = gltf_record.read_record(document)
+    record = gltf_record.read_record(document) if options.weld else None
     if record is not None:
         try:
             read = _read(document, source, options, own=True)
@@ -73,8 +73,8 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
 def _with_recipe(face: FaceParts, document: Document, source: Path, options: Options) -> FaceParts:
     """The face as an import, which notes how the face was made before it was exported."""
     recipe = import_recipe("gltf", {source: document.files}, options)
-    made = {} if face.recipe is None else {"made": asdict(face.recipe)}
-    return replace(face, recipe=replace(recipe, options={**recipe.options, **made}))
+    made = None if face.recipe is None else asdict(face.recipe)
+    return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))
 
 
 def _read(document: Document, source: Path, options: Options, *, own: bool = False) -> FaceParts:

@@ -70,7 +70,7 @@ class Assembly:
         if geometry is None:
             return None
         slots = None if skin < 0 else self.joints.skins[skin].slots
-        mesh = gltf_meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials)
+        mesh = gltf_meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.own)
         used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
         sides = any(gltf_materials.is_double_sided(document, number) for number in used)
         return replace(mesh, double_sided=sides), geometry

@@ -16,7 +16,13 @@ from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSe
 
 
 def build_mesh(
-    document: Document, geometry: Geometry, names: Names, weld: bool, slots: IntArray | None, materials: Sequence[str]
+    document: Document,
+    geometry: Geometry,
+    names: Names,
+    weld: bool,
+    slots: IntArray | None,
+    materials: Sequence[str],
+    own: bool = False,
 ) -> Mesh:
     """A mesh, its name and transform still to be set.
 
@@ -24,9 +30,11 @@ def build_mesh(
     :param weld: merge vertices into points (`_FACEPIPE_POINT` decides where the file has it)
     :param slots: joint of the skeleton for every joint of the skin; None: no skin
     :param materials: names of all materials of the document
+    :param own: the file's record has landmarks and the like, and counts on its points
+    :raises InputError: no triangles, or points other than the record's
     """
     vertices = geometry.vertices
-    welded = _weld(document, geometry, weld)
+    welded = _numbered(geometry) if own else _weld(document, geometry, weld)
     corners, kept = _faces(document, geometry, welded)
     points = welded.points[corners].ravel()
     bound = [(materials[number] if number >= 0 else None) for number in np.unique(geometry.materials[kept])]
@@ -40,8 +48,8 @@ def build_mesh(
         colors=_colors(document, geometry, welded),
         skin=None if slots is None else _skin(document, geometry, welded, slots),
         blendshapes=gltf_morphs.blendshapes(document, geometry, welded, names),
-        landmarks=gltf_landmarks.landmarks(document, geometry, welded),
-        anchor=gltf_landmarks.anchor(document, geometry, welded),
+        landmarks={} if own else gltf_landmarks.landmarks(document, geometry, welded),
+        anchor=None if own else gltf_landmarks.anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
         material_faces=_material_faces(geometry.materials[kept], materials) if len(bound) > 1 else (),
     )
@@ -50,6 +58,14 @@ def build_mesh(
 def uv_name(number: int) -> str:
     """The name of the UV set TEXCOORD_<number>."""
     return "st" if number == 0 else f"st{number}"
+
+
+def _numbered(geometry: Geometry) -> Weld:
+    numbers = geometry.vertices.point_numbers
+    found = None if numbers is None else gltf_weld.by_number(geometry, numbers)
+    if found is None:
+        raise geometry.value.error("its _FACEPIPE_POINT is gone or joins vertices that lie apart")
+    return found
 
 
 def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:

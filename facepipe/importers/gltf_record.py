@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.geometry.polygons import triangulate
+from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_record_joints import filled_animations, joints_as_recorded
 from facepipe.parts import (
@@ -123,11 +123,6 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
         colors=_colors(husk, read, record.point_count, numbers),
         skin=_skin(husk, read, record.point_count, numbers),
         blendshapes=_blendshapes(husk, read, numbers, directions),
-        landmarks={
-            scheme: replace(one, indices=numbers[one.indices].astype(np.int32))
-            for scheme, one in read.landmarks.items()
-        },
-        anchor=None if read.anchor is None else int(numbers[read.anchor]),
         material=husk.material if len(husk.face_vertex_counts) else read.material,
         material_faces=husk.material_faces if len(husk.face_vertex_counts) else read.material_faces,
     )
@@ -254,7 +249,7 @@ def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
 
 
 def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directions) -> tuple[Blendshape, ...]:
-    normals = _point_normals(read)
+    normals = _point_normals(husk, read)
     result = []
     for own, found in zip(husk.blendshapes, read.blendshapes, strict=True):
         at = normals[found.point_indices] if normals is not None else np.zeros((len(found.point_indices), 3))
@@ -288,13 +283,11 @@ def _turned_offsets(
     return directions.normal_offsets(found.normal_offsets, normals)
 
 
-def _point_normals(read: Mesh) -> FloatArray | None:
-    """Normals in the file, one a point: of corners any one's."""
-    if read.normals is None or len(read.normals) == len(read.points):
-        return read.normals
-    result = np.zeros((len(read.points), 3), np.float32)
-    result[read.face_vertex_indices] = read.normals
-    return result
+def _point_normals(husk: Mesh, read: Mesh) -> FloatArray | None:
+    """Normals (n, 3) in the file that the normal offsets belong to."""
+    if husk.normals is not None and husk.normals.ndim == 1:  # the writer goes by smooth ones
+        return point_normals(read.points, read.face_vertex_indices.reshape(-1, 3))
+    return read.normals if read.normals is not None and len(read.normals) == len(read.points) else None
 
 
 def _check_points(mesh: Mesh) -> None:
@@ -306,6 +299,12 @@ def _check_points(mesh: Mesh) -> None:
     for name, subset in mesh.point_subsets.items():
         if subset.ndim != 1 or (subset.size and not (subset.min() >= 0 and subset.max() < count)):
             raise _misfit(f"points of the subset {name[:40]} outside 0..{count - 1}")
+    marks = [one.indices for one in mesh.landmarks.values()] + [np.array([mesh.anchor or 0])]
+    for points in marks:
+        if points.ndim != 1 or (points.size and not (points.min() >= 0 and points.max() < count)):
+            raise _misfit(f"landmarks of {mesh.name} outside 0..{count - 1}")
+    if any(one.names and len(one.names) != len(one.indices) for one in mesh.landmarks.values()):
+        raise _misfit(f"landmarks of {mesh.name} without a name each")
     if mesh.colors is not None and np.shape(mesh.colors) != (count, 3):
         raise _misfit(f"colours of {mesh.name} of {np.shape(mesh.colors)} numbers, expected {count} x 3")
     if np.shape(mesh.transform) != (4, 4) or (mesh.skin and np.shape(mesh.skin.geom_bind_transform) != (4, 4)):

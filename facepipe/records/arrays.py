@@ -16,7 +16,12 @@ from facepipe.errors import InputError
 AnyArray = npt.NDArray[Any]
 Json = dict[str, Any]
 
-_KINDS = {"b": np.dtype(np.int8), "i": np.dtype("<i4"), "f": np.dtype("<f4"), "d": np.dtype("<f8")}
+_KINDS: dict[str, np.dtype[Any]] = {
+    "b": np.dtype(np.int8),
+    "i": np.dtype("<i4"),
+    "f": np.dtype("<f4"),
+    "d": np.dtype("<f8"),
+}
 
 
 class ArrayWriter:
