@@ -134,8 +134,15 @@ def joint_out_of_range(document: Json, binary: bytearray) -> None:
 
 
 def beyond_the_buffer(document: Json, binary: bytearray) -> None:
-    del binary[-64:]
-    document["buffers"][0]["byteLength"] -= 64
+    views = [one for i, one in enumerate(document["bufferViews"]) if any(i in _views(a) for a in document["accessors"])]
+    end = max(one["byteOffset"] + one["byteLength"] for one in views) - 64
+    del binary[end:]
+    document["buffers"][0]["byteLength"] = end
+
+
+def _views(accessor: Json) -> set[int]:
+    sparse = accessor.get("sparse", {})
+    return {one["bufferView"] for one in (accessor, *sparse.values()) if isinstance(one, dict) and "bufferView" in one}
 
 
 def short_attribute(document: Json, binary: bytearray) -> None:
