@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from facepipe.errors import InputError
 
+_LONGEST = 200  # characters of an identifier
+_SHOWN = 60  # characters of a wrong name in a message
 _LONGEST_LIKE = 200  # characters of a wrong name that are compared
 
 
 def identifier(text: str, fallback: str = "unnamed") -> str:
-    """`text` as a USD identifier: letters, digits and underscores of ASCII, no digit first.
+    """`text` as a USD identifier: letters of any script, digits and underscores, no digit first, 200 at most.
 
-    >>> identifier("breast.L"), identifier("2nd tooth"), identifier("")
-    ('breast_L', '_2nd_tooth', 'unnamed')
+    >>> identifier("breast.L"), identifier("2nd tooth"), identifier("あ"), identifier("")
+    ('breast_L', '_2nd_tooth', 'あ', 'unnamed')
     """
-    safe = re.sub(r"[^A-Za-z0-9_]", "_", text.strip())
+    safe = "".join(one if f"a{one}".isidentifier() else "_" for one in text.strip()[:_LONGEST])
     if not safe:
         return fallback
-    return f"_{safe}" if safe[0].isdigit() else safe
+    return safe if safe.isidentifier() else f"_{safe}"
 
 
 def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple[str, ...]:
@@ -36,6 +38,19 @@ def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple
         taken.add(candidate)
         result.append(candidate)
     return tuple(result)
+
+
+def handles(names: Sequence[str], fallback: str) -> tuple[str, ...]:
+    """What to call things whose names are any text: their own where one alone has it, else a free identifier.
+
+    >>> handles(["Key 1", "Key", "Key", ""], "shape")
+    ('Key 1', 'Key', 'Key_2', 'shape')
+    """
+    count = Counter(names)
+    own = [name for name in names if name and count[name] == 1]
+    others = [name for name in names if not name or count[name] > 1]
+    free = iter(unique_identifiers([*own, *others], fallback)[len(own) :])
+    return tuple(name if name and count[name] == 1 else next(free) for name in names)
 
 
 def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
@@ -66,6 +81,17 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     return f", did you mean '{folded[near[0]]}'?" if near else ""
 
 
+def unknown(name: str, known: Collection[str], what: str) -> str:
+    """A message about a name that is not there, with the nearest that is, or a few of those.
+
+    >>> unknown("jawopn", ["jawOpen", "jawLeft"], "shape"), unknown("tail", ["jawOpen"], "shape")
+    ("no shape 'jawopn', did you mean 'jawOpen'?", "no shape 'tail', expected one of jawOpen")
+    """
+    few = list(known)[:4]
+    some = f"one of {', '.join(few)}{' ...' if len(known) > len(few) else ''}" if few else "none: there are none"
+    return f"no {what} '{name[:_SHOWN]}'{did_you_mean(name, known) or f', expected {some}'}"
+
+
 def find(name: str, known: Collection[str], where: object, what: str) -> str:
     """The known name that is `name`, or alone differs from it in case.
 
@@ -79,5 +105,24 @@ def find(name: str, known: Collection[str], where: object, what: str) -> str:
         return alike[0]
     if alike:
         raise InputError(where, f"no {what} '{name}', but {len(alike)} that differ in case, like '{alike[0]}'")
-    some = ", ".join(list(known)[:4]) + (" ..." if len(known) > 4 else "") or "none, there are none"
-    raise InputError(where, f"no {what} '{name}'{did_you_mean(name, known) or f', expected one of: {some}'}")
+    raise InputError(where, unknown(name, known, what))
+
+
+def find_joint(name: str, joints: Sequence[str], names: Sequence[str], where: object) -> int:
+    """The number of the joint that is called `name`: by its path, else its source's name, else its path's last part,
+    else any of these in another case.
+
+    :param joints: paths
+    :param names: the source's name of each
+    :raises InputError: no such joint, or several
+    """
+    ways = [list(joints), list(names), [joint.rpartition("/")[2] for joint in joints]]
+    ways += [[one.casefold() for one in way] for way in ways]
+    for number, way in enumerate(ways):
+        found = [i for i, one in enumerate(way) if one == (name if number < 3 else name.casefold())]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            paths = ", ".join(joints[i] for i in found[:3])
+            raise InputError(where, f"{len(found)} joints called '{name}', expected a path: {paths}")
+    raise InputError(where, unknown(name, list(dict.fromkeys([*names, *ways[2]])), "joint"))

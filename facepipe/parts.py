@@ -9,13 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
+
+
+class Named(Protocol):
+    """What has a name of its own, and perhaps another in its source."""
+
+    @property
+    def name(self) -> str:
+        """What it is called here."""
+
+    @property
+    def label(self) -> str | None:
+        """What its source calls it, where that is another."""
+
+
+def exact(one: Named) -> str:
+    """What the source calls it."""
+    return one.name if one.label is None else one.label
 
 
 def identity() -> FloatArray:
@@ -37,11 +54,12 @@ class Inbetween:
 class Blendshape:
     """Sparse point offsets of one mesh; the same name on several meshes is one shape of the face."""
 
-    name: str
+    name: str  # any text, once on a mesh
     point_indices: IntArray  # (k,) int32, ascending, unique
     offsets: FloatArray  # (k, 3)
     normal_offsets: FloatArray | None = None  # (k, 3)
     inbetweens: tuple[Inbetween, ...] = ()
+    label: str | None = None  # the source's name, where `name` had to be another: several are called so, or ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +100,7 @@ class MaterialFaces:
 class Mesh:
     """One polygon mesh of a face."""
 
-    name: str
+    name: str  # any text, once on a face
     points: FloatArray  # (n, 3) mesh space
     face_vertex_counts: IntArray  # (faces,) int32
     face_vertex_indices: IntArray  # (corners,) int32
@@ -99,6 +117,8 @@ class Mesh:
     material: str | None = None  # bound to the whole mesh
     material_faces: tuple[MaterialFaces, ...] = ()  # stronger, face by face
     double_sided: bool = False
+    label: str | None = None  # as of a blendshape
+    data_label: str | None = None  # the source's name of the geometry, where the node that shows it has another
 
 
 def all_regions(meshes: Sequence[Mesh]) -> dict[str, FloatArray]:
@@ -115,10 +135,16 @@ class Skeleton:
     """Joints parent first. A blendshape-only face has one with no joints."""
 
     name: str = "Skeleton"
-    joints: tuple[str, ...] = ()  # paths: "root/neck/jaw"
+    joints: tuple[str, ...] = ()  # paths of identifiers: "root/neck/jaw"
+    joint_names: tuple[str, ...] = ()  # the source's name of each; none: the last parts of the paths
     bind_transforms: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # (j, 4, 4) world
     rest_transforms: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # (j, 4, 4) local to parent
     transform: FloatArray = field(default_factory=identity)  # skeleton space -> world
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each joint is called: the source's names, else the last parts of the paths."""
+        return self.joint_names or tuple(joint.rpartition("/")[2] for joint in self.joints)
 
     @property
     def parents(self) -> IntArray:
@@ -151,6 +177,7 @@ class Animation:
     coefficients: FloatArray | None = None  # (T, j, 9): t (stage units), r (radians), s
     shapes: tuple[str, ...] = ()
     shape_weights: FloatArray | None = None  # (T, shapes)
+    label: str | None = None  # as of a blendshape
 
 
 # At least two knots (slider value, amount): values strictly ascending, amounts never turning back (monotone). Straight
@@ -242,6 +269,7 @@ class Material:
     occlusion: float | TextureInput = 1.0
     normal: TextureInput | None = None  # tangent space, authored with scale 2 and bias -1
     ior: float = 1.5
+    label: str | None = None  # as of a blendshape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,7 +318,8 @@ class Recipe:
 
 @dataclass(frozen=True, kw_only=True)
 class FaceParts:
-    """A whole face. Mesh names and joint paths are unique USD identifiers."""
+    """A whole face. Names of meshes, of materials and of animations are any text, each once; joint paths hold USD
+    identifiers."""
 
     name: str = "Face"
     meters_per_unit: float = 0.01

@@ -210,7 +210,7 @@ def test_schema_path_holds_the_plugin(capsys: pytest.CaptureFixture[str]) -> Non
         (["eval", "tiny.usda", "-o", "x.npz"], "suffix '.usda', expected .onnx"),
         (["eval", "tiny.glb", "-o", "x.npz"], "suffix '.glb', expected .onnx"),
         (["inspect", "a" * 300 + ".usda"], "aaa...: file name too long"),
-        (["render", "tiny.usda", "-o", "x.png", "--bone", "nose:rx=1"], "no joint called 'nose'"),
+        (["render", "tiny.usda", "-o", "x.png", "--bone", "nose:rx=1"], "no joint 'nose', expected one of root"),
         (["render", "tiny.usda", "-o", "x.png", "--bone", "jaw:qq=1"], "channel 'qq'"),
         (["landmarks", "tiny.usda", "--from", "/dev/zero", "-o", "x.usda"], "not a regular file"),
         (["import", "ict", "/dev/zero", "x.usda"], "not a regular file"),

@@ -88,6 +88,6 @@ def test_wrong_names_get_the_nearest_and_case_alone_is_no_error() -> None:
         find("jawOpn", known, "--set", "shape")
     with pytest.raises(InputError, match="2 that differ in case"):
         find("blink", known, "--set", "shape")
-    with pytest.raises(InputError, match="expected one of: jawOpen"):
+    with pytest.raises(InputError, match="expected one of jawOpen"):
         find("tail", known, "--set", "shape")
     assert did_you_mean("x" * 100_000, known) == ""

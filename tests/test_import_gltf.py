@@ -17,7 +17,7 @@ from pxr import Usd, UsdSkel
 from facepipe.errors import InputError
 from facepipe.importers import gltf
 from facepipe.importers.imported import Imported
-from facepipe.parts import Animation, FaceParts, Mesh, TextureInput
+from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
 from facepipe.stage import save_parts
 
 SCAN = Path(__file__).parents[2] / "shared" / "data" / "scans" / "LeePerrySmith.glb"
@@ -387,7 +387,7 @@ def test_mesh_below_a_joint_follows_it(tmp_path: Path) -> None:
         builder.add("nodes", {"name": "eye ball", "mesh": 1, "matrix": place.T.ravel().tolist()})
     )
     parts = read(tmp_path, builder).parts
-    ball = next(mesh for mesh in parts.meshes if mesh.name == "eye_ball")
+    ball = next(mesh for mesh in parts.meshes if mesh.name == "eye ball")
     generator = np.random.default_rng(2)
     moved = [(t, quaternion(generator), s) for t, _, s in model.trs]
     world = model.worlds(moved)[8] @ place
@@ -508,12 +508,13 @@ def test_primitives_become_one_mesh_with_material_faces(tmp_path: Path) -> None:
 # names, morph targets
 
 
-def test_names_become_unique_identifiers(tmp_path: Path) -> None:
+def test_names_are_kept_and_tell_meshes_apart(tmp_path: Path) -> None:
     builder = triangle()
     names = ["Kopf é", "头", "头", "1st", "", "Skeleton", "Kopf e"]
     builder.root["nodes"] = [{"mesh": 0, "name": name} for name in names]
-    found = [mesh.name for mesh in read(tmp_path, builder).parts.meshes]
-    assert found == ["Kopf_e", "u5934_", "u5934__2", "_1st", "mesh", "Skeleton_2", "Kopf_e_2"]
+    meshes = read(tmp_path, builder).parts.meshes
+    assert [mesh.name for mesh in meshes] == ["Kopf é", "头", "头_2", "1st", "mesh", "Skeleton", "Kopf e"]
+    assert [exact(mesh) for mesh in meshes] == names
 
 
 def test_target_names_of_the_wrong_length_are_numbered(tmp_path: Path) -> None:

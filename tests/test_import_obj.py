@@ -61,7 +61,7 @@ def test_a_folder_becomes_a_face(folder: Path) -> None:
     imported = load("obj", folder)
     assert imported.warnings == ()
     face, eye = imported.parts.meshes
-    assert (face.name, eye.name) == ("Face", "Left_eye")
+    assert (face.name, eye.name) == ("Face", "Left eye")
     assert face.face_vertex_counts.tolist() == [4, 3]
     assert face.face_vertex_indices.tolist() == [0, 1, 2, 3, 1, 4, 2]
     assert eye.points.tolist() == [[5, 0, 0], [6, 0, 0], [6, 1, 0]]
@@ -72,7 +72,7 @@ def test_a_folder_becomes_a_face(folder: Path) -> None:
         ("jawOpen", [2], [[0, 0, 0.5]])
     ]
     assert [(s.name, s.point_indices.tolist(), s.offsets.tolist()) for s in eye.blendshapes] == [
-        ("eye_blink", [2], [[0, 1, 0]])
+        ("eye-blink", [2], [[0, 1, 0]])
     ]
     assert face.landmarks["multipie68"].indices.tolist() == [3, 0]
     assert (eye.landmarks["eyes"].indices.tolist(), eye.landmarks["eyes"].names) == ([2], ("tip",))
@@ -115,7 +115,7 @@ def test_a_single_file_is_a_face_without_shapes(folder: Path) -> None:
 
 def test_shapes_below_the_threshold_are_dropped_and_named(folder: Path) -> None:
     imported = read(folder, Options(threshold=0.6, up_axis="Z", meters_per_unit=1.0))
-    assert {shape.name for mesh in imported.parts.meshes for shape in mesh.blendshapes} == {"eye_blink"}
+    assert {shape.name for mesh in imported.parts.meshes for shape in mesh.blendshapes} == {"eye-blink"}
     assert any("jawOpen" in warning for warning in imported.warnings)
     assert (imported.parts.up_axis, imported.parts.meters_per_unit) == ("Z", 1.0)
 

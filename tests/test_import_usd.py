@@ -245,7 +245,7 @@ SAME: dict[str, tuple[Quirk, str]] = {  # quirk -> what is said about it
     "bound above": (bound_above, ""),
     "bound to nothing": (unbound, "taken as bound to"),
     "jointNames": (joint_names, ""),
-    "joint names that are no identifiers": (odd_joint_names, "3 joints renamed"),
+    "joint names that are no identifiers": (odd_joint_names, "3 joint paths made identifiers"),
     "points over time": (points_over_time, "points change over time"),
     "transforms over time": (transforms_over_time, "transforms change over time"),
     "left-handed faces": (left_handed, ""),
@@ -646,7 +646,7 @@ def test_names_that_collide_stay_apart(tmp_path: Path) -> None:
     save_parts(parts, tmp_path / "face.usda")
     assert validate(tmp_path / "face.usda") == ()
     again = facepipe.open(tmp_path / "face.usda")
-    assert [mesh.name for mesh in again.meshes] == ["Materials_2", "Skeleton_2"]
+    assert [mesh.name for mesh in again.meshes] == ["Materials", "Skeleton"]
     assert set(again.meshes[0].point_subsets) == {"jawOpen", "Skin_faces"}
     assert again.shapes == ("jawOpen", "mouthSmileLeft")
     difference_ = again.evaluate({"jawOpen": 1.0}) - Face.from_parts(rich_face()).evaluate({"jawOpen": 1.0})

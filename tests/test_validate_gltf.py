@@ -170,7 +170,7 @@ DEFECTS: dict[str, tuple[Seed, set[str]]] = {
     "scene that is not there": (set_at("scene", 7), {"GltfAsset"}),
     "targetNames too short": (fewer_target_names, {"GltfTargetNames"}),
     "targets too few": (fewer_targets, {"GltfTargetNames"}),
-    "target name twice": (twice_named, {"GltfTargetNames"}),
+    "target name twice": (twice_named, {"GltfDistinctTargetNames"}),
     "no targetNames": (set_at("meshes/0/extras", {}), {"GltfTargetNames"}),
     "weights too many": (set_at("meshes/0/weights", [0] * 9), {"GltfTargetNames"}),
     "two joints swapped": (permuted_joints, {"GltfJointOrder"}),

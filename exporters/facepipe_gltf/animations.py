@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import Animation, FloatArray, IntArray, Skeleton
+from facepipe.parts import Animation, FloatArray, IntArray, Skeleton, exact
 from facepipe.rig.animation import local_transforms
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
@@ -37,7 +37,7 @@ class AnimationWriter:
         if len(times) and times[0] < 0:
             self.warnings.append(f"{animation.name}: starts at {times[0]:g} s, moved to 0 s: glTF has no negative time")
             times = times - times[0]
-        result: Json = {"name": animation.name, "channels": [], "samplers": []}
+        result: Json = {"name": exact(animation), "channels": [], "samplers": []}
         if self.joints is not None and animation.joints:
             self._joint_channels(result, animation, times, self.joints)
         for node, sculpts in self.targets.items():

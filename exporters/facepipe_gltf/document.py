@@ -10,7 +10,7 @@ import numpy as np
 
 import facepipe
 from facepipe.options import check_ranges
-from facepipe.parts import FaceParts
+from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, storage_error
@@ -108,11 +108,13 @@ class _Writer:
         if all(one.colored for one in chosen):
             self.colored.add(mesh.name)
         primitives = writer.write(chosen)
-        entry: Json = {"name": mesh.name, "primitives": primitives, "extras": _mesh_extras(baked)}
+        name = exact(mesh)
+        data_name = name if mesh.data_label is None else mesh.data_label
+        entry: Json = {"name": data_name, "primitives": primitives, "extras": _mesh_extras(baked)}
         if baked.sculpts:
             entry["weights"] = [0.0] * len(baked.sculpts)
             self.targets[len(self.nodes)] = baked.sculpts
-        node: Json = {"name": mesh.name, "mesh": len(self.meshes)}
+        node: Json = {"name": name, "mesh": len(self.meshes)}
         if baked.influences is not None:
             node["skin"] = 0
         self.meshes.append(entry)
@@ -230,5 +232,5 @@ def _mesh_extras(baked: Baked) -> Json:
         own["anchor"] = int(mesh.anchor)
     result: Json = {"facepipe": own}
     if baked.sculpts:
-        result["targetNames"] = [one.name for one in baked.sculpts]
+        result["targetNames"] = [one.label for one in baked.sculpts]
     return result

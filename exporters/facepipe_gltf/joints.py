@@ -43,7 +43,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
         above[joint] = _parent(matrix)
     offsets = np.linalg.inv(above)
     rest = decompose(offsets @ local)
-    names = node_names(skeleton.joints)
+    names = node_names(skeleton)
     nodes = [_node(name, rest, i) for i, name in enumerate(names)]
     top = list(range(first, first + len(nodes)))  # node that stands for each joint among its siblings
     for joint in unholdable:
@@ -61,11 +61,12 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
-def node_names(joints: tuple[str, ...]) -> list[str]:
-    """The last part of each joint's path, or all of it where that is not unique."""
-    leaves = [joint.rpartition("/")[2] for joint in joints]
-    times = Counter(leaves)
-    pairs = zip(leaves, joints, strict=True)
+def node_names(skeleton: Skeleton) -> list[str]:
+    """The source's names of the joints; else the last part of each path, or all of it where that is not unique."""
+    if skeleton.joint_names:
+        return list(skeleton.joint_names)
+    times = Counter(skeleton.names)
+    pairs = zip(skeleton.names, skeleton.joints, strict=True)
     return [leaf if times[leaf] == 1 else joint.replace("/", "_") for leaf, joint in pairs]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.errors import ExportError
-from facepipe.parts import Material, Mesh, TextureInput
+from facepipe.parts import Material, Mesh, TextureInput, exact
 from facepipe_gltf.channels import Channel, merged
 from facepipe_gltf.textures import Textures
 
@@ -56,7 +56,7 @@ class MaterialWriter:
 
     def _convert(self, material: Material, uv_names: tuple[str, ...], double_sided: bool) -> Surface:
         source = material if uv_names else self._untextured(material)
-        result: Json = {"name": material.name, "pbrMetallicRoughness": {}}
+        result: Json = {"name": exact(material), "pbrMetallicRoughness": {}}
         self._base_color(result, source, uv_names)
         self._metallic_roughness(result["pbrMetallicRoughness"], source, uv_names)
         self._normal(result, source, uv_names)

@@ -100,8 +100,17 @@ def vertex_counts(document: RawDocument) -> Iterator[Problem]:
             yield f"{where}/indices", f"vertex {indices.max():g}, expected 0 to {count - 1}"
 
 
+def distinct_target_names(document: RawDocument) -> Iterator[Problem]:
+    """The names in extras.targetNames of a mesh are distinct: by one that stands twice an engine sets one target."""
+    for i, mesh in enumerate(document.items("meshes")):
+        extras = mesh.get("extras")
+        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        if isinstance(names, list) and len({str(name) for name in names}) != len(names):
+            yield f"/meshes/{i}/extras/targetNames", "a name twice, expected each once"
+
+
 def target_names(document: RawDocument) -> Iterator[Problem]:
-    """extras.targetNames, weights and the targets of every primitive of a mesh are as many; names are distinct."""
+    """extras.targetNames, weights and the targets of every primitive of a mesh are as many."""
     for i, mesh in enumerate(document.items("meshes")):
         where = f"/meshes/{i}"
         counts = [len(targets(one)) for place, one in primitives(document) if place.startswith(f"{where}/")]
@@ -115,8 +124,6 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
         elif names is not None and (not isinstance(names, list) or len(names) != count):
             found = len(names) if isinstance(names, list) else "no"
             yield f"{where}/extras/targetNames", f"{found} names, expected {count}"
-        elif isinstance(names, list) and len({str(name) for name in names}) != len(names):
-            yield f"{where}/extras/targetNames", "a name twice, expected each once"
         weights = mesh.get("weights")
         if weights is not None and (not isinstance(weights, list) or len(weights) != count):
             found = len(weights) if isinstance(weights, list) else "no"

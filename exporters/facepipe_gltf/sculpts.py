@@ -8,7 +8,7 @@ from typing import Any
 
 from facepipe.errors import ExportError
 from facepipe.names import select
-from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh
+from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh, exact
 
 Json = dict[str, Any]
 Knots = tuple[tuple[float, float], ...]
@@ -20,6 +20,7 @@ class Sculpt:
     """One morph target of a mesh: a shape, or one of its inbetweens."""
 
     name: str
+    label: str  # in the file; several may share one
     shape: str
     weight: float  # shape weight at which it is fully active
     knots: Knots  # activation over the shape's weight, piecewise linear, its ends extended
@@ -64,11 +65,20 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
         )
     knots = _knots(weights)
     main = Sculpt(
-        shape.name, shape.name, 1.0, knots[1.0], False, shape.point_indices, shape.offsets, shape.normal_offsets
+        name=shape.name,
+        label=shape.name if weights else exact(shape),  # inbetweens name their shape
+        shape=shape.name,
+        weight=1.0,
+        knots=knots[1.0],
+        is_inbetween=False,
+        point_indices=shape.point_indices,
+        offsets=shape.offsets,
+        normal_offsets=shape.normal_offsets,
     )
     return [main] + [
         Sculpt(
             name=f"{shape.name}_{one.name}",
+            label=f"{shape.name}_{one.name}",
             shape=shape.name,
             weight=one.weight,
             knots=knots[one.weight],

@@ -27,6 +27,7 @@ CHECKS: tuple[tuple[str, _Check, Literal["error", "warning", "info"]], ...] = (
     ("GltfMinMax", mesh.bounds, "error"),
     ("GltfVertexCounts", mesh.vertex_counts, "error"),
     ("GltfTargetNames", mesh.target_names, "error"),
+    ("GltfDistinctTargetNames", mesh.distinct_target_names, "warning"),
     ("GltfJointIndices", skin.joint_indices, "error"),
     ("GltfWeightsSum", skin.weights_sum, "error"),
     ("GltfInverseBinds", skin.inverse_binds, "error"),

@@ -88,7 +88,8 @@ def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> dict[str, Any]:
         "generator": f"facepipe {__version__}",
         "inbetweens": [_sculpt(rig, i) for i, target in enumerate(rig.targets) if not target.curve.is_identity],
         "joints": [
-            {"path": joint, "parent": int(parent)} for joint, parent in zip(rig.joints, rig.parents, strict=True)
+            {"path": joint, "name": name, "parent": int(parent)}
+            for joint, name, parent in zip(rig.joints, parts.skeleton.names, rig.parents, strict=True)
         ],
         "meshes": [
             {

@@ -34,6 +34,8 @@ class Deformer:
         given = {one["name"]: one for one in self.metadata["outputs"]}
         jointed = self._inputs.get("coefficients", self._inputs.get("joint_transforms", given.get("coefficients", {})))
         self.joints: tuple[str, ...] = tuple(jointed.get("joints", ()))
+        names = {one["path"]: str(one.get("name", one["path"])) for one in self.metadata.get("joints", ())}
+        self.joint_names = tuple(names.get(joint, joint) for joint in self.joints)
         self.outputs: tuple[str, ...] = tuple(given)
         self._defaults = {name: self._default(name) for name, one in self._inputs.items() if not one.get("required")}
         self._session = self._start(model.SerializeToString(), threads)

@@ -14,7 +14,7 @@ from typing import Any
 
 from facepipe import registry
 from facepipe.atomic import write_bytes
-from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
+from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
 from facepipe.cli.show import emit
 from facepipe.errors import InputError
 
@@ -44,9 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.model.suffix.lower() != ".onnx":
         raise InputError(arguments.model, f"suffix '{arguments.model.suffix}', expected .onnx")
     deformer = registry.exporter(arguments.model).Deformer(arguments.model)
-    weights = pairs(arguments.set, "--set")
-    coefficients = coefficients_of(arguments.bone, deformer.joints)
-    outputs = deformer.evaluate(weights, coefficients=coefficients, sliders=pairs(arguments.slider, "--slider"))
+    weights = named(pairs(arguments.set, "--set"), deformer.shapes, "--set", "shape")
+    sliders = named(pairs(arguments.slider, "--slider"), deformer.sliders, "--slider", "slider")
+    coefficients = coefficients_of(arguments.bone, deformer.joints, deformer.joint_names)
+    outputs = deformer.evaluate(weights, coefficients=coefficients, sliders=sliders)
     buffer = io.BytesIO()
     np.savez(buffer, **outputs)
     write_bytes(out, buffer.getvalue())

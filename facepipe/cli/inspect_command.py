@@ -51,6 +51,7 @@ def summarise(face: Face) -> dict[str, Any]:
             for mesh in parts.meshes
         ],
         "joints": list(parts.skeleton.joints),
+        "joint_names": list(parts.skeleton.names),
         "shapes": list(face.shapes),
         "inbetweens": sum(len(shape.inbetweens) for mesh in parts.meshes for shape in mesh.blendshapes),
         "regions": sorted({name for mesh in parts.meshes for name in mesh.regions}),
@@ -90,7 +91,7 @@ def as_text(summary: dict[str, Any]) -> str:
         ("units", f"{summary['meters_per_unit']:g} m, {summary['up_axis']} up"),
         ("head height", f"{summary['head_height_mm']:.1f} mm"),
         *[
-            (key, _listing(summary[key]))
+            (key, _listing(summary["joint_names" if key == "joints" else key]))
             for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
         ],
         *[("photos", _listing(summary["photos"])) for _ in summary["photos"][:1]],
@@ -107,5 +108,5 @@ def as_text(summary: dict[str, Any]) -> str:
 
 
 def _listing(names: list[str]) -> str:
-    shown = ", ".join(name.rpartition("/")[2] for name in names[:8])
+    shown = ", ".join(names[:8])
     return f"{len(names)}: {shown}{', ...' if len(names) > 8 else ''}" if names else "none"

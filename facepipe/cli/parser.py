@@ -8,7 +8,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -190,8 +190,8 @@ def add_pose(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="JOINT:CHANNEL=VALUE",
-        help="bone coefficient, channels tx ty tz (stage units) rx ry rz (radians) sx sy sz (factor); JOINT is a path "
-        "or its last name",
+        help="bone coefficient, channels tx ty tz (stage units) rx ry rz (radians) sx sy sz (factor); JOINT is a path, "
+        "its last part, or the source's name",
     )
 
 
@@ -213,11 +213,29 @@ def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
     return found
 
 
-def coefficients_of(words: Sequence[str], joints: Sequence[str]) -> Any:
+def named(values: Mapping[str, float], known: Collection[str], flag: str, what: str) -> dict[str, float]:
+    """Values by the names of `known` that they were given for; case alone may differ where that leaves one.
+
+    :raises InputError: no such name, or one twice
+    """
+    from facepipe.names import find
+
+    found: dict[str, float] = {}
+    for given, value in values.items():
+        name = find(given, known, f"{flag} {given}", what)
+        if name in found:
+            raise InputError(f"{flag} {given}", f"means {what} '{name}' once more, expected it once")
+        found[name] = value
+    return found
+
+
+def coefficients_of(words: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> Any:
     """(j, 9) bone coefficients of ``--bone`` words; None where there are none.
 
+    :param joints: paths, and the source's `names` of each
     :raises InputError: an unknown or ambiguous joint, or an unknown channel
     """
+    from facepipe.names import find_joint
     from facepipe.rig import CHANNELS, rest_coefficients
 
     if not words:
@@ -225,13 +243,8 @@ def coefficients_of(words: Sequence[str], joints: Sequence[str]) -> Any:
     coefficients = rest_coefficients(len(joints))
     for name, value in pairs(words, "--bone").items():
         joint, _, channel = name.rpartition(":")
-        places = [i for i, path in enumerate(joints) if joint in (path, path.rpartition("/")[2])]
-        if len(places) != 1:
-            found = "no joint" if not places else f"{len(places)} joints"
-            raise InputError(
-                f"--bone {name}", f"{found} called '{joint}', expected one of {len(joints)} joints or a path"
-            )
+        place = find_joint(joint, joints, names, f"--bone {name}")
         if channel not in CHANNELS:
             raise InputError(f"--bone {name}", f"channel '{channel}', expected one of {' '.join(CHANNELS)}")
-        coefficients[places[0], CHANNELS.index(channel)] = value
+        coefficients[place, CHANNELS.index(channel)] = value
     return coefficients

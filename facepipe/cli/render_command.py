@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
+from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
 from facepipe.cli.show import progress
 from facepipe.errors import InputError
 
@@ -77,10 +77,10 @@ def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Pa
 
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
     """(n, 3) points that `--set`, `--bone`, `--slider` and `--pose` ask for."""
-    weights = pairs(arguments.set, "--set")
+    weights = named(pairs(arguments.set, "--set"), face.shapes, "--set", "shape")
     if arguments.slider:
         return _slid(face, weights, arguments)
-    coefficients = coefficients_of(arguments.bone, face.skeleton.joints)
+    coefficients = coefficients_of(arguments.bone, face.skeleton.joints, face.skeleton.names)
     if arguments.pose is None:
         return face.evaluate(weights, coefficients=coefficients)
     if coefficients is not None:
@@ -93,7 +93,8 @@ def _slid(face: Face, weights: dict[str, float], arguments: argparse.Namespace) 
     for flag, given in (("--bone", arguments.bone), ("--pose", arguments.pose)):
         if given:
             raise InputError(flag, "given with --slider, expected only one of them")
-    return face.evaluate(weights, sliders=pairs(arguments.slider, "--slider"))
+    sliders = [one.name for one in face.sliders]
+    return face.evaluate(weights, sliders=named(pairs(arguments.slider, "--slider"), sliders, "--slider", "slider"))
 
 
 def _heatmap(face: Face, points: FloatArray, name: str | None) -> HeatMap | None:

@@ -23,10 +23,11 @@ from facepipe.importers.gltf_key_times import (
     sample_times,
 )
 from facepipe.importers.gltf_morphs import Role
-from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_names import given_name
 from facepipe.importers.gltf_nodes import Nodes, Trs, decompose, local_trs, trs_matrix
 from facepipe.importers.gltf_samplers import read_sampler
 from facepipe.importers.gltf_skins import Joints
+from facepipe.names import handles
 from facepipe.parts import Animation, FloatArray
 
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
@@ -57,16 +58,14 @@ def read_animations(
     :param fps: frames per second to sample at; None: the keys, as they are
     :raises InputError: samplers whose times or values don't fit
     """
-    names = Names()
     read = []
     for value in document.entries("animations"):
         channels = _channels(document, value, joints, shapes)
         if channels:
-            name = value.get("name")
-            identifier = names.new("" if name is None else name.text(), "Animation")
-            read.append((value, identifier, channels))
-    keys = [channel.sampler.times for _, _, channels in read for channel in channels]
+            read.append((value, channels))
+    keys = [channel.sampler.times for _, channels in read for channel in channels]
     rate = fps or frame_rate(np.concatenate(keys) if keys else np.zeros(0))
+    names = handles([given_name(value) or "" for value, _ in read], "Animation")
     return Animations(
         tuple(
             _on_frames(
@@ -75,7 +74,7 @@ def read_animations(
                 ),
                 rate,
             )
-            for value, name, channels in read
+            for name, (value, channels) in zip(names, read, strict=True)
         ),
         rate,
     )
@@ -144,8 +143,10 @@ def _animation(
     document.budget.spend(8 * len(times) * width, value)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
+    own = given_name(value)
     return Animation(
         name=name,
+        label=own if own != name else None,
         times=times if len(times) > 1 else None,
         joints=tuple(joints.skeleton.joints[joint] for joint in moved),
         translations=None if motion is None else motion.translation.astype(np.float32),

@@ -10,14 +10,13 @@ from facepipe.importers import gltf_materials, gltf_meshes, gltf_morphs, gltf_pr
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_morphs import Role
-from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_names import Names, given_name
 from facepipe.importers.gltf_nodes import Nodes
 from facepipe.importers.gltf_placement import placed
 from facepipe.importers.gltf_primitives import Geometry
 from facepipe.importers.gltf_skins import Joints
+from facepipe.names import handles
 from facepipe.parts import Mesh, Skin
-
-_RESERVED = ("Skeleton", "Materials", "Animations")  # prims beside the meshes
 
 
 @dataclass
@@ -30,7 +29,6 @@ class Assembly:
     materials: list[str]
     weld: bool
     own: bool = False  # a file of ours: what places its meshes is in the record
-    names: Names = field(default_factory=lambda: Names(*_RESERVED))
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
     _built: dict[tuple[int, int], tuple[Mesh, Geometry] | None] = field(default_factory=dict)
@@ -38,7 +36,9 @@ class Assembly:
     def meshes(self) -> tuple[Mesh, ...]:
         """All meshes of the scene, in its order."""
         built = [self._show(node) for node in self.nodes.shown if self.nodes.values[node].get("mesh") is not None]
-        return tuple(mesh for mesh in built if mesh is not None)
+        meshes = [mesh for mesh in built if mesh is not None]
+        names = handles([_exact(mesh) or "" for mesh in meshes], "mesh")
+        return tuple(_named(mesh, name) for mesh, name in zip(meshes, names, strict=True))
 
     def _show(self, node: int) -> Mesh | None:
         document, value = self.document, self.nodes.values[node]
@@ -57,7 +57,7 @@ class Assembly:
             count = len(geometry.vertices.targets)
             self.roles[node] = gltf_morphs.roles(document, geometry.value, count, self.shape_names)
             self._note_weights(value)
-        named = replace(mesh, name=self.names.new(self.nodes.name(node) or _name(geometry.value), "mesh"))
+        named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
         if self.own:
             return named
         if skin >= 0:
@@ -93,6 +93,12 @@ class Assembly:
             self.document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
 
 
-def _name(value: Value) -> str:
-    name = value.get("name")
-    return "" if name is None else name.text()
+def _exact(mesh: Mesh) -> str | None:
+    """The name of the node that shows it; where that has none, the mesh's own."""
+    return mesh.label if mesh.label is not None else mesh.data_label
+
+
+def _named(mesh: Mesh, name: str) -> Mesh:
+    """The mesh called `name`; of its labels what differs from that stays."""
+    own, data = _exact(mesh), mesh.data_label
+    return replace(mesh, name=name, label=own if own != name else None, data_label=data if data != own else None)

@@ -93,6 +93,12 @@ class Value:
             raise self.error("text with half a surrogate pair, expected Unicode")
         return self.data
 
+    def name(self) -> str:
+        """Text that can be a name: USD ends names at a NUL."""
+        if "\0" in self.text():
+            raise self.error("a name with a NUL character, expected none")
+        return self.text()
+
     def flag(self) -> bool:
         """True or false."""
         if not isinstance(self.data, bool):

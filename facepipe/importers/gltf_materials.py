@@ -13,7 +13,8 @@ from facepipe.importers import gltf_files
 from facepipe.importers.gltf_document import Document, optional_integer
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_meshes import uv_name
-from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_names import Names, file_name, given_name
+from facepipe.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
@@ -26,9 +27,8 @@ _IMPLEMENTED = {"KHR_materials_ior", "KHR_materials_unlit", "KHR_materials_emiss
 
 
 def material_names(document: Document) -> list[str]:
-    """An identifier for every material of the document."""
-    names = Names()
-    return [names.new(_name(value), "Material") for value in document.entries("materials")]
+    """What every material of the document is called, each otherwise."""
+    return list(handles([given_name(value) or "" for value in document.entries("materials")], "Material"))
 
 
 def read_materials(document: Document, names: list[str], used: Iterable[str]) -> tuple[Material, ...]:
@@ -99,8 +99,8 @@ class _Textures:
                 raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")
             uri = value.get("uri")
             named = gltf_files.uri_name(uri.text()) if uri is not None else ""
-            stem = PurePosixPath(named).stem or _name(value)
-            self._images[index] = Texture(name=f"{self._names.new(stem, 'texture')}.{kind}", data=data)
+            stem = PurePosixPath(named).stem or given_name(value) or ""
+            self._images[index] = Texture(name=f"{self._names.new(file_name(stem, 'texture'))}.{kind}", data=data)
         return self._images[index]
 
     def _bytes(self, value: Value) -> bytes:
@@ -122,8 +122,10 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     opacity, threshold = _opacity(textures, value, surface, base[3])
     ior = _extension(value, "KHR_materials_ior")
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
+    own = given_name(value)
     return Material(
         name=name,
+        label=own if own != name else None,
         diffuse_color=_color(textures, surface.get("baseColorTexture"), base),
         emissive_color=_emission(textures, value),
         metallic=_scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal),
@@ -213,8 +215,3 @@ def _factor(value: Value, key: str, default: float = 1.0) -> float:
 def _factors(value: Value, key: str, count: int, default: float) -> tuple[float, ...]:
     factors = value.get(key)
     return (default,) * count if factors is None else factors.numbers(count)
-
-
-def _name(value: Value) -> str:
-    name = value.get("name")
-    return "" if name is None else name.text()

@@ -18,6 +18,7 @@ from facepipe.importers.gltf_names import Names
 from facepipe.importers.gltf_primitives import Geometry
 from facepipe.importers.gltf_vertices import Target
 from facepipe.importers.gltf_weld import Weld
+from facepipe.names import identifier
 from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
 
 
@@ -28,6 +29,7 @@ class Role:
     shape: str
     weight: float = 1.0
     inbetween: str = ""
+    label: str | None = None  # the target's own name, where the shape's had to be another
 
 
 def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Role, ...]:
@@ -40,15 +42,16 @@ def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Ro
     for number, original in enumerate(originals):
         if number in folded:
             continue
-        shape = names.same(original, seen[original], f"target_{number}")
-        seen[original] += 1
+        base = original or f"target_{number}"
+        shape = names.same(base, seen[base])
+        seen[base] += 1
         shapes.setdefault(original, shape)
-        found[number] = Role(shape)
+        found[number] = Role(shape, label=original if original != shape else None)
     inbetweens: dict[str, Names] = {}
     for number, (original, weight) in folded.items():
         stem = originals[number].removeprefix(f"{original}_")
         own = inbetweens.setdefault(original, Names())
-        found[number] = Role(shapes[original], weight, own.new(stem, "inbetween"))
+        found[number] = Role(shapes[original], weight, own.new(identifier(stem, "inbetween")))
     return tuple(found[number] for number in range(count))
 
 
@@ -92,6 +95,7 @@ def _blendshape(
             for role in sorted(moved, key=lambda role: role.weight)
             if role.inbetween
         ),
+        label=main.label,
     )
 
 
@@ -135,7 +139,7 @@ def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
             continue
         listed = names.data
         if isinstance(listed, list) and len(listed) == count and all(isinstance(name, str) for name in listed):
-            return [name.text() or f"target_{i}" for i, name in enumerate(names.items())]
+            return [name.name() for name in names.items()]
         document.warn(names, f"is not a list of {count} names: targets are numbered instead")
         break
     return [f"target_{i}" for i in range(count)]

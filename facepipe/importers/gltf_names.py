@@ -1,4 +1,4 @@
-"""Names of a glTF document as USD identifiers."""
+"""Names of a glTF document: as they are, and as identifiers where they have to be."""
 
 from __future__ import annotations
 
@@ -6,12 +6,19 @@ import unicodedata
 from collections import Counter
 
 from facepipe import names
+from facepipe.importers.gltf_json import Value
 
 _LONGEST = 80
 
 
-def identifier(name: str, fallback: str) -> str:
-    """`name` as an ASCII USD identifier.
+def given_name(value: Value) -> str | None:
+    """The name that an object of the document has, exactly; None where it has none."""
+    name = value.get("name")
+    return None if name is None else name.name()
+
+
+def file_name(name: str, fallback: str) -> str:
+    """`name` as letters of ASCII, digits and underscores, for files.
 
     Accents are dropped, other characters beyond ASCII become ``u`` and their hexadecimal code, so that names in
     other scripts stay apart; the rest becomes ``_``. An empty name is `fallback`.
@@ -22,16 +29,15 @@ def identifier(name: str, fallback: str) -> str:
 
 
 class Names:
-    """Hands out identifiers, each once: a name that is taken gets ``_2``, ``_3`` ... behind it."""
+    """Hands out names, each once: one that is taken gets ``_2``, ``_3`` ... behind it."""
 
-    def __init__(self, *reserved: str) -> None:
-        self._taken = set(reserved)
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
         self._next: Counter[str] = Counter()
         self._known: dict[tuple[str, int], str] = {}
 
-    def new(self, name: str, fallback: str) -> str:
-        """An identifier for `name` that was not handed out before."""
-        base = identifier(name, fallback)
+    def new(self, base: str) -> str:
+        """`base`, or what comes next to it that was not handed out before."""
         result = base
         while result in self._taken:
             self._next[base] += 1
@@ -39,12 +45,17 @@ class Names:
         self._taken.add(result)
         return result
 
-    def same(self, name: str, occurrence: int, fallback: str) -> str:
-        """The identifier of the n-th thing called `name`: always the same one for the same two."""
+    def same(self, name: str, occurrence: int) -> str:
+        """The name of the n-th thing called `name`: always the same one for the same two."""
         key = (name, occurrence)
         if key not in self._known:
-            self._known[key] = self.new(name, fallback)
+            self._known[key] = self.new(name)
         return self._known[key]
+
+
+def joint_identifier(name: str) -> str:
+    """The part of a joint's path that stands for `name`."""
+    return names.identifier(name[:_LONGEST], "joint")
 
 
 def _safe(character: str) -> str:

@@ -34,11 +34,6 @@ class Nodes:
     worlds: FloatArray  # (n, 4, 4)
     shown: list[int]  # nodes of the scene, depth first
 
-    def name(self, node: int) -> str:
-        """The node's own name, empty where it has none."""
-        name = self.values[node].get("name")
-        return "" if name is None else name.text()
-
 
 def read_nodes(document: Document, scene: int | None) -> Nodes:
     """All nodes; `scene` chooses what is shown, None is the document's default.

@@ -15,7 +15,7 @@ import numpy as np
 from facepipe.importers import gltf_accessors as accessors
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_names import Names
+from facepipe.importers.gltf_names import Names, given_name, joint_identifier
 from facepipe.importers.gltf_nodes import Nodes
 from facepipe.parts import FloatArray, IntArray, Skeleton, identity
 
@@ -68,8 +68,10 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
         worlds = nodes.worlds[joint_nodes]
         skins.append(BoundSkin(slots, _bind(document, value, slots, inverses, worlds, binds)))
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
+    paths = _paths(document, nodes, order, joint_parents)
     skeleton = Skeleton(
-        joints=_paths(document, nodes, order, joint_parents),
+        joints=paths,
+        joint_names=_names(nodes, order, paths),
         bind_transforms=np.array([binds[joint] for joint in range(len(order))]).reshape(-1, 4, 4),
         rest_transforms=rest,
     )
@@ -117,11 +119,19 @@ def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int
     siblings: dict[int, Names] = {}
     paths: list[str] = []
     for node, parent in zip(order, parents, strict=True):
-        name = siblings.setdefault(parent, Names()).new(nodes.name(node), "joint")
+        name = siblings.setdefault(parent, Names()).new(joint_identifier(given_name(nodes.values[node]) or ""))
         path = name if parent < 0 else f"{paths[parent]}/{name}"
         document.budget.spend(len(path), nodes.values[node])  # a chain's paths grow with the square of its length
         paths.append(path)
     return tuple(paths)
+
+
+def _names(nodes: Nodes, order: list[int], paths: tuple[str, ...]) -> tuple[str, ...]:
+    """The nodes' own names, where some are not the last parts of the paths."""
+    leaves = Skeleton(joints=paths).names
+    given = (given_name(nodes.values[node]) for node in order)
+    names = tuple(leaf if name is None else name for name, leaf in zip(given, leaves, strict=True))
+    return names if names != leaves else ()
 
 
 def _inverse_binds(document: Document, value: Value, count: int) -> FloatArray:

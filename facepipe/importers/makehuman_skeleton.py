@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.importers.makehuman_data import MakeHumanData
-from facepipe.names import unique_identifiers
+from facepipe.names import handles, unique_identifiers
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import matrix_coefficients
 
@@ -27,7 +27,8 @@ def read_skeleton(data: MakeHumanData, points: FloatArray) -> Skeleton:
     local = world.copy()
     local[1:] = np.linalg.solve(world[np.maximum(parents[1:], 0)], world[1:])
     local[parents < 0] = world[parents < 0]
-    return Skeleton(joints=joint_paths(data), bind_transforms=world, rest_transforms=local)
+    names = tuple(data.names("bone_names"))
+    return Skeleton(joints=joint_paths(data), joint_names=names, bind_transforms=world, rest_transforms=local)
 
 
 def joint_paths(data: MakeHumanData) -> tuple[str, ...]:
@@ -75,7 +76,7 @@ def pose_units(data: MakeHumanData, skeleton: Skeleton) -> tuple[Animation, ...]
     axes = skeleton.bind_transforms[:, :3, :3]
     parents = skeleton.parents
     parent_axes = np.where(parents[:, None, None] >= 0, axes[parents], np.eye(3))
-    names = unique_identifiers(data.names("poseunit_names"))
+    names = handles(data.names("poseunit_names"), "pose")
     animations = []
     for name, vectors in zip(names, data["poseunit_rotvec"].astype(np.float64), strict=True):
         turned = Rotation.from_rotvec(vectors).as_matrix() @ axes

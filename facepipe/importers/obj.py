@@ -21,7 +21,7 @@ from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
 from facepipe.importers.obj_shapes import read_offsets
 from facepipe.importers.wavefront import Obj, read_obj
-from facepipe.names import identifier, unique_identifiers
+from facepipe.names import handles
 from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 
@@ -104,18 +104,18 @@ def _files(source: Path, neutral: str) -> tuple[Path, dict[str, Path]]:
         raise InputError(source, f"{what}, expected one neutral beside the shapes")
     shapes: dict[str, Path] = {}
     for path in objs:
-        name = identifier(path.stem)
+        name = path.stem
         if path != found[0] and shapes.setdefault(name, path) != path:
             raise InputError(path, f"its shape would be named {name} like {shapes[name].name}'s")
     return found[0], shapes
 
 
 def _materials(neutral: Obj, found: Mapping[str, Material], warnings: list[str]) -> tuple[Material, ...]:
-    """One per `usemtl` name, in their order, under names that USD takes."""
+    """One per `usemtl` name, in their order, under their own names."""
     missing = [ascii(name) for name in neutral.materials if name not in found]
     if missing and neutral.libraries:
         warnings.append(f"materials not in a library, grey: {', '.join(missing)}")
-    names = unique_identifiers(neutral.materials, "Material")
+    names = handles(neutral.materials, "Material")
     return tuple(
         replace(found.get(original, Material(name=name)), name=name)
         for name, original in zip(names, neutral.materials, strict=True)
@@ -131,7 +131,7 @@ def _meshes(
     warnings: list[str],
 ) -> tuple[Mesh, ...]:
     pieces = _pieces(neutral)
-    names = unique_identifiers([piece.name for piece in pieces], "Mesh")
+    names = handles([piece.name for piece in pieces], "Mesh")
     used = sum(len(piece.points) for piece in pieces)
     if used < len(neutral.points):
         warnings.append(f"{len(neutral.points) - used} points belong to no face of an object, left out")

@@ -9,7 +9,7 @@ from facepipe.errors import InputError
 from facepipe.finite import require_finite
 from facepipe.parts import Animation, FloatArray
 from facepipe.stage.author_animations import author_source
-from facepipe.stage.face import Face
+from facepipe.stage.face import Face, animation_prims
 from facepipe.stage.guard import usd_errors
 from facepipe.stage.opinions import editable
 from facepipe.stage.read_skeleton import read_animation
@@ -22,7 +22,7 @@ def play(face: Face, name: str) -> None:
     :raises InputError: no such animation
     """
     prims = list(prims_below(face.prim, face.where))
-    found = next((prim for prim in prims if prim.IsA(UsdSkel.Animation) and prim.GetName() == name), None)
+    found = animation_prims(face).get(name)
     if found is None:
         raise InputError(face.where, f"no animation '{name}'")
     skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))

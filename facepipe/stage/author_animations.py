@@ -16,6 +16,7 @@ from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
 from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute
 from facepipe.stage.differences import same
+from facepipe.stage.display_names import author_name
 from facepipe.stage.opinions import editable, free_path
 from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
 
@@ -33,7 +34,9 @@ _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
 def author_animation(stage: Usd.Stage, path: Sdf.Path, animation: Animation, skeleton: Skeleton) -> None:
     """Define a SkelAnimation; what it leaves out of a joint's transform is authored from rest."""
     done = _completed(animation, skeleton, path)
-    _write(UsdSkel.Animation.Define(stage, path), done, tuple(_ATTRIBUTES))
+    prim = UsdSkel.Animation.Define(stage, path)
+    author_name(prim.GetPrim(), animation)
+    _write(prim, done, tuple(_ATTRIBUTES))
 
 
 def author_source(skeleton: Usd.Prim, animation: Sdf.Path) -> None:

@@ -10,6 +10,7 @@ from pxr import Sdf, Usd, UsdSkel, Vt
 from facepipe.names import unique_identifiers
 from facepipe.parts import Blendshape, FloatArray, Inbetween
 from facepipe.stage.differences import same
+from facepipe.stage.display_names import author_name
 from facepipe.stage.opinions import editable, put
 from facepipe.stage.values import ints, to_ints, to_vec3f
 
@@ -79,6 +80,7 @@ def _free_name(prim: Usd.Prim, name: str) -> str:
 def _define(prim: Usd.Prim, shape: Blendshape, name: str) -> Sdf.Path:
     target = UsdSkel.BlendShape.Define(prim.GetStage(), prim.GetPath().AppendChild(name))
     _author(target, shape)
+    author_name(target.GetPrim(), shape)
     return target.GetPath()
 
 

@@ -7,6 +7,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from facepipe.errors import InputError
 from facepipe.names import unique_identifiers
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
+from facepipe.stage.display_names import author_name
 
 _COLORS = ("diffuse_color", "emissive_color")
 _USD_NAMES = {
@@ -52,6 +53,7 @@ def author_materials(
 
 def _author(stage: Usd.Stage, path: Sdf.Path, material: Material, textures: dict[str, str]) -> UsdShade.Material:
     prim = UsdShade.Material.Define(stage, path)
+    author_name(prim.GetPrim(), material)
     surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
     prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")

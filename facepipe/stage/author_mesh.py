@@ -16,6 +16,7 @@ from facepipe.stage.author_blendshapes import author_blendshapes
 from facepipe.stage.author_regions import SUBSET_FAMILY, author_regions
 from facepipe.stage.bindings import inherited_attribute
 from facepipe.stage.differences import same
+from facepipe.stage.display_names import author_data_label, author_name
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
 
@@ -35,6 +36,8 @@ def author_mesh(
     :raises InputError: a name that USD can't hold, or an unknown material
     """
     prim = UsdGeom.Mesh.Define(stage, path)
+    author_name(prim.GetPrim(), mesh)
+    author_data_label(prim.GetPrim(), mesh)
     prim.CreatePointsAttr(to_vec3f(mesh.points))
     prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
     prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))

@@ -51,6 +51,11 @@ def author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tup
     if old.joints != new.joints:
         put(UsdSkel.Skeleton(editable(prim)).CreateJointsAttr(), list(new.joints))
         added = (f"{new.name}: {len(new.joints)} joints",)
+    if old.names != new.names:
+        skeleton = UsdSkel.Skeleton(editable(prim))
+        names = skeleton.CreateJointNamesAttr() if new.joint_names else skeleton.GetJointNamesAttr()
+        put(names, list(new.joint_names) or None)
+        added = added or (f"{new.name}: names of joints",)
     pairs = {
         "bindTransforms": (old.bind_transforms, new.bind_transforms),
         "restTransforms": (old.rest_transforms, new.rest_transforms),

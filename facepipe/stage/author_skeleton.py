@@ -28,6 +28,8 @@ def author_skeleton(stage: Usd.Stage, path: Sdf.Path, skeleton: Skeleton) -> Usd
         if len(transforms) != len(skeleton.joints) or not np.isfinite(transforms).all():
             raise InputError(path, f"{len(transforms)} {name} transforms, expected {len(skeleton.joints)} finite ones")
     prim.CreateJointsAttr(list(skeleton.joints))
+    if skeleton.joint_names:
+        prim.CreateJointNamesAttr(list(skeleton.joint_names))
     prim.CreateBindTransformsAttr(to_matrices(skeleton.bind_transforms))
     prim.CreateRestTransformsAttr(to_matrices(skeleton.rest_transforms))
     if not np.array_equal(skeleton.transform, np.eye(4)):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -16,7 +15,6 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.finite import require_finite
-from facepipe.names import unique_identifiers
 from facepipe.parts import (
     Animation,
     FaceParts,
@@ -32,6 +30,7 @@ from facepipe.parts import (
 from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
+from facepipe.stage.display_names import told_apart
 from facepipe.stage.files import derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
@@ -102,7 +101,7 @@ class Face:
         :raises SchemaError, TopologyError: a mesh that doesn't follow the stage convention
         """
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
-        own = _unique_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
+        own = told_apart(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
         with self._trail():
             bindings, materials = self._bindings(), dict(self._material_names)
             return self._finite(
@@ -122,15 +121,14 @@ class Face:
     def animations(self) -> tuple[Animation, ...]:
         """Poses and clips below the face."""
         with self._trail():
-            return self._finite(tuple(read_animation(one) for one in self._below() if one.IsA(UsdSkel.Animation)))
+            return self._finite(tuple(read_animation(prim, name) for name, prim in animation_prims(self).items()))
 
     @property
     def played(self) -> str | None:
         """Name of the pose or clip below the face that its skeleton plays."""
         with self._trail():
             source = UsdSkel.BindingAPI(self._skeleton_prim).GetInheritedAnimationSource()
-        below = (one for one in self._below() if one.IsA(UsdSkel.Animation))
-        return next((str(one.GetName()) for one in below if one == source), None)
+        return next((name for name, prim in animation_prims(self).items() if prim == source), None)
 
     @property
     def frames_per_second(self) -> float:
@@ -330,7 +328,7 @@ class Face:
     def _material_names(self) -> dict[str, str]:
         prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
         paths = [str(one.GetPath()) for one in prims]
-        return dict(zip(paths, _unique_names(prims, paths), strict=True))
+        return dict(zip(paths, told_apart(prims, paths), strict=True))
 
     def _bindings(self) -> dict[str, Binding]:
         cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
@@ -363,14 +361,10 @@ def _check_metadata(face: Face) -> None:
     check_units(face.where, face.stage)
 
 
-def _unique_names(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:
-    """The prims' own names; of prims that share one, identifiers of their paths that nothing else is called."""
-    names = [str(one.GetName()) for one in prims]
-    count = Counter(names)
-    single = [name for name in names if count[name] == 1]
-    shared = [path for name, path in zip(names, paths, strict=True) if count[name] > 1]
-    others = iter(unique_identifiers([*single, *shared])[len(single) :])
-    return [name if count[name] == 1 else next(others) for name in names]
+def animation_prims(face: Face) -> dict[str, Usd.Prim]:
+    """The SkelAnimations below a face, by what each is called."""
+    prims = [one for one in prims_below(face.prim, face.where) if one.IsA(UsdSkel.Animation)]
+    return dict(zip(told_apart(prims, [str(one.GetPath()) for one in prims]), prims, strict=True))
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:

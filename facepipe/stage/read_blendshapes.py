@@ -10,6 +10,7 @@ from pxr import Usd, UsdSkel
 
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Blendshape, Inbetween
+from facepipe.stage.display_names import label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, ints
 
@@ -55,6 +56,7 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         offsets=merge("offsets", offsets),
         normal_offsets=merge.optional("normalOffsets", shape.GetNormalOffsetsAttr().Get()),
         inbetweens=_inbetweens(shape, merge),
+        label=label(shape.GetPrim(), name) if shape.GetPrim().HasAuthoredDisplayName() else None,
     )
 
 

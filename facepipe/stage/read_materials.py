@@ -9,6 +9,7 @@ from pxr import Ar, Sdf, Usd, UsdShade
 
 from facepipe.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
+from facepipe.stage.display_names import label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.textures import is_image
 
@@ -42,6 +43,7 @@ def read_material(prim: Usd.Prim, name: str) -> Material | None:
         occlusion=_number(surface, "occlusion", 1.0),
         normal=_texture(surface, "normal"),
         ior=float(_value(surface, "ior", 1.5)),
+        label=label(prim, name),
     )
 
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.stage.display_names import data_label, label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.orientation import is_left_handed, turned
 from facepipe.stage.read_blendshapes import read_blendshapes
@@ -75,6 +76,8 @@ def read_mesh(
         material=whole,
         material_faces=by_face,
         double_sided=bool(mesh.GetDoubleSidedAttr().Get()),
+        label=label(prim, name),
+        data_label=data_label(prim),
     )
     return turned(result) if is_left_handed(mesh) else result
 

@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
+from facepipe.stage.display_names import exact_name, label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, matrix, quaternions
 
@@ -35,11 +36,27 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
         if not np.isfinite(transforms).all():
             raise SchemaError(f"{where}.{name}", "NaN or infinity, expected finite numbers")
     world = matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
-    result = Skeleton(name=prim.GetName(), joints=joints, bind_transforms=bind, rest_transforms=rest, transform=world)
+    result = Skeleton(
+        name=prim.GetName(),
+        joints=joints,
+        joint_names=_joint_names(skeleton, joints),
+        bind_transforms=bind,
+        rest_transforms=rest,
+        transform=world,
+    )
     late = np.flatnonzero(result.parents >= np.arange(len(joints)))
     if late.size or len(set(joints)) != len(joints):
         raise SchemaError(f"{where}.joints", f"'{joints[late[0]] if late.size else joints}' out of order or twice")
     return result
+
+
+def _joint_names(skeleton: UsdSkel.Skeleton, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """The source's names of joints; none where they are the last parts of the paths."""
+    attribute = skeleton.GetJointNamesAttr()
+    names = tuple(str(name) for name in attribute.Get() or [])
+    if names and len(names) != len(joints):
+        raise TopologyError(attribute.GetPath(), f"{len(names)} names, expected {len(joints)}")
+    return names if names != Skeleton(joints=joints).names else ()
 
 
 @reads_prim
@@ -56,12 +73,13 @@ def read_limits(prim: Usd.Prim, joint_count: int) -> BoneLimits | None:
 
 
 @reads_prim
-def read_animation(prim: Usd.Prim) -> Animation:
+def read_animation(prim: Usd.Prim, name: str | None = None) -> Animation:
     """A SkelAnimation prim: its time samples, or its default values as one pose.
 
+    :param name: what it is called, where its exact name doesn't tell it from others
     :raises TopologyError: arrays that don't fit the joints or shapes
     """
-    animation = UsdSkel.Animation(prim)
+    animation, name = UsdSkel.Animation(prim), exact_name(prim) if name is None else name
     joints = tuple(str(joint) for joint in animation.GetJointsAttr().Get() or [])
     shapes = tuple(str(shape) for shape in animation.GetBlendShapesAttr().Get() or [])
     coefficients = prim.GetAttribute(tokens.BONE_COEFFICIENTS)
@@ -88,7 +106,8 @@ def read_animation(prim: Usd.Prim) -> Animation:
 
     weights = samples(attributes[3], len(shapes), 1)
     return Animation(
-        name=prim.GetName(),
+        name=name,
+        label=label(prim, name),
         times=np.array(codes) / rate if codes else None,
         joints=joints,
         translations=samples(attributes[0], len(joints), 3),

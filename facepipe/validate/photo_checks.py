@@ -8,6 +8,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from facepipe import tokens
+from facepipe.stage.display_names import exact_name
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.photo_faults import LIGHT_ROWS, MOST_PIXELS, key_fault
 from facepipe.stage.read_photos import is_photo, read_key_lamp
@@ -70,7 +71,7 @@ def photo_key(face: FaceView) -> Iterator[Problem]:
 
 def photo_poses(face: FaceView) -> Iterator[Problem]:
     """The pose that a photo names is an animation of the face."""
-    known = {str(one.GetPrim().GetName()) for one in face.animations}
+    known = {exact_name(one.GetPrim()) for one in face.animations}
     for prim in _photos(face):
         name = str(value(prim.GetAttribute(tokens.PHOTO_ANIMATION)) or "")
         if name and name not in known:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -192,4 +193,5 @@ def _skeleton(parts: FaceParts, source: FaceParts, warp: Warp) -> Skeleton:
     to_skeleton = np.linalg.inv(np.asarray(parts.skeleton.transform, np.float64))
     bind = to_skeleton @ bind
     bind[:, :3, :3] = nearest_rotations(bind[:, :3, :3])
-    return with_binds(parts.skeleton, source.skeleton.joints, bind)
+    made = with_binds(parts.skeleton, source.skeleton.joints, bind)
+    return replace(made, joint_names=source.skeleton.joint_names)

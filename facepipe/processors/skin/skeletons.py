@@ -25,8 +25,20 @@ def skeleton_of(old: Skeleton, paths: tuple[str, ...], positions: FloatArray, ro
 
 
 def with_binds(old: Skeleton, paths: tuple[str, ...], bind: FloatArray) -> Skeleton:
-    """The skeleton `old` with other joints of bind transforms (j, 4, 4) in skeleton space, at rest as bound."""
-    parents = Skeleton(joints=paths).parents
+    """The skeleton `old` with other joints of bind transforms (j, 4, 4) in skeleton space, at rest as bound.
+
+    Joints of the paths that are there keep their names.
+    """
+    plain, known = Skeleton(joints=paths), dict(zip(old.joints, old.names, strict=True))
+    names = tuple(known.get(path, leaf) for path, leaf in zip(paths, plain.names, strict=True))
+    parents = plain.parents
     inverse = np.linalg.inv(bind)
     rest = np.array([bind[i] if p < 0 else inverse[p] @ bind[i] for i, p in enumerate(parents)]).reshape(-1, 4, 4)
-    return Skeleton(name=old.name, joints=paths, bind_transforms=bind, rest_transforms=rest, transform=old.transform)
+    return Skeleton(
+        name=old.name,
+        joints=paths,
+        joint_names=names if names != plain.names else (),
+        bind_transforms=bind,
+        rest_transforms=rest,
+        transform=old.transform,
+    )

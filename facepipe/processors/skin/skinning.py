@@ -44,7 +44,8 @@ def arranged(made: Skinning, joints: Sequence[str]) -> Skinning:
         return made
     order = [old.joints.index(joint) for joint in joints]
     binds, rests = old.bind_transforms[order], old.rest_transforms[order]
-    skeleton = replace(old, joints=tuple(joints), bind_transforms=binds, rest_transforms=rests)
+    names = tuple(old.names[i] for i in order) if old.joint_names else ()
+    skeleton = replace(old, joints=tuple(joints), joint_names=names, bind_transforms=binds, rest_transforms=rests)
     return replace(made, skeleton=skeleton, weights=made.weights[:, order])
 
 

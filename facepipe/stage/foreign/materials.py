@@ -5,8 +5,8 @@ from __future__ import annotations
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from facepipe.errors import InputError
-from facepipe.names import unique_identifiers
 from facepipe.parts import Material
+from facepipe.stage.display_names import told_apart
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.read_materials import read_material
 
@@ -33,7 +33,7 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
-    names = dict(zip(bound, unique_identifiers(prim.GetName() for prim in bound.values()), strict=True))
+    names = dict(zip(bound, told_apart([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True))
     read = {path: _read(scene, prim, names[path]) for path, prim in bound.items()}
     materials = tuple(material for material in read.values() if material is not None)
     return {path: names[path] for path, material in read.items() if material is not None}, materials

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe import tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError, TopologyError
-from facepipe.names import identifier, unique_identifiers
+from facepipe.names import identifier
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton
+from facepipe.stage.display_names import told_apart
 from facepipe.stage.files import quiet_diagnostics
 from facepipe.stage.foreign import face
 from facepipe.stage.foreign.materials import bound_materials
@@ -75,9 +74,7 @@ def _trail(path: Path) -> Iterator[None]:
 
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
     skeleton = Skeleton() if prim is None else read_skeleton(prim)
-    names = unique_identifiers(
-        [skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE, *(str(one.GetName()) for one in meshes)]
-    )[3:]
+    names = told_apart(meshes, [str(one.GetName()) for one in meshes])
     material_names, materials = bound_materials(scene, meshes)
     queries = bindings(scene)
     read = tuple(
@@ -126,11 +123,12 @@ def _animations(
     """The animations of the face, that which its skeleton plays wherever it stands; names unique."""
     shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
     found: dict[Usd.Prim, Animation] = {}
-    for prim in dict.fromkeys([*scene.prims, *([] if source is None else [source])]):
-        if not prim.IsA(UsdSkel.Animation):
-            continue
+    every = dict.fromkeys([*scene.prims, *([] if source is None else [source])])
+    prims = [prim for prim in every if prim.IsA(UsdSkel.Animation)]
+    names = told_apart(prims, [str(one.GetName()) for one in prims])
+    for prim, name in zip(prims, names, strict=True):
         try:
-            animation = read_animation(prim)
+            animation = read_animation(prim, name)
         except FacepipeError as error:
             scene.warn(f"{error}: animation left out")
             continue
@@ -141,12 +139,7 @@ def _animations(
         if missing and animation.joints:
             scene.warn(f"no {' and '.join(missing)}: taken from rest", [prim])
         found[prim] = animation
-    count = Counter(one.name for one in found.values())
-    free = unique_identifiers(one.name for one in found.values())
-    return {
-        prim: one if count[one.name] == 1 else replace(one, name=name)
-        for (prim, one), name in zip(found.items(), free, strict=True)
-    }
+    return found
 
 
 def _meters_per_unit(scene: Scene) -> float:
