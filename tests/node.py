@@ -1,4 +1,4 @@
-"""Node programs that the tests call: the Khronos glTF validator, three.js and onnxruntime-web."""
+"""Node programs that the tests call: the Khronos glTF validator, three.js, three-vrm and onnxruntime-web."""
 
 from __future__ import annotations
 
@@ -55,6 +55,12 @@ def validate(files: Sequence[Path]) -> dict[Path, dict[str, Any]]:
 def three_load(file: Path, weights: Mapping[str, float], joints: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """What three.js makes of a GLB under target weights and local joint matrices (16 numbers, column-major)."""
     answer: dict[str, Any] = _run("three_load.mjs", [str(file)], json.dumps({"weights": weights, "joints": joints}))
+    return answer
+
+
+def vrm_load(file: Path, poses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What three-vrm makes of a .vrm in each of the poses (tests/js/vrm_load.mjs)."""
+    answer: dict[str, Any] = _run("vrm_load.mjs", [str(file)], json.dumps(poses))
     return answer
 
 

@@ -47,9 +47,10 @@ class Document:
     error_mm: float | None
 
 
-def write(parts: FaceParts, options: Options) -> Document:
+def write(parts: FaceParts, options: Options, *, tangents: bool = True) -> Document:
     """The glTF document of a face.
 
+    :param tangents: with tangents where a material needs them; without, readers make their own
     :raises ExportError: NaN or infinity, counts that don't fit, or skin weights that can't be normalised
     :raises InputError: a shape glob that matches nothing, or an option that the engine can't read
     """
@@ -57,7 +58,7 @@ def write(parts: FaceParts, options: Options) -> Document:
     check_engine(options)
     check(parts)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
-        document = _Writer(parts, options).document()
+        document = _Writer(parts, options, tangents).document()
     return compressed(document) if options.meshopt else document
 
 
@@ -65,6 +66,7 @@ def write(parts: FaceParts, options: Options) -> Document:
 class _Writer:
     parts: FaceParts
     options: Options
+    tangents: bool
     nodes: list[Json] = field(default_factory=list)
     meshes: list[Json] = field(default_factory=list)
     targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
@@ -104,7 +106,8 @@ class _Writer:
             surface = self.materials.surface(name, mesh)
             if mesh.colors is not None and not surface.colored:
                 self.uncolored[mesh.name] = None
-            chosen.append(Chosen(triangles, surface.index, surface.tangent_uv, surface.colored))
+            tangent_uv = surface.tangent_uv if self.tangents else None
+            chosen.append(Chosen(triangles, surface.index, tangent_uv, surface.colored))
         if all(one.colored for one in chosen):
             self.colored.add(mesh.name)
         primitives = writer.write(chosen)

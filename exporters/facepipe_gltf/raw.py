@@ -34,7 +34,7 @@ class Compressed(Broken):
 
 
 class RawDocument:
-    """The JSON of a .glb or .gltf and its buffers.
+    """The JSON of a .glb, .vrm or .gltf and its buffers.
 
     :raises InputError: not glTF at all: no such file, damaged container, no JSON object
     """
@@ -46,7 +46,7 @@ class RawDocument:
             data = path.read_bytes()
         except OSError as error:
             raise InputError(path, f"can't be read: {error.strerror or error}") from error
-        text = self._container(data) if path.suffix.lower() == ".glb" else data
+        text = self._container(data) if path.suffix.lower() in (".glb", ".vrm") else data
         try:
             parsed = json.loads(text.decode("utf-8-sig"))
         except (ValueError, RecursionError):

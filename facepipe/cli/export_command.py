@@ -1,10 +1,11 @@
-"""Write a face for the engine; the suffix of OUT says the format: .glb .gltf .onnx.
+"""Write a face for the engine; the suffix of OUT says the format: .glb .gltf .onnx .vrm.
 
 Exit code 1: done, but sliders learned by --distil are further off than --distil-threshold-mm.
 
 examples:
   facepipe export head.usda -o head.glb
   facepipe export head.usda -o head.onnx
+  facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
   facepipe export head.usda --sliders -o sliders.onnx
   facepipe export head.usda --sliders --distil -o learned.onnx
   facepipe export head.usda --neural head.fpnr -o rig.onnx
@@ -43,7 +44,7 @@ from facepipe.reports import ExportReport
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments, and the options of the format in `words`; of all formats for --help."""
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
-    add_output(parser, "file to write: .glb .gltf .onnx")
+    add_output(parser, "file to write: .glb .gltf .onnx .vrm")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     finder = Parser(add_help=False)
     finder.add_argument("-o", "--output")
@@ -95,5 +96,6 @@ def as_text(report: ExportReport) -> str:
     lines = [f"{report.path}: {report.bytes:,} bytes in {report.seconds:.2f} s: {counts}"]
     if report.error_mm is not None:
         lines.append(f"error at most {report.error_mm:.4f} mm")
+    lines += [f"added: {line}" for line in report.added]
     lines += [f"not in the file: {line}" for line in report.dropped]
     return "\n".join(lines)

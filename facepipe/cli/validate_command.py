@@ -1,4 +1,4 @@
-"""Check faces, GLB, glTF and ONNX files. Exit 1 where a check finds an error.
+"""Check faces, GLB, glTF, VRM and ONNX files. Exit 1 where a check finds an error.
 
 example: facepipe validate head.usda head.glb head.onnx
 """
@@ -14,7 +14,7 @@ from facepipe.cli.show import emit, progress
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="face stage, .glb, .gltf or .onnx")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="face stage, .glb, .gltf, .vrm or .onnx")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 

@@ -142,7 +142,7 @@ def open_document(source: Path) -> Document:
     text = data
     if data[:4] == _MAGIC:
         text, binary = _chunks(data, trail)
-    elif source.suffix.lower() == ".glb":
+    elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
     root = gltf_json.parse(text, trail)
     document = Document(root=root, folder=source.parent, binary=binary, files=[source])

@@ -1,0 +1,136 @@
+"""A face as the document of a VRM 1.0 file: the glTF of a person who stands in the scene, and what VRM says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from facepipe.errors import ExportError, InputError
+from facepipe.parts import FaceParts
+from facepipe_gltf.document import Document, write
+from facepipe_gltf.vrm.body import add_body, missing_bones, standing_place
+from facepipe_gltf.vrm.bones import misplaced
+from facepipe_gltf.vrm.expressions import Expressions, expressions_of
+from facepipe_gltf.vrm.figure import Figure, figure_of, moved, turned_to_front
+from facepipe_gltf.vrm.humanoid import Humanoid, humanoid_of
+from facepipe_gltf.vrm.look_at import look_at, looks_by_shapes
+from facepipe_gltf.vrm.meta import meta_of
+from facepipe_gltf.vrm.nodes import NodeTree
+from facepipe_gltf.vrm.options import Options
+
+Json = dict[str, Any]
+EXTENSION = "VRMC_vrm"
+
+
+@dataclass(frozen=True)
+class VrmDocument:
+    """The document, and what stands in it beside the face."""
+
+    document: Document
+    added: tuple[str, ...]
+
+
+def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
+    """The VRM document of a face.
+
+    :param name: what the model is called where the options don't say
+    :raises InputError: no licence or authors, or bones that the face lacks and may not get
+    :raises ExportError: a face that glTF can't hold
+    """
+    meta = meta_of(options, name, parts.attribution)
+    humanoid = humanoid_of(parts, options.bones)
+    missing = missing_bones([*humanoid.bones])
+    if missing and not options.stub_body:
+        what = f"no joints for {len(missing)} of the 15 human bones that VRM requires: {', '.join(missing)}"
+        raise InputError(parts.name, f"{what}; expected joints of known names, or option stub_body, which adds them")
+    placed, figure, added = _standing(parts, humanoid, bool(missing))
+    document = write(replace(placed, animations=()), options.gltf, tangents=False)
+    tree = NodeTree(document.json)
+    skins = document.json.get("skins", [])
+    roots = [root for root in tree.roots if "mesh" not in tree.nodes[root]]
+    bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
+    if missing:
+        add_body(tree, bones, figure, roots)
+        added.append(f"human bones that move no point: {', '.join(missing)}")
+        _check(parts, bones, tree)
+    loose = [node for node in tree.roots if "mesh" in tree.nodes[node] and "skin" not in tree.nodes[node]]
+    for node in loose:
+        tree.hang_mesh(node, bones["head"])
+    if loose and skins:
+        added.append(f"the head moves {', '.join(tree.nodes[node]['name'] for node in loose)}, which no joint does")
+    expressions = expressions_of(tree.nodes, document.json.get("meshes", []))
+    extension: Json = {
+        "specVersion": "1.0",
+        "meta": meta,
+        "humanoid": {"humanBones": {bone: {"node": node} for bone, node in bones.items()}},
+        "expressions": expressions.json,
+        "firstPerson": _first_person(tree),
+    }
+    lost = [*document.dropped, *expressions.lost]
+    gaze = _gaze(placed, humanoid, figure, expressions)
+    if figure.eyes is None:
+        lost.append("lookAt (no eye joints, no landmarks multipie68, no shapes eyeBlink)")
+    else:
+        extension["lookAt"] = look_at(tree, bones, figure.eyes, gaze == "bone")
+        if gaze is None:
+            lost.append("what turns the eyes (neither eye joints with skin weights nor the shapes eyeLook)")
+    if parts.animations:
+        lost.append(f"{len(parts.animations)} animations (VRM files have none)")
+    document.json.setdefault("extensions", {})[EXTENSION] = extension
+    document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
+    counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
+    finished = replace(
+        document,
+        counts=document.counts | counts,
+        warnings=(*document.warnings, *humanoid.unfit),
+        dropped=tuple(lost),
+    )
+    return VrmDocument(finished, tuple(added))
+
+
+def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FaceParts, Figure, list[str]]:
+    """The face as it looks along +Z and, above a body that is added, as high as a standing person's; what was done."""
+    said = []
+    placed, degrees = turned_to_front(parts, figure_of(parts, humanoid.bones))
+    if degrees:
+        said.append(f"a turn by {degrees} degrees about the up axis: VRM's models look along +Z")
+    figure = figure_of(placed, humanoid.bones)
+    if stub and not {"leftFoot", "rightFoot"} & {*humanoid.bones}:
+        matrix = np.eye(4)
+        matrix[:3, 3] = standing_place(figure, humanoid.bones.get("hips"))
+        placed = moved(placed, matrix)
+        figure = figure_of(placed, humanoid.bones)
+        said.append(
+            f"{1000 * matrix[1, 3]:.0f} mm of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m"
+        )
+    return placed, figure, said
+
+
+def _gaze(parts: FaceParts, humanoid: Humanoid, figure: Figure, expressions: Expressions) -> str | None:
+    """What turns the eyes: their bones where these move points, else shapes; None for neither."""
+    weighted = set[int]()
+    for mesh in parts.meshes:
+        if mesh.skin is not None:
+            used = np.asarray(mesh.skin.joint_weights) > 0
+            weighted |= {*np.unique(np.asarray(mesh.skin.joint_indices)[used]).tolist()}
+    if {humanoid.bones.get("leftEye", -1), humanoid.bones.get("rightEye", -1)} <= weighted:
+        return "bone"
+    return "expression" if looks_by_shapes(expressions) else None
+
+
+def _first_person(tree: NodeTree) -> Json:
+    shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
+    return {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]}
+
+
+def _check(parts: FaceParts, bones: dict[str, int], tree: NodeTree) -> None:
+    """:raises ExportError: the face's own bones leave no place for those that are added"""
+    wrong = misplaced(bones, tree.path)
+    if wrong is not None:
+        name = tree.nodes[bones[wrong.bone]]["name"]
+        what = f"is the {wrong.bone} below the {wrong.found}, expected it below the {wrong.expected}"
+        raise ExportError(
+            f"{parts.name} -> {name}", f"{what}: the joints between are missing (option bones names them)"
+        )

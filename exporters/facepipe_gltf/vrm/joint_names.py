@@ -1,0 +1,87 @@
+"""Which joints are human bones, by their names."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+from facepipe.errors import InputError
+from facepipe.names import did_you_mean
+from facepipe_gltf.vrm.bones import PARENTS, SIDES
+
+_TABLE = Path(__file__).with_name("joint_names.toml")
+_BREAKS = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z0-9])(?=[A-Z])")
+_PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
+_FEWEST = 3
+_SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
+
+
+def reduced(name: str) -> tuple[str, str]:
+    """The side (left, right or none) of a joint's name, and its words without case, separators and prefixes.
+
+    >>> reduced("mixamorig:LeftForeArm"), reduced("J_Bip_C_UpperChest"), reduced("DEF-spine.001")
+    (('left', 'forearm'), ('', 'upperchest'), ('', 'spine001'))
+    """
+    words = [word.lower() for word in _BREAKS.split(name) if word]
+    sides = [_SIDE[word] for word in words if word in _SIDE]
+    rest = [word for word in words if word not in _SIDE and not _PREFIX.fullmatch(word)]
+    return sides[0] if sides else "", "".join(rest)
+
+
+def bones_of(joints: Sequence[str]) -> dict[str, int]:
+    """Human bone -> number of the joint, by the convention that knows most of the names; the first of several.
+
+    One that knows neither three names nor the head is none; neither is a joint the hips that no spine hangs below:
+    rigs of heads call their topmost joint alike.
+    """
+    found: dict[str, int] = {}
+    numbers: dict[tuple[str, str], int] = {}
+    for i, joint in enumerate(joints):
+        numbers.setdefault(reduced(joint.rpartition("/")[2]), i)
+    for names in _conventions():
+        known = {bone: numbers[name] for bone, every in names.items() for name in every if name in numbers}
+        if "spine" not in known:
+            known.pop("hips", None)
+        if len(known) > len(found) and (len(known) >= _FEWEST or "head" in known):
+            found = known
+    return found
+
+
+def given_bones(text: str, joints: Sequence[str]) -> dict[str, int]:
+    """Human bone -> number of the joint of ``BONE=JOINT,...``; a joint is its path or the last name of it.
+
+    :raises InputError: no such bone or joint, or one of them twice
+    """
+    found: dict[str, int] = {}
+    for pair in filter(None, (one.strip() for one in text.split(","))):
+        bone, _, joint = (part.strip() for part in pair.partition("="))
+        where = f"option bones -> {pair}"
+        if bone not in PARENTS:
+            known = did_you_mean(bone, PARENTS) or ", expected one like hips, spine, head, jaw, leftEye"
+            raise InputError(where, f"'{bone}' is no human bone of VRM{known}")
+        places = [i for i, path in enumerate(joints) if joint in (path, path.rpartition("/")[2])]
+        if len(places) != 1:
+            near = did_you_mean(joint, [path.rpartition("/")[2] for path in joints])
+            what = f"{len(places)} joints called '{joint}'" if places else f"no joint called '{joint}'{near}"
+            raise InputError(where, f"{what}, expected one of {len(joints)} joints or a path")
+        if bone in found or places[0] in found.values():
+            raise InputError(where, "a bone or joint twice, expected each once")
+        found[bone] = places[0]
+    return found
+
+
+@cache
+def _conventions() -> tuple[Mapping[str, Sequence[tuple[str, str]]], ...]:
+    """Of each convention: human bone -> the names it may have, reduced; the last counts most."""
+    tables = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
+    return tuple(
+        {
+            bone: [(side, word) for word in reversed(words)]
+            for key, words in table.items()
+            for bone, side in ([(key, "")] if key in PARENTS else [(side + key, side) for side in SIDES])
+        }
+        for table in tables.values()
+    )

@@ -1,0 +1,108 @@
+"""`VRMC_vrm.meta`: what the model is called, who made it, and what one may do with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from facepipe.errors import InputError
+from facepipe.names import did_you_mean
+from facepipe_gltf.vrm.options import Options
+
+Json = dict[str, Any]
+
+LICENSE_URL = "https://vrm.dev/licenses/1.0/"  # the only one that VRM 1.0 has (meta.md) and its runtimes load
+TEXTS = (
+    *("name", "version", "copyrightInformation", "contactInformation", "thirdPartyLicenses", "licenseUrl"),
+    "otherLicenseUrl",
+)
+LISTS = ("authors", "references")
+FLAGS = (
+    *("allowExcessivelyViolentUsage", "allowExcessivelySexualUsage", "allowPoliticalOrReligiousUsage"),
+    *("allowAntisocialOrHateUsage", "allowRedistribution"),
+)
+CHOICES = {
+    "avatarPermission": ("onlyAuthor", "onlySeparatelyLicensedPerson", "everyone"),
+    "commercialUsage": ("personalNonProfit", "personalProfit", "corporation"),
+    "creditNotation": ("required", "unnecessary"),
+    "modification": ("prohibited", "allowModification", "allowModificationRedistribution"),
+}
+_OTHERS = ("extensions", "extras", "thumbnailImage")
+_FIELDS = (*TEXTS, *LISTS, *FLAGS, *CHOICES, *_OTHERS)
+_LARGEST = 1 << 20  # bytes
+
+
+def meta_of(options: Options, name: str, attribution: str) -> Json:
+    """The meta of a model: of the options, of their file, and of the face's attribution.
+
+    :param name: what the model is called where the file doesn't say
+    :raises InputError: no licence, no authors, or a field that VRM doesn't have or takes otherwise
+    """
+    meta: Json = {"name": name}
+    if attribution:
+        meta |= {"authors": [attribution], "copyrightInformation": attribution}
+    if options.meta is not None:
+        meta |= _read(options.meta)
+    authors = [one.strip() for one in options.authors.split(",") if one.strip()]
+    if authors:
+        meta["authors"] = authors
+    if options.license_url:
+        meta["licenseUrl"] = options.license_url
+    if "authors" not in meta:
+        raise InputError("option authors", "not given and the face has no attribution, expected a name")
+    if "licenseUrl" not in meta:
+        terms = f"expected {LICENSE_URL}, if you grant what it and --meta say, or licenseUrl in --meta"
+        raise InputError("option license_url", f"not given, and no licence is ever assumed, {terms}")
+    wrong = _expected("licenseUrl", meta["licenseUrl"])
+    if wrong is not None:
+        raise InputError("option license_url", f"{str(meta['licenseUrl'])[:60]}, expected {wrong}")
+    return meta
+
+
+def problems(meta: Json) -> list[tuple[str, str]]:
+    """What is wrong with a meta object: field and text."""
+    found = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
+    for field, value in meta.items():
+        expected = _expected(field, value)
+        if expected:
+            found.append((field, f"{json.dumps(value)[:60]}, expected {expected}"))
+    return found
+
+
+def _expected(field: str, value: Any) -> str | None:
+    """What the value should be; None where it is."""
+    if field in CHOICES:
+        return None if value in CHOICES[field] else " or ".join(CHOICES[field])
+    if field in FLAGS:
+        return None if isinstance(value, bool) else "true or false"
+    if field in LISTS:
+        texts = isinstance(value, list) and all(isinstance(one, str) and one.strip() for one in value)
+        return None if texts and value else "a list of texts"
+    if field == "licenseUrl":
+        return None if value == LICENSE_URL else f"{LICENSE_URL} (others go to otherLicenseUrl)"
+    if field in TEXTS:
+        return None if isinstance(value, str) and (value.strip() or field != "name") else "a text"
+    return None if field in _OTHERS else f"a field of VRM's meta{did_you_mean(field, _FIELDS)}"
+
+
+def _read(path: Path) -> Json:
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(path, f"more than {_LARGEST} bytes, expected a JSON object of VRM's meta fields")
+        found = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(path, f"can't be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError):
+        raise InputError(path, "no readable JSON, expected an object of VRM's meta fields") from None
+    if not isinstance(found, dict):
+        raise InputError(path, "no JSON object, expected one of VRM's meta fields")
+    if "thumbnailImage" in found:
+        raise InputError(
+            path, "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
+        )
+    for field, value in found.items():
+        expected = _expected(field, value)
+        if expected is not None:
+            raise InputError(f"{path} -> {field}", f"{json.dumps(value)[:60]}, expected {expected}")
+    return found

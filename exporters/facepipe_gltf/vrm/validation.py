@@ -1,0 +1,196 @@
+"""Checks of .vrm files: those of glTF, and the rules of VRM 1.0."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from facepipe.reports import Finding
+from facepipe_gltf import validation as gltf
+from facepipe_gltf.mesh_validation import primitives, targets
+from facepipe_gltf.raw import Json, RawDocument, is_index
+from facepipe_gltf.raw_nodes import local_matrix, parents, world_matrix
+from facepipe_gltf.skin_validation import Problem
+from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
+from facepipe_gltf.vrm.expressions import table
+from facepipe_gltf.vrm.meta import problems
+
+EXTENSION = "VRMC_vrm"
+_LEVEL = 0.26  # sine of 15 degrees, by which arms held out may be off
+_UNIFORM = 1e-4
+_RANGES = ("rangeMapHorizontalInner", "rangeMapHorizontalOuter", "rangeMapVerticalDown", "rangeMapVerticalUp")
+
+_Check = Callable[[RawDocument, Json], Iterator[Problem]]
+
+
+def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:
+    """What is wrong with a .vrm.
+
+    :param khronos: also run the Khronos validator; a note says so where it is not installed
+    :raises InputError: no such file, or no glTF at all
+    """
+    document = RawDocument(Path(path))
+    extensions = document.json.get("extensions")
+    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    findings = [
+        Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {at}", message=message)
+        for name, check, severity in _CHECKS
+        for at, message in check(document, found if isinstance(found, dict) else {})
+    ]
+    return (*findings, *gltf.validate(path, khronos=khronos))
+
+
+def _version(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """The file says that it is VRM 1.0."""
+    if vrm.get("specVersion") != "1.0":
+        found = f"specVersion {str(vrm['specVersion'])[:40]}" if "specVersion" in vrm else f"no {EXTENSION}"
+        yield "/extensions", f"{found}, expected {EXTENSION} with specVersion 1.0"
+    if EXTENSION not in (document.json.get("extensionsUsed") or []):
+        yield "/extensionsUsed", f"no {EXTENSION}, expected it"
+
+
+def _meta(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """The model has a name, authors and a licence."""
+    meta = vrm.get("meta")
+    for field, what in problems(meta if isinstance(meta, dict) else {}):
+        yield f"/extensions/{EXTENSION}/meta/{field}", what
+
+
+def _bones(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """The required human bones are there, each a node of its own below the right one."""
+    where = f"/extensions/{EXTENSION}/humanoid/humanBones"
+    count = len(document.items("nodes"))
+    found = human_bones(vrm)
+    for bone in REQUIRED:
+        if bone not in found:
+            yield where, f"no {bone}, expected one"
+    known: dict[str, int] = {}
+    for bone, node in found.items():
+        if bone not in PARENTS:
+            yield f"{where}/{bone}", "is no human bone of VRM 1.0"
+        elif not is_index(node) or node >= count:
+            yield f"{where}/{bone}/node", f"{str(node)[:40]}, expected 0 to {count - 1}"
+        elif node in known.values():
+            yield f"{where}/{bone}/node", f"{node} is another human bone too, expected each node once"
+        else:
+            known[bone] = node
+    wrong = misplaced(known, _paths(document))
+    if wrong is not None:
+        yield f"{where}/{wrong.bone}", f"below {wrong.found or 'no human bone'}, expected below {wrong.expected}"
+
+
+def _scales(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """Scales of nodes are positive and the same on all axes."""
+    for i, node in enumerate(document.items("nodes")):
+        scale = np.linalg.norm(local_matrix(node)[:3, :3], axis=0)
+        own = node.get("scale")
+        negative = isinstance(own, list) and any(isinstance(one, int | float) and one <= 0 for one in own)
+        if negative or np.ptp(scale) > _UNIFORM * max(float(scale.max()), 1e-30):
+            yield f"/nodes/{i}/scale", f"{[round(float(one), 4) for one in scale]}, expected one positive number"
+
+
+def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """The model stands upright, looks along +Z and holds its arms out (tpose.md)."""
+    above = parents(document)
+    count = len(document.items("nodes"))
+    known = {bone: node for bone, node in human_bones(vrm).items() if is_index(node) and node < count}
+    place = {bone: world_matrix(document, node, above)[:3, 3] for bone, node in known.items()}
+    where = f"/extensions/{EXTENSION}/humanoid/humanBones"
+    if {"hips", "head"} <= place.keys() and place["head"][1] <= place["hips"][1]:
+        yield f"{where}/head", "not above the hips, expected a standing model"
+    for left in [bone for bone in place if bone.startswith("left")]:
+        right = f"right{left[4:]}"
+        if right in place and place[left][0] <= place[right][0]:
+            yield f"{where}/{left}", f"not on the +X side of {right}, expected a model that looks along +Z"
+    for side in SIDES:
+        upper, hand = place.get(f"{side}UpperArm"), place.get(f"{side}Hand")
+        if upper is not None and hand is not None:
+            along = (hand - upper) / max(float(np.linalg.norm(hand - upper)), 1e-30)
+            if abs(along[0]) < np.sqrt(1 - _LEVEL**2):
+                yield f"{where}/{side}Hand", "arm not held out to the side, expected VRM's T-pose"
+    feet = [place[bone][1] for bone in ("leftFoot", "rightFoot") if bone in place]
+    if feet and min(feet) < -1e-3:
+        yield where, f"feet at {min(feet):.3f} m, expected the ground at 0"
+
+
+def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """Binds name morph targets that are there, presets are VRM's and other names are not."""
+    found = vrm.get("expressions")
+    found = found if isinstance(found, dict) else {}
+    presets = table()["preset"]
+    for group in ("preset", "custom"):
+        named = found.get(group)
+        for name, one in (named if isinstance(named, dict) else {}).items():
+            where = f"/extensions/{EXTENSION}/expressions/{group}/{name}"
+            if (name in presets) != (group == "preset"):
+                yield where, "is no preset of VRM 1.0" if group == "preset" else "has the name of a preset"
+            binds = one.get("morphTargetBinds", []) if isinstance(one, dict) else []
+            for i, bind in enumerate(binds if isinstance(binds, list) else []):
+                yield from _bind(document, f"{where}/morphTargetBinds/{i}", bind)
+
+
+def _bind(document: RawDocument, where: str, bind: Any) -> Iterator[Problem]:
+    bind = bind if isinstance(bind, dict) else {}
+    node = document.item("nodes", bind.get("node"))
+    mesh = node.get("mesh") if node is not None else None
+    counts = [len(targets(one)) for at, one in primitives(document) if at.startswith(f"/meshes/{mesh}/")]
+    index, weight = bind.get("index"), bind.get("weight")
+    if not counts:
+        yield f"{where}/node", f"{str(bind.get('node'))[:40]}, expected a node with a mesh"
+    elif not is_index(index) or index >= min(counts):
+        yield f"{where}/index", f"{str(index)[:40]}, expected a target below {min(counts)}"
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 <= weight <= 1:
+        yield f"{where}/weight", f"{str(weight)[:40]}, expected 0 to 1"
+
+
+def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """What turns the eyes is there."""
+    found = vrm.get("lookAt")
+    if found is None:
+        return
+    where = f"/extensions/{EXTENSION}/lookAt"
+    found = found if isinstance(found, dict) else {}
+    if found.get("type") not in ("bone", "expression"):
+        yield f"{where}/type", f"{str(found.get('type'))[:40]}, expected bone or expression"
+    if found.get("type") == "bone" and not {"leftEye", "rightEye"} <= human_bones(vrm).keys():
+        yield f"{where}/type", "bone without the human bones leftEye and rightEye, expected both"
+    for name in _RANGES:
+        if name in found and not (isinstance(found[name], dict) and {"inputMaxValue", "outputScale"} <= {*found[name]}):
+            yield f"{where}/{name}", "expected inputMaxValue and outputScale"
+
+
+def human_bones(vrm: Json) -> dict[str, Any]:
+    """Bone -> what the file gives as its node."""
+    humanoid = vrm.get("humanoid")
+    bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+    return {
+        str(bone): one.get("node") if isinstance(one, dict) else None
+        for bone, one in (bones if isinstance(bones, dict) else {}).items()
+    }
+
+
+def _paths(document: RawDocument) -> Callable[[int], list[int]]:
+    above = parents(document)
+
+    def path(node: int) -> list[int]:
+        found = [node]
+        while found[-1] in above and above[found[-1]][0] not in found:
+            found.append(above[found[-1]][0])
+        return found
+
+    return path
+
+
+_CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
+    ("VrmVersion", _version, "error"),
+    ("VrmMeta", _meta, "error"),
+    ("VrmHumanBones", _bones, "error"),
+    ("VrmScales", _scales, "warning"),
+    ("VrmPose", _pose, "warning"),
+    ("VrmExpressions", _expressions, "error"),
+    ("VrmLookAt", _look_at, "error"),
+)
