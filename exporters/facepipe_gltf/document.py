@@ -73,6 +73,7 @@ class _Writer:
     warnings: list[str] = field(default_factory=list)
     uncolored: dict[str, None] = field(default_factory=dict)  # meshes whose display colours are left out
     colored: set[str] = field(default_factory=set)  # meshes whose display colours are in the file
+    played: set[str] = field(default_factory=set)  # animations that are in the file
     record: Record | None = None
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
 
@@ -93,8 +94,7 @@ class _Writer:
         if joints is not None:
             scene += joints.roots
         animations = self._animations(joints) if options.animations else []
-        names = [one["name"] for one in animations]
-        self.record = record_of(parts, meshes, self.space, options, names, self.colored)
+        self.record = record_of(parts, meshes, self.space, options, self.played, self.colored)
         return self._assemble(scene, skins, animations, meshes, shapes)
 
     def _mesh(self, baked: Baked) -> None:
@@ -149,6 +149,8 @@ class _Writer:
         for animation, result in zip(self.parts.animations, written, strict=True):
             if result is None:
                 self.warnings.append(f"{animation.name}: left out, nothing that it moves is in the file")
+            else:
+                self.played.add(animation.name)
         return [result for result in written if result is not None]
 
     def _assemble(

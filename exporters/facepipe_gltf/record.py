@@ -14,7 +14,6 @@ from facepipe.parts import (
     Blendshape,
     FaceParts,
     FloatArray,
-    Inbetween,
     IntArray,
     Material,
     Mesh,
@@ -146,15 +145,14 @@ def _keeps_polygons(baked: Baked) -> bool:
 def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
     names = {sculpt.shape for sculpt in baked.sculpts}
     return tuple(
-        Blendshape(
-            name=shape.name,
+        replace(
+            shape,
             point_indices=NONE,
             offsets=NONE,
             normal_offsets=None if shape.normal_offsets is None else NONE,
             inbetweens=tuple(
-                Inbetween(
-                    name=one.name,
-                    weight=one.weight,
+                replace(
+                    one,
                     offsets=NONE,
                     normal_offsets=None if one.normal_offsets is None else NONE,
                 )

@@ -12,6 +12,7 @@ from facepipe.errors import InputError
 from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_record, gltf_skins
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document
+from facepipe.importers.gltf_losses import note_losses
 from facepipe.importers.imported import Imported, import_recipe
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, Mesh
@@ -64,10 +65,13 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
             if options.fps is not None:
                 record = gltf_record.resampled(record, read)
             face = gltf_record.filled(document, record, read)
+            note_losses(document, own=True)
             return _with_recipe(face, document, source, options)
         except InputError as error:
             document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
-    return _read(document, source, options)
+    face = _read(document, source, options)
+    note_losses(document, own=False)
+    return face
 
 
 def _with_recipe(face: FaceParts, document: Document, source: Path, options: Options) -> FaceParts:
@@ -81,7 +85,7 @@ def _read(document: Document, source: Path, options: Options, *, own: bool = Fal
     """:param own: leave meshes where the file has them, as our record does the rest"""
     nodes = gltf_nodes.read_nodes(document, options.scene)
     joints = gltf_skins.read_joints(document, nodes)
-    materials = gltf_materials.material_names(document)
+    materials = gltf_materials.material_names(document)  # the last stands for none
     assembly = Assembly(document, nodes, joints, materials, options.weld, own)
     meshes = assembly.meshes()
     if not meshes:

@@ -29,6 +29,8 @@ from facepipe.importers.gltf_samplers import read_sampler
 from facepipe.importers.gltf_skins import Joints
 from facepipe.names import handles
 from facepipe.parts import Animation, FloatArray
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
 
@@ -144,17 +146,41 @@ def _animation(
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
     own = given_name(value)
-    return Animation(
-        name=name,
-        label=own if own != name else None,
-        times=times if len(times) > 1 else None,
-        joints=tuple(joints.skeleton.joints[joint] for joint in moved),
-        translations=None if motion is None else motion.translation.astype(np.float32),
-        rotations=None if motion is None else motion.rotation.astype(np.float32),
-        scales=None if motion is None else motion.scale.astype(np.float32),
-        shapes=shape_names,
-        shape_weights=shape_weights,
+    return _with_exact_scales(
+        document,
+        value,
+        joints,
+        Animation(
+            name=name,
+            label=own if own != name else None,
+            times=times if len(times) > 1 else None,
+            joints=tuple(joints.skeleton.joints[joint] for joint in moved),
+            translations=None if motion is None else motion.translation.astype(np.float32),
+            rotations=None if motion is None else motion.rotation.astype(np.float32),
+            scales=None if motion is None else motion.scale.astype(np.float32),
+            shapes=shape_names,
+            shape_weights=shape_weights,
+        ),
     )
+
+
+def _with_exact_scales(document: Document, value: Value, joints: Joints, animation: Animation) -> Animation:
+    """The animation, with bone coefficients too where SkelAnimation would round its scales to half precision."""
+    scales = animation.scales
+    if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
+        return animation
+    place = {joint: i for i, joint in enumerate(joints.skeleton.joints)}
+    rest = joints.skeleton.rest_transforms[[place[joint] for joint in animation.joints]]
+    if np.abs(np.linalg.det(rest[:, :3, :3])).min() < 1e-12:
+        document.warn(value, "scales are kept in half precision: joints are flat at rest")
+        return animation
+    relative = np.linalg.inv(rest) @ local_transforms(joints.skeleton, animation)
+    coefficients = matrix_coefficients(relative)
+    lost = float(np.abs(coefficient_matrices(coefficients) - relative).max())
+    if lost > 1e-5 * max(1.0, float(np.abs(relative).max())):
+        document.warn(value, f"scales are kept in half precision: joints sheared against rest by up to {lost:.2g}")
+        return animation
+    return replace(animation, coefficients=coefficients.astype(np.float32))
 
 
 def _joint_motion(

@@ -23,12 +23,14 @@ _Four = tuple[float, float, float, float]
 
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
+_DEFAULT = "default_material"
 _IMPLEMENTED = {"KHR_materials_ior", "KHR_materials_unlit", "KHR_materials_emissive_strength"}
 
 
 def material_names(document: Document) -> list[str]:
-    """What every material of the document is called, each otherwise."""
-    return list(handles([given_name(value) or "" for value in document.entries("materials")], "Material"))
+    """What every material of the document is called, each otherwise; the last is that of primitives that have none."""
+    given = [given_name(value) or "" for value in document.entries("materials")]
+    return list(handles([*given, _DEFAULT], "Material"))
 
 
 def read_materials(document: Document, names: list[str], used: Iterable[str]) -> tuple[Material, ...]:
@@ -39,7 +41,10 @@ def read_materials(document: Document, names: list[str], used: Iterable[str]) ->
     wanted = set(used)
     textures = _Textures(document)
     values = document.entries("materials")
-    return tuple(_material(document, textures, values[i], name) for i, name in enumerate(names) if name in wanted)
+    read = [_material(document, textures, values[i], name) for i, name in enumerate(names[:-1]) if name in wanted]
+    if names[-1] in wanted:  # glTF 2.0 section 3.9.6: white, metallic 1, rough 1
+        read.append(_material(document, textures, Value({}, document.root.trail), names[-1]))
+    return tuple(read)
 
 
 def is_double_sided(document: Document, index: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -37,7 +37,8 @@ def build_mesh(
     welded = _numbered(geometry) if own else _weld(document, geometry, weld)
     corners, kept = _faces(document, geometry, welded)
     points = welded.points[corners].ravel()
-    bound = [(materials[number] if number >= 0 else None) for number in np.unique(geometry.materials[kept])]
+    shown = _materials(document, geometry, materials, own)
+    bound = [shown[number] for number in np.unique(geometry.materials[kept]).tolist()]
     return Mesh(
         name="mesh",
         points=vertices.positions[welded.vertices],
@@ -51,7 +52,7 @@ def build_mesh(
         landmarks={} if own else gltf_landmarks.landmarks(document, geometry, welded),
         anchor=None if own else gltf_landmarks.anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
-        material_faces=_material_faces(geometry.materials[kept], materials) if len(bound) > 1 else (),
+        material_faces=_material_faces(geometry.materials[kept], shown) if len(bound) > 1 else (),
     )
 
 
@@ -157,9 +158,32 @@ def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -
     return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights[:, :used])
 
 
-def _material_faces(numbers: IntArray, materials: Sequence[str]) -> tuple[MaterialFaces, ...]:
+def _materials(document: Document, geometry: Geometry, materials: Sequence[str], own: bool) -> Mapping[int, str | None]:
+    """The material by its number; -1 is glTF's default one, or none where display colours are to show."""
+    result: dict[int, str | None] = dict(enumerate(materials[:-1]))
+    result[-1] = materials[-1]
+    if geometry.vertices.colors is not None and not own:
+        result[-1] = None
+        if (geometry.materials < 0).any():
+            document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")
+        tinted = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
+        if not all(_is_white(document, number) for number in tinted):
+            document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")
+    return result
+
+
+def _is_white(document: Document, material: int) -> bool:
+    """Whether vertex colours are all the colour that a material has."""
+    surface = document.entries("materials")[material].get("pbrMetallicRoughness")
+    if surface is None:
+        return True
+    factor = surface.get("baseColorFactor")
+    plain = factor is None or factor.numbers(4)[:3] == (1.0, 1.0, 1.0)
+    return plain and surface.get("baseColorTexture") is None
+
+
+def _material_faces(numbers: IntArray, materials: Mapping[int, str | None]) -> tuple[MaterialFaces, ...]:
+    groups = [(materials[number], np.flatnonzero(numbers == number)) for number in np.unique(numbers).tolist()]
     return tuple(
-        MaterialFaces(material=materials[number], faces=np.flatnonzero(numbers == number).astype(np.int32))
-        for number in np.unique(numbers).tolist()
-        if number >= 0
+        MaterialFaces(material=name, faces=faces.astype(np.int32)) for name, faces in groups if name is not None
     )

@@ -139,9 +139,14 @@ def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
             continue
         listed = names.data
         if isinstance(listed, list) and len(listed) == count and all(isinstance(name, str) for name in listed):
+            nameless = sum(not name for name in listed)
+            if nameless:
+                document.warn(names, f"{nameless} of {count} names are empty: called target_<number>")
             return [name.name() for name in names.items()]
         document.warn(names, f"is not a list of {count} names: targets are numbered instead")
         break
+    else:
+        document.warn(mesh, f"its {count} morph targets have no names: called target_<number>")
     return [f"target_{i}" for i in range(count)]
 
 
