@@ -14,6 +14,7 @@ from facepipe.reports import Report
 
 # verb of a recipe -> its module
 VERBS = {
+    "animate": "facepipe.pipeline.animate",
     "apply-bones": "facepipe.pipeline.apply_bones",
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
