@@ -64,6 +64,13 @@ def vrm_load(file: Path, poses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return answer
 
 
+def three_play(file: Path, clip: str, times: Sequence[float], out: Path) -> tuple[dict[str, Any], np.ndarray]:
+    """What three.js shows of an animation: its meshes, and (times, vertices, 3) world positions, kept in `out`."""
+    request = json.dumps({"clip": clip, "times": list(times)})
+    answer: dict[str, Any] = _run("three_play.mjs", [str(file), str(out)], request)
+    return answer, np.memmap(out, np.float32, "r").reshape(len(times), -1, 3)
+
+
 def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
     """The outputs of an ONNX model in onnxruntime-web for each of `feeds`, float32."""
     requests = [

@@ -86,6 +86,11 @@ def _posed(folder: Path) -> None:
     tiny_payload(folder / "pose.fpb")
 
 
+def _performed(folder: Path) -> None:
+    _face()
+    _text("take.csv", "jawOpen\n0\n0.25\n1\n")
+
+
 def _neural(folder: Path) -> None:
     save_parts(neural_faces.face(), folder / "face.usda")
     _rig(0)
@@ -101,6 +106,11 @@ _RIG = build(small())
 _JOINTS = '{"unit": "mm", "joints": {"head": {"position": [0, 40, -20]}, "head/jaw": {"position": [0, 10, -15]}}}'
 _MORE = TABLE + '[slider.up]\nchannels = { "jaw:ty" = 0.25 }\n'
 CASES = {
+    "animate": Case(
+        ("animate", "face.usda", "take.csv", "--resample", "24", "--offset", "0.5"),
+        _performed,
+        lambda: _text("take.csv", "jawOpen\n0\n0.5\n1\n"),
+    ),
     "apply-bones": Case(
         ("apply-bones", "face.usda", "pose.fpb"), _posed, lambda: tiny_payload(Path("pose.fpb"), scale=1.1)
     ),

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from facepipe.errors import InputError
+from facepipe.names import did_you_mean
 from facepipe.parts import Animation, FaceParts, FloatArray, Recipe
+from facepipe.processors.animate.angles import PARTS, angle_of
 from facepipe.processors.animate.options import AnimateOptions
 from facepipe.processors.animate.performance import Performance
-from facepipe.processors.animate.shape_keys import ANGLES, matched, shape_key
-from facepipe.processors.animate.turned_joints import PARTS, angles_of, joint_of, turned_by_shapes, turns
+from facepipe.processors.animate.turned_joints import angles_of, joint_of, turned_by_shapes, turns
 from facepipe.reports import Report
+from facepipe.rig.conventions import match_shapes
 from facepipe.stage import Face
 from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
@@ -63,7 +65,7 @@ class AnimateFace:
             raise InputError(face.where, f"has an animation '{self.name}' already, expected another name")
         performance = self.performance.cut(self.options.start, self.options.end)
         performance = performance.at_rate(self.options.resample or performance.fps)
-        weights, renamed, no_target = _weights(face.where, parts, performance)
+        weights, renamed, no_target = _weights(parts, performance)
         joints, coefficients, unturned = _turned(face.where, parts, performance, self.options, tuple(weights))
         if not weights and not joints:
             raise InputError(face.where, _another_face(performance, parts))
@@ -96,56 +98,53 @@ class AnimateFace:
 
 
 def _weights(
-    where: str, parts: FaceParts, performance: Performance
+    parts: FaceParts, performance: Performance
 ) -> tuple[dict[str, FloatArray], dict[str, str], dict[str, str]]:
     """Shape -> (T,) weights; name -> shapes that are called otherwise; name -> why it has no target."""
-    shapes = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
-    names = [name for name in performance.names if shape_key(name) not in ANGLES]
-    found = matched(names, shapes)
-    weights: dict[str, FloatArray] = {}
-    source: dict[str, str] = {}
-    for name, targets in found.items():
-        for target in targets:
-            if target in weights:
-                what = f"'{source[target][:60]}' and '{name[:60]}' are both {target}, expected one of them"
-                raise InputError(f"{performance.where} -> {where}", what)
-            weights[target], source[target] = performance.values[:, performance.names.index(name)], name
-    renamed = {name: ", ".join(targets) for name, targets in found.items() if targets and targets != (name,)}
-    return weights, renamed, {name: "no such shape" for name, targets in found.items() if not targets}
+    shapes = _shapes(parts)
+    columns = dict(zip(performance.names, performance.values.T, strict=True))
+    names = [name for name in performance.names if not angle_of(name)]
+    found = match_shapes(names, shapes)
+    weights = {target: columns[name] for name, targets in found.items() for target in targets}
+    renamed = {name: ", ".join(targets) for name, targets in found.items() if targets != (name,)}
+    left = [shape for shape in shapes if shape not in weights]
+    lost = {name: f"no such shape{did_you_mean(name, left)}" for name in names if name not in found}
+    return weights, renamed, lost
 
 
 def _turned(
     where: str, parts: FaceParts, performance: Performance, options: AnimateOptions, shapes: tuple[str, ...]
 ) -> tuple[dict[str, str], FloatArray | None, dict[str, str]]:
     """Part -> joint, (T, joints, 9) coefficients, and the angles without target with why."""
-    columns = {key: i for i, name in enumerate(performance.names) if (key := shape_key(name)) in ANGLES}
-    wanted = dict(zip(PARTS, (options.head, options.left_eye, options.right_eye), strict=True))
     joints: dict[str, str] = {}
     moved: list[FloatArray] = []
-    no_target: dict[str, str] = {}
+    lost: dict[str, str] = {}
+    wanted = dict(zip(PARTS, (options.head, options.left_eye, options.right_eye), strict=True))
     for part in PARTS:
         joint = joint_of(where, parts.skeleton, part, wanted[part])
-        angles = angles_of(columns, performance.values, part)
+        angles = angles_of(performance, part)
+        why = "left out" if wanted[part] else "no such joint"
+        if joint is not None and wanted[part] is None and part != "Head":
+            by = turned_by_shapes(parts.meshes, joint, part.removesuffix("Eye").lower(), shapes)
+            joint, why = (joint, "") if by is None else (None, f"{by} and its like turn this eye")
         if not angles.any():
             continue
-        side = part.removesuffix("Eye").lower()
-        shown = joint is not None and wanted[part] is None and part != "Head"
-        by = turned_by_shapes(parts.meshes, joint, side, shapes) if shown and joint is not None else None
-        if joint is None or by is not None:
-            why = f"{by} and others turn this eye" if by else "left out" if wanted[part] else "no such joint"
-            own = [name for name in performance.names if shape_key(name).startswith(part.lower())]
-            no_target |= {name: why for name in own if shape_key(name) in ANGLES}
+        if joint is None:
+            lost |= {name: why for name in performance.names if (angle_of(name) or "").startswith(part)}
             continue
         joints[part] = parts.skeleton.joints[joint]
         moved.append(turns(parts.skeleton, parts.up_axis, joint, angles))
-    twice = len(set(joints.values())) < len(joints)
-    if twice:
+    if len(set(joints.values())) < len(joints):
         raise InputError(where, f"one joint for two of {', '.join(joints)}, expected different ones")
-    return joints, np.stack(moved, axis=1) if moved else None, no_target
+    return joints, np.stack(moved, axis=1) if moved else None, lost
+
+
+def _shapes(parts: FaceParts) -> list[str]:
+    return list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
 
 
 def _another_face(performance: Performance, parts: FaceParts) -> str:
-    shapes = sorted({shape.name for mesh in parts.meshes for shape in mesh.blendshapes})
-    some = ", ".join(shapes[:4]) + (" ..." if len(shapes) > 4 else "") or "none"
-    names = f"{len(performance.names)} names ({performance.names[0][:40]} ...)"
-    return f"has none of the shapes of {Path(performance.where).name}: {names}, expected some of its own: {some}"
+    shapes, first = _shapes(parts), performance.names[0]
+    some = ", ".join(shapes[:4]) + (" ..." if len(shapes) > 4 else "") or "none, there are none"
+    names = f"{len(performance.names)} names ('{first[:40]}' ...) of {Path(performance.where).name}"
+    return f"none of its shapes is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"

@@ -19,11 +19,12 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray
-from facepipe.processors.animate.performance import FPS, Performance, in_radians, steady
-from facepipe.processors.animate.shape_keys import ANGLES, shape_key
+from facepipe.processors.animate.angles import ANGLES
+from facepipe.processors.animate.performance import FPS, Performance, in_radians, middle, steady
 from facepipe.processors.animate.timecode import frames_of
 from facepipe.reading import read_bytes
 from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import shape_key
 
 MOST_BYTES = 1 << 29
 _COUNT = "blendshapecount"
@@ -147,8 +148,8 @@ def _clock(table: _Table, column: int | None, fps: float | None) -> tuple[float,
 
 def rate_of(seconds: FloatArray) -> float:
     """Frames per second of frames at `seconds`: a whole number where it is nearly one."""
-    steps = np.diff(seconds)
-    if not len(steps) or not np.median(steps) > 0:
+    step = middle(np.diff(seconds)) if len(seconds) > 1 else 0.0
+    if step <= 0:
         return FPS
-    rate = float(np.clip(1.0 / np.median(steps), 1.0, 1000.0))
+    rate = min(max(1.0 / step, 1.0), 1000.0)
     return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate

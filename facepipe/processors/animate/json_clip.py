@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from facepipe.errors import InputError
+from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.csv_clip import MOST_BYTES, rate_of
 from facepipe.processors.animate.performance import FPS, Performance, in_radians, steady
-from facepipe.processors.animate.shape_keys import ANGLES, shape_key
 from facepipe.processors.animate.timecode import frames_of
 from facepipe.reading import read_json
 
@@ -83,7 +83,7 @@ def _weights(where: str, keyed: Mapping[str, Any], frame: Mapping[str, Any]) -> 
     skipped = (*_WEIGHTS, *_SECONDS, "timecode", "frame", "index")
     beside = {name: value for name, value in frame.items() if name.casefold() not in skipped}
     if held is not None:
-        beside = {name: value for name, value in beside.items() if shape_key(name) in ANGLES}
+        beside = {name: value for name, value in beside.items() if angle_of(name)}
         if not isinstance(held, Mapping):
             raise InputError(where, "weights of another form, expected names with numbers")
     return {str(name): _number(f"{where} -> {name}", value) for name, value in {**(held or {}), **beside}.items()}

@@ -11,7 +11,7 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray
-from facepipe.processors.animate.shape_keys import ANGLES, shape_key
+from facepipe.processors.animate.angles import angle_of
 
 FPS = 60.0  # of a file that does not say
 MOST_FRAMES = 1 << 19  # 2.4 hours at 60 fps
@@ -63,7 +63,7 @@ def in_radians(values: FloatArray, names: Sequence[str], *, degrees: bool) -> Fl
     """(k, names) values whose angles were `degrees` or are radians already."""
     if not degrees:
         return values
-    return np.asarray(values * [math.pi / 180 if shape_key(name) in ANGLES else 1.0 for name in names])
+    return np.asarray(values * [math.pi / 180 if angle_of(name) else 1.0 for name in names])
 
 
 def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], values: FloatArray) -> Performance:
@@ -84,7 +84,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
     last = np.append(np.diff(frames) > 0, True)  # of rows at one time the last
     warnings = [] if last.all() else [f"{int((~last).sum())} frames stand at the time of the one before: left out"]
     frames, values = frames[last] - frames[last][0], values[last]
-    step = max(1.0, np.rint(np.median(np.diff(frames)))) if len(frames) > 1 else 1.0
+    step = max(1.0, float(np.rint(middle(np.diff(frames)))))
     count = int(frames[-1] / step + 0.5) + 1
     _check_count(where, count)
     grid = np.arange(count) * step
@@ -93,7 +93,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
         warnings.append(f"frames stand up to {off:.2g} of a frame beside whole ones: interpolated")
     else:
         frames = np.rint(frames / step) * step
-    turns = [i for i, name in enumerate(names) if shape_key(name) in ANGLES]
+    turns = [i for i, name in enumerate(names) if angle_of(name)]
     values = np.array(values)
     values[:, turns] = np.unwrap(values[:, turns], axis=0)
     return Performance(
@@ -104,6 +104,11 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
         filled=count - len(frames),
         warnings=tuple(warnings),
     )
+
+
+def middle(steps: FloatArray) -> float:
+    """The lower median; 1 of none."""
+    return float(np.sort(steps)[(len(steps) - 1) // 2]) if len(steps) else 1.0
 
 
 def _check_count(where: str, count: int) -> None:

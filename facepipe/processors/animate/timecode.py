@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray
+from facepipe.processors.animate.performance import middle
 
 _CODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,3}(?:\.\d*)?)")
 _DAY = 24 * 3600
@@ -26,10 +27,8 @@ def frames_of(where: Sequence[str], codes: Sequence[str], fps: float) -> FloatAr
     seconds, frames = np.array([one[0] for one in parsed]), np.array([one[1] for one in parsed])
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     found = seconds * nominal + frames
-    steps = np.diff(found)
-    step = float(np.median(steps)) if len(steps) else 1.0
     highest = int(frames.max())
-    if len(np.unique(seconds)) > 2 and highest + 1.5 * max(step, 1.0) < nominal:
+    if len(np.unique(seconds)) > 2 and highest + 1.5 * max(middle(np.diff(found)), 1.0) < nominal:
         shown = f"frames 0 to {highest} in every second"
         raise InputError(where[0], f"{shown}, expected up to {nominal - 1} at {fps:g} fps (--fps {highest + 1}?)")
     return np.asarray(found - found[0])

@@ -8,25 +8,25 @@ angles of the eyes move so with EyeLookIn, EyeLookOut, EyeLookUp and EyeLookDown
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray, Mesh, Skeleton
-from facepipe.processors.animate.shape_keys import shape_key
+from facepipe.processors.animate.angles import angle_of
+from facepipe.processors.animate.performance import Performance
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients
+from facepipe.rig.conventions import shape_key
 from facepipe.rig.trs import decompose, rotation_matrices
 
 NONE = "none"
-PARTS = ("Head", "LeftEye", "RightEye")
 _NAMES = {  # of joints, as `shape_key` has them
     "Head": ("head",),
-    "LeftEye": ("eyeleft", "lefteye", "eyeballleft", "lefteyeball", "eyejntleft", "leyejnt"),
-    "RightEye": ("eyeright", "righteye", "eyeballright", "righteyeball", "eyejntright", "reyejnt"),
+    "LeftEye": ("eyeleft", "eyeballleft", "eyejntleft", "eyejointleft"),
+    "RightEye": ("eyeright", "eyeballright", "eyejntright", "eyejointright"),
 }
 _PREFIX = re.compile(r"^(mixamorig\d*|def|cc_base|c|facial|face)[:_\-]+", re.IGNORECASE)
-_SIDE_FIRST = re.compile(r"^([lLrR])_(?=\w)")
 _MOVES = 1e-6  # of the head's size: less is no motion
 _HELD = 0.5  # weight from which a point belongs to a joint
 
@@ -34,7 +34,7 @@ _HELD = 0.5  # weight from which a point belongs to a joint
 def joint_of(where: str, skeleton: Skeleton, part: str, wanted: str | None) -> int | None:
     """The joint that a part turns: the one asked for, or the only one with a usual name nearest to the root.
 
-    :param part: one of `PARTS`
+    :param part: Head, LeftEye or RightEye
     :param wanted: its path or last name, or `NONE`
     :raises InputError: no such joint, or several
     """
@@ -56,9 +56,7 @@ def _asked(where: str, skeleton: Skeleton, part: str, wanted: str) -> int:
 
 
 def _name(joint: str) -> str:
-    name = _PREFIX.sub("", joint.rpartition("/")[2])
-    side = _SIDE_FIRST.match(name)
-    return shape_key(f"{name[2:]}_{side.group(1)}" if side else name)
+    return shape_key(_PREFIX.sub("", joint.rpartition("/")[2]))
 
 
 def turned_by_shapes(meshes: Sequence[Mesh], joint: int, side: str, shapes: Sequence[str]) -> str | None:
@@ -91,14 +89,11 @@ def turns(skeleton: Skeleton, up_axis: str, joint: int, angles: FloatArray) -> F
     return found
 
 
-def angles_of(names: Mapping[str, int], values: FloatArray, part: str) -> FloatArray:
-    """(T, 3) yaw, pitch and roll of a part; what a performance lacks of them is 0.
-
-    :param names: key -> column
-    """
-    zero = np.zeros(len(values))
-    keys = [f"{part}{angle}".lower() for angle in ("Yaw", "Pitch", "Roll")]
-    return np.stack([values[:, names[key]] if key in names else zero for key in keys], axis=1)
+def angles_of(performance: Performance, part: str) -> FloatArray:
+    """(T, 3) yaw, pitch and roll of a part in radians; what a performance lacks of them is 0."""
+    columns = {angle_of(name): column for name, column in zip(performance.names, performance.values.T, strict=True)}
+    zero = np.zeros(len(performance.values))
+    return np.stack([columns.get(f"{part}{angle}", zero) for angle in ("Yaw", "Pitch", "Roll")], axis=1)
 
 
 def _rest_world(skeleton: Skeleton, joint: int) -> FloatArray:

@@ -1,0 +1,466 @@
+"""Performances on faces: what files hold, what becomes of it on a face, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import live_link
+import numpy as np
+import pytest
+from faces import replace_mesh, tiny_face
+from gltf_reader import read as read_gltf
+from import_data import shared
+from node import node_packages, three_play
+from oracle import difference, played
+from test_cli import run
+
+import facepipe
+from facepipe.cli import main
+from facepipe.importers import load
+from facepipe.importers.ict import Options as IctOptions
+from facepipe.parts import Animation, FaceParts, Skeleton
+from facepipe.pipeline.animate import AnimateJob, make
+from facepipe.processors.animate import AnimateOptions, Performance, read_performance
+from facepipe.sample import make as make_sample
+from facepipe.stage import save_parts
+
+Capsys = pytest.CaptureFixture[str]
+DEGREES = 180 / np.pi
+
+
+@pytest.fixture(scope="session")
+def head(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample head on disk; not to be changed."""
+    path = tmp_path_factory.mktemp("sample") / "head.usda"
+    save_parts(make_sample(0), path)
+    return path
+
+
+def table(path: Path, header: str, rows: np.ndarray, clock: Callable[[int], str] | None = None) -> Path:
+    """A CSV of numbers, with a first column `clock` of each row."""
+    cells = [[*([clock(i)] if clock else []), *(f"{value:.6f}" for value in row)] for i, row in enumerate(rows)]
+    path.write_text("\n".join([header, *(",".join(one) for one in cells)]))
+    return path
+
+
+# ---- files
+
+
+VALUES = live_link.performance(5, seed=3)
+NAMES = list(live_link.COLUMNS)
+
+
+def test_a_recording_in_any_order_and_case(tmp_path: Path) -> None:
+    plain = read_performance(live_link.write(tmp_path / "a.csv", VALUES))
+    assert plain.names == live_link.COLUMNS
+    assert plain.fps == 60.0
+    np.testing.assert_allclose(plain.values, VALUES, atol=1e-9)
+    order = np.random.default_rng(1).permutation(len(NAMES))
+    mixed = [NAMES[i].upper() if i % 2 else NAMES[i].lower() for i in order]
+    other = read_performance(live_link.write(tmp_path / "b.csv", VALUES[:, order], columns=mixed))
+    assert [one.lower() for one in other.names] == [NAMES[i].lower() for i in order]
+    np.testing.assert_allclose(other.values, VALUES[:, order], atol=1e-9)
+
+
+FORMS: dict[str, Callable[[Path, np.ndarray], Path]] = {
+    "a row a frame": lambda folder, rows: table(folder / "a.csv", "jawOpen,browInnerUp,HeadYaw", rows),
+    "timecode": lambda folder, rows: table(
+        folder / "b.csv", "Timecode,jawOpen,browInnerUp,HeadYaw", rows, lambda i: live_link.timecode(i + 58, 60)
+    ),
+    "frames": lambda folder, rows: table(
+        folder / "c.csv", "frame,jawOpen,browInnerUp,HeadYaw", rows, lambda i: str(100 + i)
+    ),
+    "seconds": lambda folder, rows: table(
+        folder / "d.csv", "Time,jawOpen,browInnerUp,HeadYaw", rows, lambda i: f"{7 + i / 60:.6f}"
+    ),
+    "tabs": lambda folder, rows: _tabs(table(folder / "e.csv", "jawOpen,browInnerUp,HeadYaw", rows)),
+    "json frames": lambda folder, rows: _json(
+        folder / "a.json",
+        [
+            {"time": i / 60, "blendShapes": {"jawOpen": a, "browInnerUp": b}, "HeadYaw": c}
+            for i, (a, b, c) in rows_of(rows)
+        ],
+    ),
+    "json categories": lambda folder, rows: _json(
+        folder / "b.json",
+        {
+            "fps": 60,
+            "frames": [
+                {"blendshapes": [{"categoryName": n, "score": v} for n, v in zip(SMALL, row, strict=True)]}
+                for row in rows.tolist()
+            ],
+        },
+    ),
+    "json flat": lambda folder, rows: _json(
+        folder / "c.json", [dict(zip(SMALL, row, strict=True)) for row in rows.tolist()]
+    ),
+    "json matrix": lambda folder, rows: _json(
+        folder / "d.json", {"exportFps": 60.0, "facsNames": SMALL, "weightMat": rows.tolist(), "numFrames": len(rows)}
+    ),
+}
+SMALL = ["jawOpen", "browInnerUp", "HeadYaw"]
+
+
+def rows_of(rows: np.ndarray) -> list[tuple[int, list[float]]]:
+    return list(enumerate(rows.tolist()))
+
+
+def _tabs(path: Path) -> Path:
+    path.write_text(path.read_text().replace(",", "\t"))
+    return path
+
+
+def _json(path: Path, content: object) -> Path:
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_says_the_same(form: str, tmp_path: Path) -> None:
+    rows = np.round(np.random.default_rng(5).random((7, 3)), 6)
+    found = read_performance(FORMS[form](tmp_path, rows))
+    assert (found.names, found.fps, found.filled) == (tuple(SMALL), 60.0, 0)
+    np.testing.assert_allclose(found.values, rows, atol=1e-9)
+    turned = read_performance(FORMS[form](tmp_path, rows), degrees=True)
+    np.testing.assert_allclose(turned.values, rows / [1, 1, DEGREES], atol=1e-9)
+
+
+def test_missing_frames_lie_straight_between_others(tmp_path: Path) -> None:
+    frames = [0, 1, 4, 5, 130, 131]  # over a full minute too: 11:59:58 and on
+    values = live_link.performance(len(frames))
+    found = read_performance(live_link.write(tmp_path / "take.csv", values, frames=frames))
+    assert (len(found.values), found.filled, found.fps) == (132, 126, 60.0)
+    np.testing.assert_allclose(found.values[frames], values, atol=1e-9)
+    np.testing.assert_allclose(found.values[2], values[1] + (values[2] - values[1]) / 3, atol=1e-9)
+
+
+def test_frames_without_a_face_are_missing_ones(tmp_path: Path) -> None:
+    values = live_link.performance(4)
+    lost = {4: f"{live_link.timecode(2, 60)},0"}
+    found = read_performance(live_link.write(tmp_path / "take.csv", values, replaced=lost, sub=""))
+    assert found.filled == 1
+    np.testing.assert_allclose(found.values[2], (values[1] + values[3]) / 2, atol=1e-9)
+
+
+def test_a_clock_that_counts_faster_than_frames_come(tmp_path: Path) -> None:
+    """Recordings at 30 fps have a timecode of 60, of which they use every other frame."""
+    values = live_link.performance(90)
+    found = read_performance(live_link.write(tmp_path / "take.csv", values, frames=range(0, 180, 2)))
+    assert (len(found.values), found.filled, found.fps) == (90, 0, 30.0)
+    np.testing.assert_allclose(found.values, values, atol=1e-9)
+
+
+def test_frames_beside_whole_ones_are_interpolated(tmp_path: Path) -> None:
+    rows = np.arange(5.0)[:, None]
+    clock = ["0", "1.25", "2.25", "3", "3"]
+    path = table(tmp_path / "a.csv", "frame,jawOpen", rows, clock.__getitem__)
+    found = read_performance(path)
+    np.testing.assert_allclose(found.values[:, 0], [0, 0.8, 1.75, 4])  # of two rows at one time the last
+    assert any("up to 0.25 of a frame" in line for line in found.warnings)
+    assert any("1 frames stand at the time of the one before" in line for line in found.warnings)
+
+
+def test_midnight(tmp_path: Path) -> None:
+    clock = ["23:59:59:58.5", "23:59:59:59.5", "00:00:00:00.5", "00:00:00:01.5"]
+    path = table(tmp_path / "a.csv", "timecode,jawOpen", np.arange(4.0)[:, None], clock.__getitem__)
+    assert read_performance(path).values[:, 0].tolist() == [0, 1, 2, 3]
+
+
+def test_angles_do_not_turn_the_long_way_round(tmp_path: Path) -> None:
+    rows = np.array([[3.1], [3.12], [-3.12], [-3.1]])
+    path = table(tmp_path / "a.csv", "frame,HeadYaw", rows, ["0", "1", "3", "4"].__getitem__)
+    assert abs(read_performance(path).values[2, 0] - np.pi) < 1e-2
+
+
+def test_cut_and_resampled() -> None:
+    whole = Performance(where="take", fps=60.0, names=("a",), values=np.arange(61.0)[:, None])
+    part = whole.cut(0.5, 0.75)
+    assert part.values[:, 0].tolist() == list(range(30, 46))
+    assert part.seconds[0] == 0
+    assert whole.at_rate(30.0).values[:, 0].tolist() == list(range(0, 61, 2))
+    np.testing.assert_allclose(whole.at_rate(24.0).values[:, 0], np.arange(25) * 2.5)
+    np.testing.assert_allclose(whole.at_rate(120.0).values[:, 0], np.arange(121) / 2)
+
+
+# ---- faces
+
+
+def test_the_clip_is_what_usdskel_plays(head: Path, tmp_path: Path) -> None:
+    values = live_link.performance(12)
+    out = tmp_path / "take.usda"
+    report = make(AnimateJob(face=head, clip=live_link.write(tmp_path / "take 1.csv", values), out=out))
+    assert (report.animation, report.frames, len(report.shapes)) == ("take_1", 12, 52)
+    assert report.joints == {"Head": "root/neck/head"}
+    assert set(report.no_target) == {name for name in live_link.ANGLES if "Eye" in name}
+    face = facepipe.open(out)
+    assert face.played == "take_1"
+    clip = next(one for one in face.animations if one.name == "take_1")
+    assert clip.times is not None
+    np.testing.assert_allclose(clip.times, np.arange(12) / 60, atol=1e-12)
+    for index, points in enumerate(played(out, clip.times)):
+        local, weights = face.sample("take_1", index)
+        assert {name.lower(): weight for name, weight in weights.items()} == {
+            name.lower(): np.float32(value) for name, value in zip(NAMES[:52], values[index, :52], strict=True)
+        }
+        assert difference(face, points, face.evaluate(weights, joint_transforms=local)) < 1e-5
+
+
+def boned(up: str = "Y", eye_shapes: bool = False) -> FaceParts:
+    """A face of 10 units whose head and eyes are boxes of points around their joints, each joint at an odd angle."""
+    joints = ("spine", "spine/Head", "spine/Head/eye_L", "spine/Head/eye_R")
+    places = {"spine": (0, 0, 0), "spine/Head": (0, 5, 0), joints[2]: (2, 8, 4), joints[3]: (-2, 8, 4)}
+    to_stage = np.eye(4)
+    if up == "Z":
+        to_stage[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    world = np.stack([np.eye(4)] * 4)
+    rng = np.random.default_rng(4)
+    for i, joint in enumerate(joints):
+        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        world[i, :3, :3] = q * np.sign(np.linalg.det(q))
+        world[i, :3, 3] = places[joint]
+    world = to_stage @ world
+    rest = world.copy()
+    for i, parent in ((1, 0), (2, 1), (3, 1)):
+        rest[i] = np.linalg.inv(world[parent]) @ world[i]
+    skeleton = Skeleton(joints=joints, bind_transforms=world, rest_transforms=rest)
+    mesh = tiny_face().meshes[0]
+    count = len(mesh.points)
+    owner = np.arange(count) % 3 + 1
+    points = np.array([places[joints[one]] for one in owner]) + rng.uniform(-1, 1, (count, 3)) + (0, 0, 1)
+    assert mesh.skin is not None
+    weights = np.zeros((count, 3), np.float32)
+    weights[:, 0] = 1
+    skin = replace(mesh.skin, joint_indices=np.tile(owner[:, None], (1, 3)).astype(np.int32), joint_weights=weights)
+    shapes = mesh.blendshapes
+    if eye_shapes:
+        left = np.flatnonzero(owner == 2).astype(np.int32)
+        shapes = (
+            *shapes,
+            replace(shapes[1], name="eyeLookUpLeft", point_indices=left, offsets=shapes[1].offsets[left]),
+        )
+    head = replace_mesh(mesh, points=points @ to_stage[:3, :3].T, skin=skin, blendshapes=shapes)
+    return replace(tiny_face(), meshes=(head,), skeleton=skeleton, up_axis=up, animations=())
+
+
+def moved(parts: FaceParts, angles: dict[str, float], folder: Path, **options: str) -> dict[str, np.ndarray]:
+    """Mean motion, Y up, of the points of head and eyes when a performance turns by `angles`."""
+    path, out = folder / "face.usda", folder / "out.usda"
+    save_parts(parts, path)
+    clip = table(folder / "a.csv", ",".join(["jawOpen", *angles]), np.array([[0.0, *angles.values()]] * 2))
+    make(AnimateJob(face=path, clip=clip, out=out, options=AnimateOptions(**options)))  # type: ignore[arg-type]
+    face = facepipe.open(out)
+    local, weights = face.sample("a", 1)
+    motion = face.evaluate(weights, joint_transforms=local) - face.evaluate()
+    if parts.up_axis == "Z":
+        motion = motion @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    owner = parts.meshes[0].skin.joint_indices[:, 0]  # type: ignore[union-attr]
+    return {name: motion[owner == i].mean(axis=0) for i, name in ((1, "Head"), (2, "LeftEye"), (3, "RightEye"))}
+
+
+@pytest.mark.parametrize("up", ["Y", "Z"])
+@pytest.mark.parametrize("part", ["Head", "LeftEye", "RightEye"])
+def test_turns_go_where_the_person_looked(part: str, up: str, tmp_path: Path) -> None:
+    """Yaw to the own right (-X), pitch down: as the eyes of recordings look where their shapes say."""
+    yaw, pitch = (moved(boned(up), {f"{part}{angle}": 0.2}, tmp_path)[part] for angle in ("Yaw", "Pitch"))
+    assert yaw[0] < -0.1
+    assert abs(yaw[1]) < 0.05
+    assert pitch[1] < -0.1
+    assert abs(pitch[0]) < 0.05
+
+
+def test_roll_leans_to_the_left_shoulder(tmp_path: Path) -> None:
+    assert moved(boned(), {"HeadRoll": 0.2}, tmp_path)["LeftEye"][0] > 0.1  # above the joint, to +X
+
+
+def test_yaw_and_pitch_together_are_those_of_a_look_without_roll(tmp_path: Path) -> None:
+    """Recorded eyes roll by yaw times pitch: they turn by the yaw within what the pitch turns."""
+    parts = boned()
+    one = moved(parts, {"LeftEyeYaw": 0.2, "LeftEyePitch": 0.15, "LeftEyeRoll": 0.03}, tmp_path)["LeftEye"]
+    owner = parts.meshes[0].skin.joint_indices[:, 0]  # type: ignore[union-attr]
+    x, y, z = parts.meshes[0].points[owner == 2].mean(axis=0) - (2, 8, 4)
+    x, z = x * np.cos(0.2) - z * np.sin(0.2), x * np.sin(0.2) + z * np.cos(0.2)
+    y, z = y * np.cos(0.15) - z * np.sin(0.15), y * np.sin(0.15) + z * np.cos(0.15)
+    still = parts.meshes[0].points[owner == 2].mean(axis=0) - (2, 8, 4)
+    np.testing.assert_allclose(one, np.array([x, y, z]) - still, atol=1e-2)  # 0.03 without the roll
+
+
+def test_eyes_turn_once(tmp_path: Path) -> None:
+    """Where a shape of the clip moves the eye the joint stays, unless it is asked for."""
+    parts, angles = boned(eye_shapes=True), {"LeftEyeYaw": 0.2, "RightEyeYaw": 0.2, "eyeLookUpLeft": 0.0}
+    motion = moved(parts, angles, tmp_path)
+    assert np.abs(motion["LeftEye"]).max() < 1e-6
+    assert motion["RightEye"][0] < -0.1
+    assert moved(parts, angles, tmp_path, left_eye="EYE_L", right_eye="none")["LeftEye"][0] < -0.1
+
+
+def test_names_of_another_convention_and_of_both_sides(tmp_path: Path) -> None:
+    parts = tiny_face()
+    head = parts.meshes[0]
+    names = ("jaw_open", "mouthSmile_L")
+    shapes = tuple(replace(one, name=name) for one, name in zip(head.blendshapes, names, strict=True))
+    right = replace(shapes[1], name="mouthSmile_R")
+    path, out = tmp_path / "face.usda", tmp_path / "out.usda"
+    save_parts(replace(parts, meshes=(replace_mesh(head, blendshapes=(*shapes, right)),)), path)
+    clip = table(tmp_path / "a.csv", "JawOpen,mouthSmile,tongueOut", np.array([[0.25, 0.5, 1.0]] * 2))
+    report = make(AnimateJob(face=path, clip=clip, out=out))
+    assert facepipe.open(out).sample("a", 1)[1] == {"jaw_open": 0.25, "mouthSmile_L": 0.5, "mouthSmile_R": 0.5}
+    assert report.renamed == {"JawOpen": "jaw_open", "mouthSmile": "mouthSmile_L, mouthSmile_R"}
+    assert set(report.no_target) == {"tongueOut"}
+
+
+def test_trim_resample_and_offset(tmp_path: Path) -> None:
+    path, out = tmp_path / "face.usda", tmp_path / "out.usda"
+    save_parts(tiny_face(), path)
+    clip = table(tmp_path / "a.csv", "jawOpen", np.arange(121.0)[:, None] / 120)
+    options = AnimateOptions(start=0.5, end=1.5, resample=24.0, offset=2.0)
+    report = make(AnimateJob(face=path, clip=clip, out=out, name="part", options=options))
+    assert (report.frames, report.start, report.end, report.frames_per_second) == (25, 2.0, 3.0, 24.0)
+    face = facepipe.open(out)
+    assert face.animations[-1].name == "part"
+    assert face.animations[-1].times is not None
+    np.testing.assert_allclose(face.animations[-1].times, 2 + np.arange(25) / 24)
+    assert face.animations[-1].shape_weights is not None
+    np.testing.assert_allclose(face.animations[-1].shape_weights[:, 0], 0.25 + np.arange(25) / 48, atol=1e-6)
+
+
+# ---- the command
+
+
+def test_the_command(tmp_path: Path, capsys: Capsys) -> None:
+    clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(3)), tmp_path / "out.usda"
+    head = tmp_path / "face.usda"
+    save_parts(boned(eye_shapes=True), head)
+    code, text, _ = run(capsys, "animate", head, clip, "-o", out)
+    assert code == 0
+    assert "take: 3 frames, 0 to 0.0333333 s at 60 fps: 3 shapes, Head by Head, RightEye by eye_R" in text
+    assert "no target: LeftEyeYaw, LeftEyePitch, LeftEyeRoll (eyeLookUpLeft and its like turn this eye)" in text
+    code, text, _ = run(capsys, "animate", head, clip, "-o", out, "--force", "--json", "--left-eye", "eye_l")
+    assert code == 0
+    eyes = {"LeftEye": "spine/Head/eye_L", "RightEye": "spine/Head/eye_R"}
+    assert json.loads(text)["joints"] == {"Head": "spine/Head", **eyes}
+    assert run(capsys, "animate", head, clip, "-o", out)[0] == 2  # exists
+
+
+def drop(*names: str) -> Callable[[Path], Path]:
+    def put(folder: Path) -> Path:
+        kept = [i for i, name in enumerate(NAMES) if name not in names]
+        return live_link.write(folder / "a.csv", VALUES[:, kept], columns=[NAMES[i] for i in kept])
+
+    return put
+
+
+def text(content: str, name: str = "a.csv") -> Callable[[Path], Path]:
+    def put(folder: Path) -> Path:
+        (folder / name).write_text(content)
+        return folder / name
+
+    return put
+
+
+def long(fps: int) -> Callable[[Path], Path]:
+    return lambda folder: live_link.write(folder / "a.csv", live_link.performance(4 * fps), fps=fps)
+
+
+BAD: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], str]] = {
+    "missing columns": (drop("JawOpen", "HeadRoll"), (), "2 columns of Live Link Face are missing (jawOpen, HeadRoll)"),
+    "NaN": (text("jawOpen,browUp\n0.5,0.1\nnan,0.1\n"), (), "line 3: jawOpen 'nan', expected a number"),
+    "infinity": (text("jawOpen\n0.5\n1e999\n"), (), "line 3: jawOpen '1e999', expected a number"),
+    "text": (text("jawOpen\n0.5\nopen\n"), (), "line 3: jawOpen 'open', expected a number"),
+    "short line": (text("jawOpen,a\n0.5,1\n0.5\n"), (), "line 3: 1 cells, expected 2"),
+    "no header": (text("0.5,0.1\n0.6,0.2\n"), (), "line 1: '0.5', expected a header of names"),
+    "no frames": (text("jawOpen\n"), (), "1 lines, expected a header and frames"),
+    "empty": (text(""), (), "0 lines, expected a header and frames"),
+    "not text": (lambda f: (f / "a.csv").write_bytes(b"\xff\xfe\x00") and f / "a.csv", (), "is not UTF-8"),
+    "a name twice": (text("jawOpen,jawOpen\n0,1\n0,1\n"), (), "'jawOpen' twice, expected each name once"),
+    "30 fps at 60": (long(30), (), "frames 0 to 29 in every second, expected up to 59 at 60 fps (--fps 30?)"),
+    "60 fps at 30": (long(60), ("--fps", "30"), "frame 30 of a second, expected 0 to 29 at 30 fps"),
+    "backwards": (text("frame,jawOpen\n5,0\n4,0\n"), (), "frame 2: is before the frame above it"),
+    "timecode": (text("timecode,jawOpen\n12:00,0\n"), (), "line 2: timecode '12:00', expected HH:MM:SS:FF"),
+    "too long": (text("frame,jawOpen\n0,0\n1,0\n99999999,0\n"), (), "100000000 frames with those that are missing"),
+    "another face": (text("browFlash,earLeft\n0,1\n0,1\n"), (), "none of its shapes is among the 2 names ('browFlash'"),
+    "nothing left": (text("jawOpen\n0\n1\n"), ("--start", "5"), "nothing from 5 to inf s, expected some of its 0.0166"),
+    "no such joint": (text("jawOpen,HeadYaw\n0,1\n1,1\n"), ("--head", "haed"), "no joint 'haed' for Head"),
+    "out of range": (text("jawOpen\n0\n1\n"), ("--resample", "0"), "option resample"),
+    "bad name": (text("jawOpen\n0\n1\n"), ("--name", "a b"), "no name of a prim, expected one like a_b"),
+    "suffix": (text("jawOpen\n0\n1\n", "a.fbx"), (), "suffix '.fbx', expected one of .csv .json"),
+    "json": (text("{", "a.json"), (), "is not JSON"),
+    "json form": (text('{"clip": 1}', "a.json"), (), "another form, expected a list of frames"),
+    "json value": (text('[{"jawOpen": "x"}]', "a.json"), (), "frame 1 -> jawOpen: x, expected a number"),
+    "json names": (text('[{"jawOpen": 1}, {"jaw": 1}]', "a.json"), (), "frame 1: no 'jaw', expected the 2 names"),
+    "json row": (text('{"names": ["a", "b"], "values": [[1]]}', "a.json"), (), "frame 1: 1 weights, expected 2"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_line_and_nothing_is_written(name: str, tmp_path: Path, capsys: Capsys) -> None:
+    put, options, expected = BAD[name]
+    save_parts(boned(), tmp_path / "face.usda")
+    clip = put(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    code, _, error = run(capsys, "animate", tmp_path / "face.usda", clip, "-o", tmp_path / "out.usda", *options)
+    assert code == 2
+    assert expected in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_name_that_is_taken(tmp_path: Path, capsys: Capsys) -> None:
+    clip, face = text("jawOpen\n0\n1\n")(tmp_path), tmp_path / "face.usda"
+    save_parts(
+        replace(tiny_face(), animations=(Animation(name="talk", shapes=("jawOpen",), shape_weights=[[1]]),)), face
+    )
+    code, _, error = run(capsys, "animate", face, clip, "-o", tmp_path / "out.usda", "--name", "talk")
+    assert code == 2
+    assert "has an animation 'talk' already" in error
+
+
+# ---- in the engine
+
+
+def three_agrees(path: Path, frames: list[int], folder: Path) -> float:
+    """Largest distance of what three.js shows of the GLB from `Face.evaluate`, in head heights."""
+    face = facepipe.open(path)
+    assert face.played is not None
+    glb = folder / "take.glb"
+    assert run_quiet("export", path, "-o", glb, "--animations") == 0
+    clip = next(one for one in face.animations if one.name == face.played)
+    assert clip.times is not None
+    answer, shown = three_play(glb, face.played, [float(clip.times[i]) for i in frames], folder / "shown.bin")
+    document = read_gltf(glb).json
+    order = [mesh["name"] for mesh in document["meshes"] for _ in mesh["primitives"]]
+    worst = 0.0
+    for frame, row in zip(frames, shown, strict=True):
+        local, weights = face.sample(face.played, frame)
+        points = face.split(face.evaluate(weights, joint_transforms=local) * face.meters_per_unit)
+        pairs = zip(order, answer["meshes"], strict=True)
+        expected = np.concatenate([points[name][np.array(mesh["points"], int)] for name, mesh in pairs])
+        worst = max(worst, float(np.linalg.norm(row - expected, axis=1).max()))
+    return worst / (face.head_height * face.meters_per_unit)
+
+
+def run_quiet(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_a_short_recording_plays_in_three_js(head: Path, tmp_path: Path) -> None:
+    node_packages()
+    clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(90)), tmp_path / "out.usda"
+    make(AnimateJob(face=head, clip=clip, out=out))
+    assert three_agrees(out, [0, 1, 41, 89], tmp_path) < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sample", "ict"])
+def test_a_minute_plays_in_three_js(name: str, head: Path, tmp_path: Path) -> None:
+    node_packages()
+    face, out = tmp_path / "ict.usdc", tmp_path / "out.usdc"
+    if name == "ict":
+        save_parts(load("ict", shared("ict_facekit/ict_facekit.npz"), IctOptions()).parts, face)
+    clip = live_link.write(tmp_path / "take.csv", live_link.performance(3600))
+    report = make(AnimateJob(face=face if name == "ict" else head, clip=clip, out=out))
+    assert (report.frames, report.end) == (3600, 3599 / 60)
+    assert len(report.shapes) == (53 if name == "ict" else 52)
+    assert three_agrees(out, [*range(0, 3600, 97), 3599], tmp_path) < 1e-5
