@@ -48,18 +48,7 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
     placed, figure, added = _standing(parts, humanoid, bool(missing))
     document = write(replace(placed, animations=()), options.gltf, tangents=False)
     tree = NodeTree(document.json)
-    skins = document.json.get("skins", [])
-    roots = [root for root in tree.roots if "mesh" not in tree.nodes[root]]
-    bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
-    if missing:
-        add_body(tree, bones, figure, roots)
-        added.append(f"human bones that move no point: {', '.join(missing)}")
-        _check(parts, bones, tree)
-    loose = [node for node in tree.roots if "mesh" in tree.nodes[node] and "skin" not in tree.nodes[node]]
-    for node in loose:
-        tree.hang_mesh(node, bones["head"])
-    if loose and skins:
-        added.append(f"the head moves {', '.join(tree.nodes[node]['name'] for node in loose)}, which no joint does")
+    bones = _human_nodes(parts, document, tree, humanoid, figure, added)
     expressions = expressions_of(tree.nodes, document.json.get("meshes", []))
     extension: Json = {
         "specVersion": "1.0",
@@ -69,25 +58,40 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
         "firstPerson": _first_person(tree),
     }
     lost = [*document.dropped, *expressions.lost]
-    gaze = _gaze(placed, humanoid, figure, expressions)
+    if parts.animations:
+        lost.append(f"{len(parts.animations)} animations (VRM files have none)")
     if figure.eyes is None:
         lost.append("lookAt (no eye joints, no landmarks multipie68, no shapes eyeBlink)")
     else:
+        gaze = _gaze(placed, humanoid, expressions)
         extension["lookAt"] = look_at(tree, bones, figure.eyes, gaze == "bone")
         if gaze is None:
             lost.append("what turns the eyes (neither eye joints with skin weights nor the shapes eyeLook)")
-    if parts.animations:
-        lost.append(f"{len(parts.animations)} animations (VRM files have none)")
     document.json.setdefault("extensions", {})[EXTENSION] = extension
     document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
     counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
-    finished = replace(
-        document,
-        counts=document.counts | counts,
-        warnings=(*document.warnings, *humanoid.unfit),
-        dropped=tuple(lost),
-    )
+    warnings = (*document.warnings, *humanoid.unfit)
+    finished = replace(document, counts=document.counts | counts, warnings=warnings, dropped=tuple(lost))
     return VrmDocument(finished, tuple(added))
+
+
+def _human_nodes(
+    parts: FaceParts, document: Document, tree: NodeTree, humanoid: Humanoid, figure: Figure, added: list[str]
+) -> dict[str, int]:
+    """Human bone -> node, with those added that are missing; meshes without a skin hang on the head."""
+    skins = document.json.get("skins", [])
+    bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
+    missing = missing_bones([*bones])
+    if missing:
+        add_body(tree, bones, figure, [root for root in tree.roots if "mesh" not in tree.nodes[root]])
+        added.append(f"human bones that move no point: {', '.join(missing)}")
+        _check(parts, bones, tree)
+    loose = [node for node in tree.roots if "mesh" in tree.nodes[node] and "skin" not in tree.nodes[node]]
+    for node in loose:
+        tree.hang_mesh(node, bones["head"])
+    if loose and skins:
+        added.append(f"the head moves {', '.join(tree.nodes[node]['name'] for node in loose)}, which no joint does")
+    return bones
 
 
 def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FaceParts, Figure, list[str]]:
@@ -108,7 +112,7 @@ def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FacePar
     return placed, figure, said
 
 
-def _gaze(parts: FaceParts, humanoid: Humanoid, figure: Figure, expressions: Expressions) -> str | None:
+def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> str | None:
     """What turns the eyes: their bones where these move points, else shapes; None for neither."""
     weighted = set[int]()
     for mesh in parts.meshes:

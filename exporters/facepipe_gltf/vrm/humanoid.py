@@ -26,12 +26,12 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
     :raises InputError: a bone or joint that isn't there, or a required bone below another than VRM has it
     """
     joints = parts.skeleton.joints
-    wanted = given_bones(given, joints)
+    wanted = given_bones(given, parts.skeleton)
     if not any(mesh.skin is not None and len(mesh.face_vertex_counts) for mesh in parts.meshes):
         if wanted:
             raise InputError("option bones", "no mesh is skinned to the face's joints, expected none")
         return Humanoid({}, ())
-    named = {bone: joint for bone, joint in bones_of(joints).items() if joint not in wanted.values()}
+    named = {bone: joint for bone, joint in bones_of(parts.skeleton.names).items() if joint not in wanted.values()}
     bones = named | wanted
     parents = parts.skeleton.parents
     unfit = []

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from facepipe.errors import InputError
 from facepipe.names import did_you_mean
+from facepipe.parts import Skeleton
 from facepipe_gltf.vrm.bones import PARENTS, SIDES
 
 _TABLE = Path(__file__).with_name("joint_names.toml")
@@ -32,7 +33,7 @@ def reduced(name: str) -> tuple[str, str]:
 
 
 def bones_of(joints: Sequence[str]) -> dict[str, int]:
-    """Human bone -> number of the joint, by the convention that knows most of the names; the first of several.
+    """Human bone -> number among the names of joints, by the convention that knows most of them; the first of several.
 
     One that knows neither three names nor the head is none; neither is a joint the hips that no spine hangs below:
     rigs of heads call their topmost joint alike.
@@ -40,7 +41,7 @@ def bones_of(joints: Sequence[str]) -> dict[str, int]:
     found: dict[str, int] = {}
     numbers: dict[tuple[str, str], int] = {}
     for i, joint in enumerate(joints):
-        numbers.setdefault(reduced(joint.rpartition("/")[2]), i)
+        numbers.setdefault(reduced(joint), i)
     for names in _conventions():
         known = {bone: numbers[name] for bone, every in names.items() for name in every if name in numbers}
         if "spine" not in known:
@@ -50,8 +51,8 @@ def bones_of(joints: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def given_bones(text: str, joints: Sequence[str]) -> dict[str, int]:
-    """Human bone -> number of the joint of ``BONE=JOINT,...``; a joint is its path or the last name of it.
+def given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
+    """Human bone -> number of the joint of ``BONE=JOINT,...``; a joint is its path or its name.
 
     :raises InputError: no such bone or joint, or one of them twice
     """
@@ -62,11 +63,13 @@ def given_bones(text: str, joints: Sequence[str]) -> dict[str, int]:
         if bone not in PARENTS:
             known = did_you_mean(bone, PARENTS) or ", expected one like hips, spine, head, jaw, leftEye"
             raise InputError(where, f"'{bone}' is no human bone of VRM{known}")
-        places = [i for i, path in enumerate(joints) if joint in (path, path.rpartition("/")[2])]
-        if len(places) != 1:
-            near = did_you_mean(joint, [path.rpartition("/")[2] for path in joints])
-            what = f"{len(places)} joints called '{joint}'" if places else f"no joint called '{joint}'{near}"
-            raise InputError(where, f"{what}, expected one of {len(joints)} joints or a path")
+        pairs = zip(skeleton.joints, skeleton.names, strict=True)
+        places = [i for i, names in enumerate(pairs) if joint in names]
+        if not places:
+            near = did_you_mean(joint, skeleton.names) or f", expected one of {len(skeleton.joints)}"
+            raise InputError(where, f"no joint called '{joint}'{near}")
+        if len(places) > 1:
+            raise InputError(where, f"{len(places)} joints called '{joint}', expected a path")
         if bone in found or places[0] in found.values():
             raise InputError(where, "a bone or joint twice, expected each once")
         found[bone] = places[0]
