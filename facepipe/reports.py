@@ -35,8 +35,9 @@ class ExportReport(Report):
     dropped: tuple[str, ...] = ()  # what the format can't hold, one line each
     added: tuple[str, ...] = ()  # what the format asks for and the face has not, one line each
     # Largest error, where there is one: of offsets quantised or left out, in the bind pose, at most, whatever shapes
-    # are on together, plus that of fewer influences over the face's own animations. Quantised weights add to it in a
-    # pose. Of ONNX weights in fewer bytes: of points, over slider values. Of learned sliders: theirs, and that.
+    # are on together, plus that of fewer influences over the face's own animations, plus that of quantised weights
+    # where the joints of a point take it a head height apart.
+    # Of ONNX weights in fewer bytes: of points, over slider values. Of learned sliders: theirs, and that.
     error_mm: float | None = None
 
 

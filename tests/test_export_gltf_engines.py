@@ -83,12 +83,26 @@ def test_the_error_holds_whatever_shapes_are_on(options: dict[str, Any], writing
     assert alone <= (2.0 if "drop_deltas" in options else 0.0) + (0.0265 if "quantize" in options else 1e-5)
 
 
+def test_the_error_has_rounded_weights(writing: Writing) -> None:
+    face = FACES["posed rest"]()
+    parts = replace(face, meshes=(replace_mesh(face.meshes[0], blendshapes=()),))
+    plain, _ = writing(parts, "plain.glb")
+    file, report = writing(parts, quantize=True)
+    assert report.error_mm is not None
+    rng = np.random.default_rng(5)
+    worst = 0.0
+    for _ in range(50):
+        moves = motion(parts, plain, random_coefficients(parts, rng, 0.1))
+        worst = max(worst, 1000 * difference(file.evaluate(motion=moves), plain.evaluate(motion=moves), parts))
+    assert 0 < worst <= report.error_mm < 1e-4 * head_height(parts) * 1000
+
+
 def test_offsets_of_metres_stay_floats(writing: Writing) -> None:
     parts = shaped(2, 1.5)
     file, report = writing(parts, quantize=True)
     assert stored_types(file, "POSITION") == {FLOAT}
     assert report.error_mm is not None
-    assert report.error_mm < 1e-3
+    assert report.error_mm < 1e-4 * head_height(parts) * 1000  # of weights
     small, _ = writing(shaped(2, 0.5), "small.glb", quantize=True)
     assert stored_types(small, "POSITION") == {SHORT}
 

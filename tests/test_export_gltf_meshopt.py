@@ -62,6 +62,11 @@ def test_files_are_valid_and_the_same_each_time(suffix: str, tmp_path: Path) -> 
         assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+def test_a_face_without_meshes_has_nothing_to_compress(tmp_path: Path) -> None:
+    plain, small = pair(FaceParts(), tmp_path)
+    assert small.path.read_bytes() == plain.path.read_bytes()
+
+
 @pytest.mark.parametrize("engine", ["blender", "godot", "unreal", "generic"])
 def test_engines_that_cannot_read_it(engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said = export_with(["--meshopt", "--engine", engine], tmp_path, capsys)

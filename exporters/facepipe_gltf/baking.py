@@ -79,6 +79,14 @@ def storage_error(baked: Baked, encoding: Encoding, smallest: float) -> float:
     return float(np.linalg.norm(sums.max(axis=0), axis=0).max(initial=0.0))
 
 
+def weight_error(baked: Baked, encoding: Encoding) -> float:
+    """How far at most the skin weights of a point are off as stored, all of them together."""
+    if baked.influences is None:
+        return 0.0
+    weights = baked.influences.weights
+    return float(np.abs(decode(encoding.weights(weights)) - weights).sum(axis=1).max(initial=0.0))
+
+
 def _normals(
     mesh: Mesh, corners: Corners, points: FloatArray, placement: Placement
 ) -> tuple[FloatArray, FloatArray | None]:

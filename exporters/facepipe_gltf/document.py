@@ -13,7 +13,7 @@ from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
 from facepipe_gltf.animations import AnimationWriter
-from facepipe_gltf.baking import Baked, bake, storage_error
+from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
@@ -211,7 +211,11 @@ class _Writer:
         fewer = influence_error(self.parts, meshes, self.space)
         if not stored and fewer is None:
             return None
-        return (max(stored, default=0.0) + (fewer or 0.0)) * 1000
+        error = max(stored, default=0.0) + (fewer or 0.0)
+        if options.quantize:  # joints of one point take it a head height apart at most
+            heights = np.concatenate([one.points[:, 1] for one in meshes] or [np.zeros(1)])
+            error += max((weight_error(one, encoding) for one in meshes), default=0.0) * float(np.ptp(heights))
+        return error * 1000
 
     def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
         return self.counts | {

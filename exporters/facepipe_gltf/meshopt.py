@@ -99,9 +99,9 @@ def compressed(document: Document) -> Document:
 
 def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
     """What is compressed of each buffer view; of the others nothing. A list of triangles is a view of its own."""
-    lists = {one["bufferView"]: one for one in json_["accessors"] if "bufferView" in one}
+    lists = {one["bufferView"]: one for one in json_.get("accessors", []) if "bufferView" in one}
     streams = {}
-    for number, view in enumerate(json_["bufferViews"]):
+    for number, view in enumerate(json_.get("bufferViews", [])):
         start, target = view["byteOffset"], view.get("target")
         if target == _VERTICES:
             size = view["byteStride"]
