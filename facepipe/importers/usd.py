@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.errors import SchemaError, TopologyError
+from facepipe.errors import InputError, SchemaError, TopologyError
 from facepipe.importers.imported import Imported, import_recipe
 from facepipe.names import unique_identifiers
 from facepipe.parts import (
@@ -31,6 +31,22 @@ from facepipe.rig.sliders import kept, with_mutual_mirrors
 _WEIGHT_SUM_TOLERANCE = 1e-5
 
 
+def parse_variants(text: str) -> dict[str, str]:
+    """``SET=NAME,...`` as a mapping.
+
+    :raises InputError: not of that form
+    """
+    result: dict[str, str] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, variant = (part.strip() for part in item.partition("="))
+        if not (name and equals and variant):
+            raise InputError("option variant", f"{item[:40]!r}, expected SET=NAME,...")
+        if name in result:
+            raise InputError("option variant", f"the set {name[:40]!r} twice, expected each once")
+        result[name] = variant
+    return result
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """What of a stage to read."""
@@ -43,6 +59,13 @@ class Options:
         default=None,
         metadata={"help": "path of the Skeleton of the face, where meshes are bound to several"},
     )
+    variant: Mapping[str, str] = field(
+        default_factory=dict,
+        metadata={
+            "help": "variants to read, SET=NAME,...; those that the file selects where not given",
+            "parse": parse_variants,
+        },
+    )
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -54,7 +77,7 @@ def read(source: Path, options: Options) -> Imported:
     """
     from facepipe.stage.foreign import read_foreign
 
-    foreign = read_foreign(source, root=options.root, skeleton=options.skeleton)
+    foreign = read_foreign(source, root=options.root, skeleton=options.skeleton, variants=options.variant)
     warnings = list(foreign.warnings)
     parts = foreign.parts
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)

@@ -43,9 +43,13 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         raise SchemaError(where, f"no BlendShape there, expected the target of '{name}'")
     authored = shape.GetPointIndicesAttr().Get()
     offsets = floats(shape.GetOffsetsAttr().Get(), 3)
-    indices = ints(authored) if authored else np.arange(len(offsets), dtype=np.int32)
-    if not authored and len(offsets) not in (0, points):
-        raise TopologyError(where, f"{len(offsets)} offsets without pointIndices, expected {points}")
+    others = _other_offsets(shape)
+    count = len(offsets) or max(others, default=0)
+    indices = ints(authored) if authored else np.arange(count, dtype=np.int32)
+    if not authored and count not in (0, points):
+        raise TopologyError(where, f"{count} offsets without pointIndices, expected {points}")
+    if others and not len(offsets):  # UsdSkel moves no point by the shape itself
+        offsets = np.zeros((len(indices), 3), np.float32)
     if indices.size and not (indices.min() >= 0 and indices.max() < points):
         raise TopologyError(where, f"pointIndices outside 0..{points - 1}")
     unique, place = np.unique(indices, return_inverse=True)
@@ -58,6 +62,14 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         inbetweens=_inbetweens(shape, merge),
         label=label(shape.GetPrim(), name) if shape.GetPrim().HasAuthoredDisplayName() else None,
     )
+
+
+def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
+    """How many normal offsets and offsets of inbetweens a shape has, where it has some."""
+    arrays = [shape.GetNormalOffsetsAttr().Get()]
+    for one in shape.GetInbetweens():
+        arrays += [one.GetOffsets(), one.GetNormalOffsets()]
+    return [len(array) for array in arrays if array]
 
 
 def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ...]:
@@ -73,13 +85,21 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
             Inbetween(
                 name=name,
                 weight=float(weight),
-                offsets=merge(f"inbetweens:{name}", floats(one.GetOffsets(), 3)),
+                offsets=_inbetween_offsets(merge, name, one),
                 normal_offsets=merge.optional(f"inbetweens:{name}:normalOffsets", normals),
             )
         )
     if len({one.weight for one in found}) != len(found):
         raise SchemaError(merge.where, "two inbetweens have one weight")
     return tuple(sorted(found, key=lambda one: one.weight))
+
+
+def _inbetween_offsets(merge: _Merge, name: str, one: UsdSkel.InbetweenShape) -> FloatArray:
+    """Zeros for an inbetween that turns normals alone."""
+    offsets = floats(one.GetOffsets(), 3)
+    if not len(offsets) and one.GetNormalOffsets():
+        offsets = np.zeros((merge.count, 3), np.float32)
+    return merge(f"inbetweens:{name}", offsets)
 
 
 class _Merge:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from facepipe.stage.foreign.materials import bound_materials
 from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
+from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
 from facepipe.stage.guard import USD_ERRORS, reason
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.read_skeleton import read_animation, read_skeleton
@@ -33,16 +34,23 @@ class Foreign:
     warnings: tuple[str, ...]
 
 
-def read_foreign(path: Path, *, root: str | None = None, skeleton: str | None = None) -> Foreign:
+def read_foreign(
+    path: Path,
+    *,
+    root: str | None = None,
+    skeleton: str | None = None,
+    variants: Mapping[str, str] | None = None,
+) -> Foreign:
     """The face of a UsdSkel stage, mended as far as it says what it means.
 
     :param root: path of the prim to read below; default the default prim, or the whole stage
     :param skeleton: path of the Skeleton, needed where meshes are bound to several
-    :raises InputError: no readable stage, no meshes, or a choice that has to be made
+    :param variants: which to read, by variant set; of other sets those that the file selects
+    :raises InputError: no readable stage, no meshes, no such variant, or a choice that has to be made
     :raises SchemaError, TopologyError: data that doesn't hold together
     """
     with quiet_diagnostics(), _trail(path):
-        scene = Scene(path, root)
+        scene = Scene(path, root, variants or {})
         meshes = choose_meshes(scene)
         prim = choose_skeleton(scene, meshes, skeleton)
         if prim is not None:
@@ -81,9 +89,16 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         _mesh(scene, one, name, queries.get(str(one.GetPath())), skeleton, material_names)
         for one, name in zip(meshes, names, strict=True)
     )
+    twins = twin_shapes(meshes)
     sliders = face.sliders(scene)
     source = None if prim is None else UsdSkel.BindingAPI(prim).GetInheritedAnimationSource() or None
     animations = _animations(scene, source, skeleton, read)
+    twins = alike_in(twins, animations.values())
+    if twins:
+        old, new = next(iter(twins.items()))
+        scene.warn(f"{len(twins)} shapes joined with those of other meshes, by their prims' names: {old} is {new}")
+    read = joined_meshes(read, twins)
+    animations = {prim: joined_animation(one, twins) for prim, one in animations.items()}
     return FaceParts(
         name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
         meters_per_unit=_meters_per_unit(scene),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
@@ -10,6 +10,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe.errors import InputError
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.files import open_stage
+from facepipe.stage.foreign.variants import choose_variants, variants_in_effect
 from facepipe.stage.traversal import prims_below
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
@@ -18,15 +19,18 @@ _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 class Scene:
     """Prims of a stage that may belong to a face."""
 
-    def __init__(self, path: Path, root: str | None) -> None:
-        """:raises InputError: no readable stage, no such root, or more prims than a face can have"""
+    def __init__(self, path: Path, root: str | None, variants: Mapping[str, str]) -> None:
+        """:raises InputError: no readable stage, no such root or variant, or more prims than a face can have"""
         self.path = path
         self.stage = open_stage(path)
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         self.warnings: list[str] = []
+        choose_variants(self.stage, path, variants)
         self.roots = self._find_roots(root)
         self._open_instances()
         self.prims = list(self._below())
+        above = [one for top in self.roots for one in ancestors(top)]
+        self.warnings += variants_in_effect([*above, *self.prims], variants)
         self._default_values()
         self._skel_roots()
         self._binding_api()
