@@ -334,6 +334,7 @@ class FaceParts:
     bone_limits: BoneLimits | None = None
     materials: tuple[Material, ...] = ()
     attach_joint: str | None = None  # path of the body joint that the root joints hang under
+    person: str | None = None  # the pose that is the person, where bone coefficients made it; None: the sliders' values
     attribution: str = ""  # copyright and license line that stays with the face
     photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None

@@ -14,6 +14,7 @@ SLIDER_NETWORK_API = "FacepipeSliderNetworkAPI"
 
 ATTACH_JOINT = "facepipe:attachJoint"
 ATTRIBUTION = "facepipe:attribution"
+PERSON = "facepipe:person"
 VERSION = "facepipe:version"
 ANCHOR = "facepipe:anchor"
 BONE_COEFFICIENTS = "facepipe:boneCoefficients"

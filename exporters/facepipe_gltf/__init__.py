@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
+from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.options import Options
 from facepipe_gltf.validation import validate
@@ -28,11 +30,13 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     """Write a face as glTF 2.0, to .glb or .gltf by the suffix of `path`.
 
     :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights
-    :raises InputError: another suffix, a folder that does not exist, or a shape glob that matches nothing
+    :raises InputError: another suffix, a folder that does not exist, a shape glob that matches nothing, or no such pose
     """
     start = time.perf_counter()
     target = _target(path)
-    document = write(face.parts(), options or Options())
+    options = options or Options()
+    delivered = set_face(face.parts(), options.pose)
+    document = write(delivered.parts, options)
     files = save(document, target)
     return ExportReport(
         path=target,
@@ -43,6 +47,8 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
         warnings=document.warnings,
         dropped=document.dropped,
         error_mm=document.error_mm,
+        pose=delivered.pose,
+        pose_error=None if delivered.error is None else asdict(delivered.error),
     )
 
 

@@ -132,7 +132,7 @@ class _Writer:
         if not any(one.influences is not None for one in meshes):
             return None, []
         skeleton = self.parts.skeleton
-        joints = joint_nodes(skeleton, self.space, len(self.nodes))
+        joints = joint_nodes(skeleton, self.space, len(self.nodes), person=self.options.pose == "set-joints")
         inverse_binds = self.space.inverse_binds(np.asarray(skeleton.bind_transforms, dtype=np.float64))
         if self.parts.attach_joint is not None:
             joints.nodes[joints.roots[0] - len(self.nodes)]["extras"] = {

@@ -15,6 +15,7 @@ from facepipe_gltf.space import Space, Trs, decompose, numbers
 Json = dict[str, Any]
 
 _INHERITED_SHEAR_TOLERANCE = 1e-4
+_UNEVEN = 1e-5  # of scales along the axes of a joint
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,14 @@ class JointNodes:
     warnings: list[str]
 
 
-def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
-    """Nodes numbered from `first`, joints in skeleton order, each at rest."""
+def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = False) -> JointNodes:
+    """Nodes numbered from `first`, joints in skeleton order, each at rest.
+
+    :param person: rest is a person: uneven scales go to a node above too, since a joint that turns under them is no TRS
+    """
     parents = skeleton.parents
     local = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), parents < 0)
-    unholdable = _unholdable(skeleton, space, local)
+    unholdable = _unholdable(skeleton, space, local, person)
     above = np.tile(np.eye(4), (len(local), 1, 1))
     for joint, matrix in unholdable.items():
         above[joint] = _parent(matrix)
@@ -57,7 +61,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int) -> JointNodes:
     if len(roots) > 1:  # joints of one skin need a common root
         nodes.append({"name": skeleton.name, "children": roots})
         roots = [first + len(nodes) - 1]
-    warnings = _warnings(skeleton, list(unholdable), rest, accumulate(local, parents))
+    warnings = _warnings(skeleton, [] if person else list(unholdable), rest, accumulate(local, parents))
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
@@ -79,15 +83,17 @@ def has_shear(worlds: FloatArray) -> FloatArray:
     return np.asarray(gram.max(axis=(-1, -2)) > _INHERITED_SHEAR_TOLERANCE)
 
 
-def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray) -> dict[int, FloatArray]:
+def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray, person: bool) -> dict[int, FloatArray]:
     """Joints that need a node above them, with the matrix that it must take."""
     turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
-    sheared = decompose(turned).sheared
+    at_rest = decompose(turned)
+    sizes = np.abs(at_rest.scale)
+    uneven = np.ptp(sizes, axis=-1) > _UNEVEN * sizes.max(axis=-1)
     linear = space.placement[:3, :3]
     rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
     result = {}
     for joint, parent in enumerate(skeleton.parents):
-        if sheared[joint]:
+        if at_rest.sheared[joint] or (person and uneven[joint]):
             result[joint] = local[joint]
         elif parent < 0 and not rigid:
             result[joint] = space.placement

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,7 +18,7 @@ from facepipe.geometry.polygons import point_triangles
 from facepipe.names import select
 from facepipe.parts import FaceParts, IntArray, Slider
 from facepipe.reports import ExportReport
-from facepipe.rig import Rig
+from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe_onnx import sidecar, slider_graph
 from facepipe_onnx.describe import describe
@@ -61,6 +61,8 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     start = time.perf_counter()
     (target, beside), options = outputs(path), options or Options()
     require_finite(parts, parts.name, error=ExportError)
+    delivered = set_face(parts, options.pose)
+    parts = delivered.parts
     whole = build_rig(parts)
     triangles = _triangles(parts, whole) if options.normals else None
     names = select(whole.shapes, options.shapes, "shapes")
@@ -88,6 +90,8 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         seconds=time.perf_counter() - start,
         dropped=_dropped(parts, options, sliders),
         error_mm=None if packed is None else packed["error_mm"],
+        pose=delivered.pose,
+        pose_error=None if delivered.error is None else asdict(delivered.error),
     )
 
 

@@ -6,6 +6,7 @@ examples:
   facepipe export head.usda -o head.glb
   facepipe export head.usda -o head.onnx
   facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
+  facepipe export person.usda -o template.glb --pose rest
   facepipe export head.usda --sliders -o sliders.onnx
   facepipe export head.usda --sliders --distil -o learned.onnx
   facepipe export head.usda --neural head.fpnr -o rig.onnx
@@ -94,6 +95,9 @@ def as_text(report: ExportReport) -> str:
     """The report for people."""
     counts = ", ".join(f"{count:,} {name}" for name, count in report.counts.items())
     lines = [f"{report.path}: {report.bytes:,} bytes in {report.seconds:.2f} s: {counts}"]
+    if report.pose_error is not None:
+        error = "{max_mm:.3g} mm at most, {mean_mm:.2g} mean, over {shapes} shapes and {poses} poses"
+        lines.append(f"rest: {report.pose}; expressions on top off by {error.format(**report.pose_error)}")
     if report.error_mm is not None:
         lines.append(f"error at most {report.error_mm:.4f} mm")
     lines += [f"added: {line}" for line in report.added]

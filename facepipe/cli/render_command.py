@@ -30,9 +30,10 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     add_output(parser, "picture to write: .png")
     add_pose(parser)
-    sliders = "slider value, over those that FACE has authored (which count with this alone); may be given again"
+    sliders = "slider value, over those that FACE has authored; may be given again"
     parser.add_argument("--slider", action="append", default=[], metavar="NAME=VALUE", help=sliders)
-    parser.add_argument("--pose", metavar="NAME", help="an animation of the face: its first sample")
+    what = "the person: set (as FACE is set, the default), rest (the template), or an animation's first sample"
+    parser.add_argument("--pose", metavar="NAME", help=what)
     parser.add_argument("--view", choices=VIEWS, default="front", help="default front")
     parser.add_argument("--size", type=int, default=800, help="width and height [pixels] (default 800)")
     parser.add_argument(
@@ -78,23 +79,13 @@ def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Pa
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
     """(n, 3) points that `--set`, `--bone`, `--slider` and `--pose` ask for."""
     weights = named(pairs(arguments.set, "--set"), face.shapes, "--set", "shape")
-    if arguments.slider:
-        return _slid(face, weights, arguments)
     coefficients = coefficients_of(arguments.bone, face.skeleton.joints, face.skeleton.names)
-    if arguments.pose is None:
-        return face.evaluate(weights, coefficients=coefficients)
-    if coefficients is not None:
-        raise InputError("--bone", "given with --pose, expected only one of them")
-    transforms, own = face.sample(arguments.pose)
-    return face.evaluate({**own, **weights}, joint_transforms=transforms)
-
-
-def _slid(face: Face, weights: dict[str, float], arguments: argparse.Namespace) -> FloatArray:
-    for flag, given in (("--bone", arguments.bone), ("--pose", arguments.pose)):
-        if given:
-            raise InputError(flag, "given with --slider, expected only one of them")
-    sliders = [one.name for one in face.sliders]
-    return face.evaluate(weights, sliders=named(pairs(arguments.slider, "--slider"), sliders, "--slider", "slider"))
+    if not arguments.slider:
+        return face.evaluate(weights, coefficients=coefficients, pose=arguments.pose or "set")
+    if arguments.pose is not None:
+        raise InputError("--pose", "given with --slider, expected only one of them")
+    sliders = named(pairs(arguments.slider, "--slider"), [one.name for one in face.sliders], "--slider", "slider")
+    return face.evaluate(weights, coefficients=coefficients, sliders=sliders)
 
 
 def _heatmap(face: Face, points: FloatArray, name: str | None) -> HeatMap | None:

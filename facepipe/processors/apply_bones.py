@@ -37,7 +37,8 @@ class ApplyBones:
     """Coefficients authored as a SkelAnimation: a pose, or a clip of frames with times.
 
     Frames without times become poses ``<name>_1``, ``<name>_2`` ... Joints that never leave rest are in none of them.
-    The face's skeleton plays the (first) animation: what opens the stage shows the rebuilt face.
+    The face's skeleton plays the (first) animation: what opens the stage shows the rebuilt face. A pose is the person
+    from then on, a clip is not.
 
     :param name: of the animation
     :param clamp: bring coefficients into the face's limits; else what is beyond them is a warning
@@ -63,7 +64,12 @@ class ApplyBones:
         taken = sorted({one.name for one in parts.animations} & {one.name for one in added})
         if taken:
             raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
-        changed = replace(parts, animations=(*parts.animations, *added), recipe=recipe or parts.recipe)
+        changed = replace(
+            parts,
+            animations=(*parts.animations, *added),
+            person=parts.person if content.times is not None else added[0].name,
+            recipe=recipe or parts.recipe,
+        )
         authored = author_changes(face, changed)
         play(face, added[0].name)
         return ApplyBonesReport(

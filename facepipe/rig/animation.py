@@ -78,7 +78,8 @@ def _places(skeleton: Skeleton, animation: Animation, own: IntArray) -> IntArray
 
 
 def _refuse_zero(animation: Animation, own: IntArray, rotations: FloatArray) -> None:
-    short = (np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1) < _ZERO).reshape(-1, len(own)).any(axis=0)
+    lengths = np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1)
+    short = (np.atleast_2d(lengths) < _ZERO).any(axis=0)
     if short.any():
         joint = animation.joints[own[int(np.argmax(short))]]
         raise InputError(f"{animation.name} -> {joint}", "a rotation quaternion of length 0, expected unit length")

@@ -169,9 +169,15 @@ class Rig:
         if joint_transforms is not None:
             return self._checked(joint_transforms, (len(self.joints), 4, 4), "joint transforms")
         if coefficients is not None:
-            values = self._checked(coefficients, (len(self.joints), 9), "bone coefficients")
-            return np.asarray(self.rest @ coefficient_matrices(values))
+            return np.asarray(self.rest @ coefficient_matrices(self.checked_coefficients(coefficients)))
         return self.rest
+
+    def checked_coefficients(self, coefficients: FloatArray) -> FloatArray:
+        """(j, 9) bone coefficients.
+
+        :raises InputError: another shape, NaN or infinity
+        """
+        return self._checked(coefficients, (len(self.joints), 9), "bone coefficients")
 
     def split(self, points: FloatArray) -> dict[str, FloatArray]:
         """Per-mesh views of concatenated points (n, ...)."""

@@ -169,6 +169,14 @@ def _check_curves(slider: Slider) -> None:
         raise InputError(f"slider {slider.name}", fault)
 
 
+def clamped_value(slider: Slider) -> float:
+    """What a slider is set to, its default where nothing is authored, within its range.
+
+    :raises InputError: a value that is not finite
+    """
+    return _clamped(slider, slider.default if slider.value is None else slider.value)
+
+
 def _clamped(slider: Slider, value: float) -> float:
     if not np.isfinite(value):
         raise InputError(f"slider {slider.name}", f"value {value}, expected a finite number")

@@ -62,6 +62,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     for name, value in (
         (tokens.ATTRIBUTION, parts.attribution),
         (tokens.ATTACH_JOINT, parts.attach_joint),
+        (tokens.PERSON, parts.person),
         (tokens.VERSION, __version__),
     ):
         if value:

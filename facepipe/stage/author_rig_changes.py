@@ -100,11 +100,12 @@ def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[S
 
 
 def author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple[str, ...]:
-    """Author on the face prim attribution, attach joint and recipe where they differ; a line for each."""
+    """Author on the face prim attribution, attach joint, person and recipe where they differ; a line for each."""
     lines = []
     for name, line, before, after in (
         (tokens.ATTRIBUTION, "attribution", old.attribution, new.attribution),
         (tokens.ATTACH_JOINT, "attach joint", old.attach_joint or "", new.attach_joint or ""),
+        (tokens.PERSON, "person", old.person or "", new.person or ""),
     ):
         if before != after:
             put_value(prim, name, after)

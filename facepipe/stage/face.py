@@ -27,7 +27,16 @@ from facepipe.parts import (
     Slider,
     SliderNetwork,
 )
-from facepipe.rig import Rig, build, sample_transforms, sample_weights, slide
+from facepipe.rig import (
+    Person,
+    Rig,
+    build,
+    coefficient_matrices,
+    person_of,
+    sample_transforms,
+    sample_weights,
+    slide,
+)
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
 from facepipe.stage.display_names import told_apart
@@ -199,6 +208,7 @@ class Face:
             bone_limits=limits,
             materials=self.materials,
             attach_joint=self.attach_joint,
+            person=self._text(tokens.PERSON) or None,
             attribution=self._text(tokens.ATTRIBUTION),
             photos=self.photos,
             recipe=recipe,
@@ -229,27 +239,54 @@ class Face:
         joint_transforms: FloatArray | None = None,
         parent_world: FloatArray | None = None,
         sliders: Mapping[str, float] | None = None,
+        pose: str = "rest",
     ) -> FloatArray:
         """(n, 3) world points in stage units, float64.
 
+        Expressions play on top of a person, that of `pose` or of `sliders`: local transforms are
+        ``rest M(person) M(expression)``, shape weights add.
+
         :param weights: shape weights by name
-        :param coefficients: (j, 9) bone coefficients relative to rest: stage units, radians, factors
-        :param joint_transforms: (j, 4, 4) local joint transforms, instead of coefficients
+        :param coefficients: (j, 9) bone coefficients of the expression: stage units, radians, factors
+        :param joint_transforms: (j, 4, 4) local joint transforms as they are, instead of coefficients and person
         :param parent_world: (4, 4) world matrix of the body joint that the face hangs under
-        :param sliders: slider values by name, instead of coefficients; their shape weights add to `weights`
-            (None ignores the sliders; ``{}`` sets them to the values authored on the stage)
+        :param sliders: slider values by name that make the person; those not named have the values authored on the
+            stage (None ignores the sliders)
+        :param pose: the person without `sliders`: ``rest`` is the template, ``set`` what is set on the face, else an
+            animation's first sample
         :raises InputError: unknown names, wrong counts or non-finite values
         """
+        if joint_transforms is not None and (sliders is not None or pose != "rest"):
+            raise InputError(self.where, "a person and joint transforms, expected only one of them")
+        if sliders is not None and pose != "rest":
+            raise InputError(self.where, f"sliders and pose '{pose}', expected only one of them")
         if sliders is not None:
-            if coefficients is not None or joint_transforms is not None:
-                raise InputError(self.where, "sliders and joint values, expected only one of them")
-            coefficients, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
-            weights = {
-                name: driven.get(name, 0.0) + (weights or {}).get(name, 0.0) for name in {*driven, *(weights or {})}
-            }
+            own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
+        elif pose != "rest":
+            person = self.person(pose)
+            own, driven = person.coefficients, dict(person.weights)
+        else:
+            own, driven = None, {}
+        if own is not None and coefficients is not None:
+            matrices = self._rig.local_transforms(own) @ coefficient_matrices(
+                self._rig.checked_coefficients(coefficients)
+            )
+            joint_transforms, coefficients = matrices, None
+        elif own is not None:
+            coefficients = own
+        given = weights or {}
+        added = {name: driven.get(name, 0.0) + given.get(name, 0.0) for name in {*driven, *given}}
         return self._rig.evaluate(
-            weights, coefficients=coefficients, joint_transforms=joint_transforms, parent_world=parent_world
+            added, coefficients=coefficients, joint_transforms=joint_transforms, parent_world=parent_world
         )
+
+    def person(self, pose: str = "set") -> Person:
+        """Who the face is, as `facepipe.rig.person_of` says.
+
+        :raises InputError: no such pose
+        """
+        with self._trail():
+            return person_of(self.parts(), pose)
 
     def sample(self, name: str, index: int = 0) -> tuple[FloatArray, dict[str, float]]:
         """Local joint transforms (j, 4, 4) and shape weights of one sample of an animation.

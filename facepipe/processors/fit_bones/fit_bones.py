@@ -23,7 +23,8 @@ from facepipe.stage.author_changes import author_changes
 class FitBones(FitBonesOptions):
     """Coefficients, within limits, that bring a skinned face to targets; a SkelAnimation for each.
 
-    The face's skeleton plays that of a single target: what opens the stage shows the fit.
+    The face's skeleton plays that of a single target: what opens the stage shows the fit. Where that target is another
+    face, the fit is the person from then on.
 
     Source: the bone driving coefficients document, claims 1-5.
 
@@ -70,7 +71,14 @@ class FitBones(FitBonesOptions):
             for number, mesh in enumerate(parts.meshes)
         )
         animations = (*parts.animations, *(one.animation for one in found))
-        result = replace(parts, meshes=meshes, animations=animations, recipe=recipe or parts.recipe)
+        whole = len(found) == 1 and targets[0].person
+        result = replace(
+            parts,
+            meshes=meshes,
+            animations=animations,
+            person=found[0].animation.name if whole else parts.person,
+            recipe=recipe or parts.recipe,
+        )
         authored = author_changes(face, result)
         if len(found) == 1:
             play(face, found[0].animation.name)

@@ -14,7 +14,7 @@ from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.fit_bones.matching import match_meshes
 from facepipe.processors.same_topology import world_to_world
-from facepipe.rig import build, sample_transforms, sample_weights
+from facepipe.rig import build, person_of, sample_transforms, sample_weights
 from facepipe.stage import Face, open_face
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
 from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
@@ -74,8 +74,10 @@ def sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
 
 
 def _neutral(parts: FaceParts, other: FaceParts, where: str, only: str = "", *, triangles: bool = False) -> FilePoints:
-    """The neutral of another face."""
-    moved = _to_world(parts, build(other).evaluate()[None], other.meters_per_unit, other.up_axis)
+    """The neutral of another face, as it is set."""
+    person = person_of(other)
+    points = build(other).evaluate(person.weights, coefficients=person.coefficients)
+    moved = _to_world(parts, points[None], other.meters_per_unit, other.up_axis)
     return _matched(parts, other.meshes, moved, None, where, only, triangles=triangles)
 
 

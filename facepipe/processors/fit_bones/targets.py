@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ class Target:
     times: FloatArray | None = None  # (T,) seconds, ascending; None: T = 1
     known: npt.NDArray[np.bool_] | None = None  # (n,) points that the target says something about; None: all
     notes: tuple[str, ...] = ()  # what the user should know, one line each
+    person: bool = False  # another face, and so who the fitted one is
 
     def __post_init__(self) -> None:
         shape, frames = np.shape(self.points), 1 if self.times is None else len(self.times)
@@ -54,7 +55,7 @@ def read_targets(face: Face, words: Sequence[str], load: Loader | None = None) -
     """The targets that words name, in their order.
 
     A word is a blendshape of the face (``jawOpen``, ``jawOpen=0.5``), ``shapes`` (each of its blendshapes), an
-    animation of the face (all its frames), or a file: a face stage (its neutral), a stage with points over time, a
+    animation of the face (all its frames), or a file: a face stage (as it is set), a stage with points over time, a
     SkelAnimation of a stage (``clip.usda:talk``), an OBJ, GLB or glTF. Meshes that a file lacks don't count; one that
     has a single mesh of another name stands for ``sculpt.obj:Head``.
 
@@ -76,7 +77,7 @@ def read_targets(face: Face, words: Sequence[str], load: Loader | None = None) -
 def _named(target: Target, name: str) -> Target:
     if name == target.name:
         return target
-    return Target(name=name, points=target.points, times=target.times, known=target.known, notes=target.notes)
+    return replace(target, name=name)
 
 
 def _read(face: Face, parts: FaceParts, word: str, load: Loader | None) -> list[Target]:
@@ -84,7 +85,10 @@ def _read(face: Face, parts: FaceParts, word: str, load: Loader | None) -> list[
     if file is not None:
         read = read_file(parts, file, name, load)
         own = identifier(name or Path(file).stem, "target")
-        return [Target(name=own, points=read.points, times=read.times, known=read.known, notes=read.notes)]
+        person = name is None and read.times is None
+        return [
+            Target(name=own, points=read.points, times=read.times, known=read.known, notes=read.notes, person=person)
+        ]
     if word == ALL_SHAPES:
         if not face.shapes:
             raise InputError(f"target {word}", f"{face.where} has no blendshapes, expected some")

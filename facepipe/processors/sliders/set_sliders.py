@@ -89,7 +89,7 @@ class SetSliders:
             beyond_limits=beyond,
             warnings=limit_warnings(beyond, clamped=False),
         )
-        return replace(parts, sliders=sliders, animations=animations), report
+        return replace(parts, sliders=sliders, animations=animations, person=None), report
 
     def _all_values(self, where: str, sliders: Sequence[Slider]) -> dict[str, float]:
         if not self.mirror:

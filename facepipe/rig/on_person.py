@@ -1,0 +1,199 @@
+"""What plays on top of a person: animations, sliders and limits relative to the person's rest."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.parts import Animation, BoneLimits, Curve, FaceParts, Skeleton, Slider, SliderNetwork
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.bone_coefficients import (
+    CHANNELS,
+    coefficient_derivatives,
+    coefficient_matrices,
+    matrix_coefficients,
+    rest_coefficients,
+)
+from facepipe.rig.person import Person, is_person
+from facepipe.rig.slider_network import evaluate
+from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, with_entries
+from facepipe.rig.trs import decompose
+
+FloatArray = npt.NDArray[np.floating]
+
+_NOTHING = 1e-9  # of gains
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewRest:
+    """The skeleton with the person as its rest."""
+
+    skeleton: Skeleton
+    stretch: FloatArray  # (j, 3, 3) scale of the person that the joints no longer have, in their own axes
+
+    def carried(self, matrices: FloatArray) -> FloatArray:
+        """(..., j, 4, 4) matrices relative to the person's rest of those under the person: translations stretched."""
+        result = np.array(matrices, dtype=np.float64)
+        result[..., :3, 3] = np.einsum("jab,...jb->...ja", self.stretch, result[..., :3, 3])
+        return result
+
+
+def animations_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Animation, ...]:
+    """The animations as expressions on top of the person.
+
+    Poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
+    are expressions already.
+    """
+    of_photos = {photo.animation for photo in parts.photos}
+    return tuple(
+        _animation_on(parts, animation, person, new, holds_person=animation.name in of_photos)
+        for animation in parts.animations
+        if not is_person(parts, animation, person)
+    )
+
+
+def _animation_on(
+    parts: FaceParts, animation: Animation, person: Person, new: NewRest, *, holds_person: bool
+) -> Animation:
+    if holds_person:
+        animation = _without(parts, animation, person)
+    if not animation.joints or all(
+        getattr(animation, one) is None for one in ("translations", "rotations", "scales", "coefficients")
+    ):
+        return animation
+    place = {joint: i for i, joint in enumerate(parts.skeleton.joints)}
+    rows = np.array([place[joint] for joint in animation.joints])
+    if animation.coefficients is not None:
+        coefficients: FloatArray = np.array(animation.coefficients, dtype=np.float64)
+        coefficients[..., :3] = np.einsum("jab,tjb->tja", new.stretch[rows], coefficients[..., :3])
+        return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
+    rest = np.asarray(parts.skeleton.rest_transforms, dtype=np.float64)[rows]
+    expression: FloatArray = np.linalg.solve(rest, local_transforms(parts.skeleton, animation))
+    expression[..., :3, 3] = np.einsum("jab,tjb->tja", new.stretch[rows], expression[..., :3, 3])
+    coefficients = matrix_coefficients(expression)
+    if np.allclose(coefficient_matrices(coefficients), expression, rtol=0, atol=_EXACT * max(1.0, np.abs(rest).max())):
+        return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
+    own = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
+    return replace(animation, translations=own.translation, rotations=own.rotation, scales=own.scale)
+
+
+def _without(parts: FaceParts, animation: Animation, person: Person) -> Animation:
+    """A pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's."""
+    skeleton, joints = parts.skeleton, parts.skeleton.joints
+    place = {joint: i for i, joint in enumerate(joints)}
+    count = 1 if animation.times is None else len(animation.times)
+    local = np.tile(np.asarray(skeleton.rest_transforms, dtype=np.float64), (count, 1, 1, 1))
+    local[:, [place[joint] for joint in animation.joints]] = local_transforms(skeleton, animation)
+    under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices
+    given = np.zeros((count, 0)) if animation.shape_weights is None else np.asarray(animation.shape_weights, np.float64)
+    own = dict(zip(animation.shapes, given.T, strict=False))
+    names = tuple(sorted({*own, *person.weights}))
+    columns = [own.get(name, np.zeros(count)) - person.weights.get(name, 0.0) for name in names]
+    return replace(
+        animation,
+        joints=joints,
+        coefficients=matrix_coefficients(np.linalg.solve(under, local)) if joints else None,
+        shapes=names,
+        shape_weights=np.stack(columns, axis=1) if names else None,
+    )
+
+
+def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLimits | None:
+    """What of the limits is left for expressions: less the person's translations and angles, by its scales.
+
+    The person itself is always within them.
+    """
+    if limits is None:
+        return None
+    rest = rest_coefficients(len(person.coefficients))
+    spread = np.ones_like(rest)
+    spread[:, :3] = np.abs(np.diagonal(new.stretch, axis1=1, axis2=2))
+
+    def left(values: FloatArray) -> FloatArray:
+        values = np.asarray(values, dtype=np.float64)
+        scales = person.coefficients[:, 6:]
+        moved = (values - person.coefficients) * spread
+        moved[:, 6:] = np.where(scales == 0, 1.0, values[:, 6:] / np.where(scales == 0, 1.0, scales))
+        return moved
+
+    one, other = left(limits.lower), left(limits.upper)  # a mirrored scale swaps them
+    return BoneLimits(lower=np.minimum(np.minimum(one, other), rest), upper=np.maximum(np.maximum(one, other), rest))
+
+
+def sliders_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Slider, ...]:
+    """The sliders with the person's values as their defaults, which then add nothing.
+
+    Gains are those of the coefficients of ``inverse(M(person)) M(person + change)``, to first order.
+    """
+    change = _Changes(parts, person, new)
+    return tuple(change.slider(one) for one in parts.sliders)
+
+
+def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork | None:
+    """The learned network of the sliders, adding nothing at the person's values."""
+    network = parts.slider_network
+    if network is None:
+        return None
+    change = _Changes(parts, person, new)
+    values = {one.name: clamped_value(one) for one in parts.sliders}
+    start = evaluate(network, np.array([values[name] for name in network.sliders]))
+    rows = [change.channels(joint, channel) for joint, channel in network.channels]
+    channels = tuple(dict.fromkeys(key for row in rows for key in row))
+    spread = np.zeros((len(channels) + len(network.shapes), len(rows) + len(network.shapes)))
+    for column, row in enumerate(rows):
+        for key, factor in row.items():
+            spread[channels.index(key), column] = factor
+    spread[len(channels) :, len(rows) :] = np.eye(len(network.shapes))
+    return replace(
+        network,
+        channels=channels,
+        weights=(*network.weights[:-1], spread @ network.weights[-1]),
+        biases=(*network.biases[:-1], spread @ (network.biases[-1] - start)),
+    )
+
+
+class _Changes:
+    """What a change of one bone coefficient of a joint is, relative to the person's rest."""
+
+    def __init__(self, parts: FaceParts, person: Person, new: NewRest) -> None:
+        self.index = {joint: i for i, joint in enumerate(parts.skeleton.joints)}
+        inverse = np.linalg.pinv(coefficient_matrices(person.coefficients))
+        by = inverse[:, None] @ coefficient_derivatives(person.coefficients)  # (j, 9, 4, 4)
+        turns = by[..., :3, :3]
+        angles = np.stack([turns[..., i - 1, i - 2] - turns[..., i - 2, i - 1] for i in range(3)], axis=-1) / 2
+        moves = np.einsum("jab,jkb->jka", new.stretch, by[..., :3, 3])
+        self.by = np.concatenate([moves, angles, np.diagonal(turns, axis1=-2, axis2=-1)], axis=-1)  # (j, 9, 9)
+
+    def channels(self, joint: str, channel: str) -> dict[tuple[str, str], float]:
+        """Factor of every channel that a change of one becomes."""
+        row = self.by[self.index[joint], CHANNELS.index(channel)].tolist()
+        return {(joint, name): by for name, by in zip(CHANNELS, row, strict=True) if abs(by) > _NOTHING}
+
+    def slider(self, slider: Slider) -> Slider:
+        """The slider on top of the person."""
+        value = clamped_value(slider)
+        gains: dict[tuple[str, str, Curve | None], float] = defaultdict(float)
+        for (joint, channel, gain), curve in channel_entries(slider):
+            for (own, name), factor in self.channels(joint, channel).items():
+                gains[own, name, _shifted(curve, value, slider.default)] += gain * factor
+        return replace(
+            with_entries(
+                slider,
+                [((joint, channel, gain), curve) for (joint, channel, curve), gain in gains.items()],
+                [(one, _shifted(curve, value, slider.default)) for one, curve in shape_entries(slider)],
+            ),
+            default=value,
+            value=None,
+        )
+
+
+def _shifted(curve: Curve | None, value: float, default: float) -> Curve | None:
+    """The curve less what it is at `value`."""
+    if curve is None:
+        return None
+    start = response(curve, value, default)
+    return tuple((at, amount - start) for at, amount in curve)

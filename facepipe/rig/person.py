@@ -1,0 +1,102 @@
+"""The person of a face: what is set on it before any expression (DESIGN section 10).
+
+Bone coefficients that were applied, else the values of the sliders. Expressions play on top: of joint j the local
+transform is ``rest_j M_j(person) M_j(expression)``, shape weights add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.parts import Animation, FaceParts
+from facepipe.rig.animation import sample_transforms, sample_weights
+from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
+from facepipe.rig.sliders import slide
+
+FloatArray = npt.NDArray[np.floating]
+
+POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
+
+_SHOWN = 3  # sliders of a description
+_SAME = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """What moves the template to the person."""
+
+    description: str  # "rest", or what it was set by
+    coefficients: FloatArray  # (j, 9) relative to the template's rest
+    weights: Mapping[str, float]  # of shapes
+
+    @property
+    def is_rest(self) -> bool:
+        """Whether it is the template itself."""
+        at_rest = (self.coefficients == rest_coefficients(len(self.coefficients))).all()
+        return bool(at_rest) and not any(self.weights.values())
+
+    @property
+    def matrices(self) -> FloatArray:
+        """(j, 4, 4) M_j(person)."""
+        return coefficient_matrices(self.coefficients)
+
+
+def person_of(parts: FaceParts, pose: str = "set") -> Person:
+    """Who the face is.
+
+    :param pose: ``set`` (or ``set-joints``): what is set on the face; ``rest``: the template; else an animation of the
+        face, whose first sample it is
+    :raises InputError: no such animation, or one that doesn't fit the face
+    """
+    if pose == "rest":
+        return Person(description="rest", coefficients=rest_coefficients(len(parts.skeleton.joints)), weights={})
+    if pose not in POSES:
+        return _posed(parts, pose, f"pose {pose}")
+    if parts.person is not None:
+        return _posed(parts, parts.person, f"set by pose {parts.person}")
+    moved = [one for one in parts.sliders if one.value is not None and one.value != one.default]
+    if not moved:
+        return person_of(parts, "rest")
+    coefficients, weights = slide(parts.sliders, parts.skeleton.joints, network=parts.slider_network)
+    some = ", ".join(f"{one.name}={one.value:g}" for one in moved[:_SHOWN])
+    more = f" and {len(moved) - _SHOWN} more" if len(moved) > _SHOWN else ""
+    return Person(description=f"set by sliders {some}{more}", coefficients=coefficients, weights=weights)
+
+
+def composed(person: FloatArray, expression: FloatArray) -> FloatArray:
+    """(..., j, 4, 4) matrices M(person) M(expression) of (j, 9) and (..., j, 9) bone coefficients."""
+    return np.asarray(coefficient_matrices(person) @ coefficient_matrices(expression))
+
+
+def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:
+    """Whether an animation is a pose of the person without expression."""
+    if animation.times is not None or not set(animation.joints) <= set(parts.skeleton.joints):
+        return False
+    weights, own = sample_weights(animation), person.weights
+    apart = [abs(weights.get(name, 0.0) - own.get(name, 0.0)) for name in {*weights, *own}]
+    local = sample_transforms(parts.skeleton, animation)
+    at = np.asarray(parts.skeleton.rest_transforms, dtype=np.float64) @ person.matrices
+    tolerance = _SAME * max(1.0, float(np.abs(at).max(initial=0.0)))
+    return max(apart, default=0.0) <= _SAME and bool((np.abs(local - at) <= tolerance).all())
+
+
+def _posed(parts: FaceParts, name: str, description: str) -> Person:
+    animation = next((one for one in parts.animations if one.name == name), None)
+    if animation is None:
+        known = ", ".join([*POSES, *(one.name for one in parts.animations[:6])])
+        raise InputError(parts.name, f"no pose '{name}', expected one of {known}")
+    skeleton = parts.skeleton
+    if animation.coefficients is not None:
+        coefficients = rest_coefficients(len(skeleton.joints))
+        place = {joint: i for i, joint in enumerate(skeleton.joints)}
+        sample_transforms(skeleton, animation)  # refuses joints that the skeleton lacks
+        coefficients[[place[joint] for joint in animation.joints]] = np.asarray(animation.coefficients)[0]
+    else:
+        rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
+        coefficients = matrix_coefficients(np.linalg.solve(rest, sample_transforms(skeleton, animation)))
+    return Person(description=description, coefficients=coefficients, weights=sample_weights(animation))

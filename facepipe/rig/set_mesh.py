@@ -1,0 +1,147 @@
+"""A mesh with a person as its rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.parts import Blendshape, Inbetween, Mesh
+from facepipe.rig.activation import curves
+
+FloatArray = npt.NDArray[np.floating]
+
+_APART = 1e-6  # of weights: nearer knots are one
+
+
+def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None) -> Mesh:
+    """The mesh under shape weights and then affine matrices, its shapes on top.
+
+    :param weights: of the person, by shape
+    :param moved: (n, 3, 4) matrices of the points in skeleton space at bind time; None leaves points where shapes take
+        them
+    """
+    points = np.array(mesh.points, dtype=np.float64)
+    for shape in mesh.blendshapes:
+        if weights.get(shape.name):
+            points[shape.point_indices] += _offsets_at(shape, weights[shape.name])
+    linear = None
+    if moved is not None and mesh.skin is not None:
+        space = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
+        back = np.linalg.inv(space)
+        whole = np.zeros((len(points), 4, 4))
+        whole[:, :3], whole[:, 3, 3] = moved, 1.0
+        whole = back @ whole @ space
+        linear = whole[:, :3, :3]
+        points = np.einsum("nij,nj->ni", linear, points) + whole[:, :3, 3]
+    if np.array_equal(points, mesh.points) and linear is None:
+        return mesh
+    turn = _normal_turn(mesh, points, linear)
+    shapes = tuple(_on_top(shape, weights.get(shape.name, 0.0), linear, turn) for shape in mesh.blendshapes)
+    return replace(mesh, points=points, normals=_normals(mesh, turn), blendshapes=shapes)
+
+
+def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:
+    """(k, 3) what a weight of the shape adds, through its inbetweens."""
+    return _blended(shape, weight, [shape.offsets, *(one.offsets for one in shape.inbetweens)])
+
+
+def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
+    own = curves(tuple(one.weight for one in shape.inbetweens))
+    amounts = [float(own[at](weight)) for at in (1.0, *(one.weight for one in shape.inbetweens))]
+    total: FloatArray = np.zeros(np.shape(sculpts[0]))
+    for amount, sculpt in zip(amounts, sculpts, strict=True):
+        total = total + amount * np.asarray(sculpt, dtype=np.float64)
+    return total
+
+
+def _on_top(shape: Blendshape, weight: float, linear: FloatArray | None, turn: FloatArray) -> Blendshape:
+    """The shape as what it adds to the person, who has `weight` of it already."""
+    shape = _from(shape, weight)
+    rows = np.asarray(shape.point_indices, dtype=np.int64)
+
+    def moved(offsets: FloatArray) -> FloatArray:
+        return np.asarray(offsets if linear is None else np.einsum("nij,nj->ni", linear[rows], offsets))
+
+    def turned(offsets: FloatArray | None) -> FloatArray | None:
+        return None if offsets is None else np.asarray(np.einsum("nij,nj->ni", turn[rows], offsets))
+
+    return replace(
+        shape,
+        offsets=moved(shape.offsets),
+        normal_offsets=turned(shape.normal_offsets),
+        inbetweens=tuple(
+            replace(one, offsets=moved(one.offsets), normal_offsets=turned(one.normal_offsets))
+            for one in shape.inbetweens
+        ),
+    )
+
+
+def _from(shape: Blendshape, start: float) -> Blendshape:
+    """The shape whose weight 0 is `start` of the old one: the same piecewise-linear way of its points from there."""
+    if not start or not shape.inbetweens:
+        return shape
+    positions = [shape.offsets, *(one.offsets for one in shape.inbetweens)]
+    normals = [shape.normal_offsets, *(one.normal_offsets for one in shape.inbetweens)]
+    known = [one for one in normals if one is not None]
+    filled = [np.zeros(np.shape(shape.offsets)) if one is None else one for one in normals]
+
+    def at(weight: float) -> tuple[FloatArray, FloatArray | None]:
+        ends = [_blended(shape, start + weight, one) - _blended(shape, start, one) for one in (positions, filled)]
+        return ends[0], ends[1] if known else None
+
+    knots = sorted({0.0 - start, 1.0 - start, *(one.weight - start for one in shape.inbetweens)})
+    knots = [knot for knot in knots if min(abs(knot), abs(knot - 1.0)) > _APART]
+    names = {one.weight - start: one.name for one in shape.inbetweens}
+    inbetweens = []
+    for knot in knots:
+        offsets, normal_offsets = at(knot)
+        name = names.get(knot, "neutral" if knot < 0 else "full")
+        inbetweens.append(Inbetween(name=name, weight=knot, offsets=offsets, normal_offsets=normal_offsets))
+    offsets, normal_offsets = at(1.0)
+    return replace(shape, offsets=offsets, normal_offsets=normal_offsets, inbetweens=tuple(inbetweens))
+
+
+def _normal_turn(mesh: Mesh, points: FloatArray, linear: FloatArray | None) -> FloatArray:
+    """(n, 3, 3) what takes normals along: the cofactor of `linear`, then the turn that the surface makes beside it."""
+    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    before, after = point_normals(mesh.points, triangles), point_normals(points, triangles)
+    cofactor = np.tile(np.eye(3), (len(points), 1, 1)) if linear is None else _cofactors(linear)
+    carried = np.einsum("nij,nj->ni", cofactor, before)
+    length = np.linalg.norm(carried, axis=1, keepdims=True)
+    carried /= np.where(length == 0, 1.0, length)
+    sign = np.where(np.linalg.det(cofactor) < 0, -1.0, 1.0)  # a mirrored surface is wound the other way
+    size = np.where(length == 0, 1.0, length)[:, :, None]
+    return np.asarray(_rotations(carried, after * sign[:, None]) @ (cofactor / size))
+
+
+def _cofactors(linear: FloatArray) -> FloatArray:
+    rows = [np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)]
+    return np.stack(rows, axis=1)
+
+
+def _rotations(start: FloatArray, end: FloatArray) -> FloatArray:
+    """(n, 3, 3) the smallest rotation from each unit vector (n, 3) to another; none where they are opposed."""
+    axis = np.cross(start, end)
+    cosine = np.einsum("ni,ni->n", start, end)
+    K = np.zeros((len(axis), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= np.swapaxes(K, 1, 2)
+    opposed = cosine < -1 + 1e-6
+    factor = np.where(opposed, 0.0, 1 / np.where(opposed, 1.0, 1 + cosine))
+    K[opposed] = 0.0
+    return np.eye(3) + K + factor[:, None, None] * (K @ K)  # Rodrigues: sin = |axis|, (1 - cos) / sin^2 = 1 / (1 + cos)
+
+
+def _normals(mesh: Mesh, turn: FloatArray) -> FloatArray | None:
+    if mesh.normals is None:
+        return None
+    normals = np.asarray(mesh.normals, dtype=np.float64)
+    per_point = len(normals) == len(turn)
+    rows = np.arange(len(turn)) if per_point else np.asarray(mesh.face_vertex_indices, dtype=np.int64)
+    turned = np.einsum("nij,nj->ni", turn[rows], normals)
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.asarray(turned / np.where(length == 0, 1.0, length))
