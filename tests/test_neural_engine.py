@@ -53,7 +53,7 @@ def made(kind: str, up_axis: Literal["Y", "Z"], unit: float, folder: Path, **opt
     graphs = []
     for points in (False, True):
         path = folder / f"{points}.onnx"
-        export_parts(attached, path, Options(sliders=True, points=points, **options))
+        export_parts(attached, path, Options(sliders=True, points=points, pose="rest", **options))
         assert validate(path) == ()
         graphs.append(Deformer(path))
     return Made(attached, rig, *graphs)
@@ -85,7 +85,7 @@ def test_matrices_on_the_glb_are_the_points_are_the_rig(
     kind: str, up_axis: Literal["Y", "Z"], unit: float, tmp_path: Path, writing: Writing
 ) -> None:
     one = made(kind, up_axis, unit, tmp_path)
-    glb, _ = writing(one.parts)
+    glb, _ = writing(one.parts, pose="rest")
     to = world_to_world(unit, up_axis, MILLIMETRES)
     values = random_values(one.rig, 12)
     worst = 0.0
@@ -152,7 +152,7 @@ def test_many_gains_are_in_the_graph_alone(tmp_path: Path) -> None:
     parts = face()
     rig = many(1500)(neural_rig(parts, bones=True))
     attached = with_neural_rig(parts, rig, "face")
-    export_parts(attached, tmp_path / "rig.onnx", Options(sliders=True, points=True, batch=2))
+    export_parts(attached, tmp_path / "rig.onnx", Options(sliders=True, points=True, pose="rest", batch=2))
     graph = Deformer(tmp_path / "rig.onnx")
     assert {one["channels"] for one in graph.metadata["sliders"]} == {None}
     gains = next(one for one in _initializers(tmp_path / "rig.onnx") if one.name == "gains")
@@ -181,8 +181,8 @@ def test_the_commands_write_what_an_applied_stage_gives(tmp_path: Path, capsys: 
     neural = tmp_path / "neural.usda"
     for words in (
         ("neural-rig", "apply", head, file, "-o", neural),
-        ("export", head, "--neural", file, "-o", tmp_path / "rig.onnx", "--points"),
-        ("export", neural, "--sliders", "--points", "-o", tmp_path / "same.onnx"),
+        ("export", head, "--neural", file, "-o", tmp_path / "rig.onnx", "--points", "--pose", "rest"),
+        ("export", neural, "--sliders", "--points", "-o", tmp_path / "same.onnx", "--pose", "rest"),
         ("export", head, "--neural", file, "-o", tmp_path / "rig.glb"),
         ("export", neural, "-o", tmp_path / "same.glb"),
         ("eval", tmp_path / "rig.onnx", "--slider", "jaw=0.6", "--slider", "brow=-20", "-o", tmp_path / "points.npz"),

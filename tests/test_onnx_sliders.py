@@ -36,7 +36,7 @@ class Made(NamedTuple):
 
 def made(parts: FaceParts, folder: Path, **options: object) -> Made:
     path = folder / "sliders.onnx"
-    export_parts(parts, path, Options(sliders=True, **options))  # type: ignore[arg-type]
+    export_parts(parts, path, Options(sliders=True, pose="rest", **options))  # type: ignore[arg-type]
     assert validate(path) == ()
     return Made(parts, Face.from_parts(parts), build(parts), Deformer(path))
 

@@ -45,14 +45,14 @@ def face(sliders: tuple[Slider, ...] = SLIDERS) -> FaceParts:
 
 @pytest.fixture
 def exported(tmp_path: Path) -> Path:
-    export_parts(face(), tmp_path / "sliders.onnx", Options(sliders=True))
+    export_parts(face(), tmp_path / "sliders.onnx", Options(sliders=True, pose="rest"))
     return tmp_path / "sliders.onnx"
 
 
 @pytest.mark.parametrize("points", [False, True])
 def test_graph_keeps_to_the_convention(points: bool, tmp_path: Path) -> None:
     path = tmp_path / "sliders.onnx"
-    export_parts(face(), path, Options(sliders=True, points=points, parent=True))
+    export_parts(face(), path, Options(sliders=True, pose="rest", points=points, parent=True))
     model = onnx.load(path)
     onnx.checker.check_model(model, full_check=True)
     assert model.ir_version == 8

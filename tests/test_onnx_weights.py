@@ -66,7 +66,7 @@ def errors(parts: FaceParts, graph: Deformer, rows: list[dict[str, float]]) -> t
 @pytest.mark.parametrize(("weights", "share"), [("float16", 2e-3), ("int8", 3e-2)])
 def test_points_are_off_by_little_which_is_told(name: str, weights: Any, share: float, tmp_path: Path) -> None:
     parts, path = FACES[name](), tmp_path / "packed.onnx"
-    report = export_parts(parts, path, Options(sliders=True, points=True, weights=weights))
+    report = export_parts(parts, path, Options(sliders=True, points=True, pose="rest", weights=weights))
     assert validate(path) == ()
     graph, random = Deformer(path), np.random.default_rng(3)
     off, moved = errors(parts, graph, [random_values(parts, random) for _ in range(40)])
@@ -82,7 +82,7 @@ def test_points_are_off_by_little_which_is_told(name: str, weights: Any, share: 
 @pytest.mark.parametrize("weights", ["float16", "int8"])
 def test_defaults_are_as_they_were(name: str, weights: Any, tmp_path: Path) -> None:
     parts = FACES[name]()
-    export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, weights=weights))
+    export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, pose="rest", weights=weights))
     defaults = {one.name: one.default for one in parts.sliders}
     off, _ = errors(parts, Deformer(tmp_path / "packed.onnx"), [defaults])
     height = 1e3 * parts.meters_per_unit * np.ptp(build(parts).points, axis=0).max()
@@ -93,13 +93,13 @@ def test_files_are_smaller_and_say_what_they_need(tmp_path: Path) -> None:
     parts, sizes = neural(), []
     for weights, kinds in (("float32", {1, 7}), ("float16", {1, 7, 10}), ("int8", {1, 3, 7})):
         path = tmp_path / f"{weights}.onnx"
-        export_parts(parts, path, Options(sliders=True, weights=weights))  # type: ignore[arg-type]
+        export_parts(parts, path, Options(sliders=True, pose="rest", weights=weights))  # type: ignore[arg-type]
         model = onnx.load(str(path))
         assert {one.data_type for one in model.graph.initializer} == kinds
         sizes.append(sum(one.ByteSize() for one in model.graph.initializer))
         assert Deformer(path).metadata["further_operators"] == ([] if weights == "float32" else ["Cast"])
         again = tmp_path / f"{weights} again.onnx"
-        export_parts(parts, again, Options(sliders=True, weights=weights))  # type: ignore[arg-type]
+        export_parts(parts, again, Options(sliders=True, pose="rest", weights=weights))  # type: ignore[arg-type]
         assert path.read_bytes() == again.read_bytes()
     assert "packed_weights" not in Deformer(tmp_path / "float32.onnx").metadata
     assert sizes[2] < sizes[1] < sizes[0]
@@ -122,7 +122,7 @@ def test_rows_make_up_for_one_another() -> None:
 @pytest.mark.parametrize("weights", ["float16", "int8"])
 def test_the_web_runtime_gives_the_same(weights: Any, tmp_path: Path) -> None:
     parts = neural()
-    export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, weights=weights))
+    export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, pose="rest", weights=weights))
     graph, random = Deformer(tmp_path / "packed.onnx"), np.random.default_rng(4)
     feeds = []
     for _ in range(4):

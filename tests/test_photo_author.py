@@ -244,21 +244,23 @@ def test_a_photo_in_light_without_a_lamp(head: Path, person: Face, fit: PhotoFit
 
 
 def test_exports(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
-    """GLB and slider graph show the fitted face, alone and as in each photo; that cameras are left out is told."""
+    """The fitted face is the rest of GLB and slider graph, each photo's expression a pose; cameras are left out."""
     report = facepipe_gltf.export(person, tmp_path / "person.glb", facepipe_gltf.Options(animations=True))
     assert facepipe_gltf.validate(tmp_path / "person.glb", khronos=False) == ()
     assert any("cameras of photos" in line for line in report.dropped)
     file = gltf_reader.read(tmp_path / "person.glb")
-    poses = {"sliders": {}, **{own.name: view.expressions for own, view in zip(person.photos, fit.views, strict=True)}}
-    for name, weights in poses.items():
+    assert "sliders" not in [one["name"] for one in file.list("animations")]  # the person is no expression
+    poses = {own.name: view.expressions for own, view in zip(person.photos, fit.views, strict=True)}
+    for name, weights in {"": {}, **poses}.items():
         expected = person.split(person.evaluate(weights, sliders={}) / 100)  # centimetres, glTF has metres
-        for mesh, points in file.pose(name, 0.0).items():
+        found = file.pose(name, 0.0) if name else file.evaluate()
+        for mesh, points in found.items():
             assert np.nanmax(np.abs(points - expected[mesh])) < 1e-5 * person.head_height / 100
     facepipe_onnx.export(person, tmp_path / "face.onnx")
     facepipe_onnx.export(person, tmp_path / "sliders.onnx", facepipe_onnx.Options(sliders=True, points=True))
     graph = facepipe_onnx.Deformer(tmp_path / "sliders.onnx")
-    found = graph.evaluate(sliders=fit.sliders)["points"]
-    assert np.abs(found - person.evaluate(sliders={})).max() < 1e-5 * person.head_height
+    values = graph.evaluate(sliders=fit.sliders)["points"]
+    assert np.abs(values - person.evaluate(sliders={})).max() < 1e-5 * person.head_height
 
 
 def test_names_of_photos_are_valid_and_free(head: Path, fit: PhotoFit, tmp_path: Path) -> None:

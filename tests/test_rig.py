@@ -150,8 +150,11 @@ def test_bad_values_are_refused() -> None:
         face.evaluate(coefficients=np.zeros((2, 9)))
     with pytest.raises(InputError, match="NaN"):
         face.evaluate(joint_transforms=np.full((3, 4, 4), np.nan))
+    for person in ({"sliders": {}}, {"pose": "set"}):
+        with pytest.raises(InputError, match="only one"):
+            face.evaluate(joint_transforms=face.skeleton.rest_transforms, **person)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="only one"):
-        face.evaluate(coefficients=rest_coefficients(3), sliders={})
+        face.evaluate(sliders={}, pose="set")
 
 
 def test_a_singular_bind_is_refused() -> None:

@@ -12,6 +12,7 @@ from facepipe.rig.bone_coefficients import coefficient_matrices, rest_coefficien
 from facepipe.rig.on_person import NewRest
 from facepipe.rig.person import Person
 from facepipe.rig.rig import Rig
+from facepipe.rig.sliders import slide
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -30,10 +31,15 @@ class SetError:
     max_mm: float
     shapes: int
     poses: int
+    sliders_max_mm: float  # over random settings of the sliders, within their ranges; 0 without sliders
 
 
-def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: FaceParts) -> SetError:
-    """Compare both rigs, each shape at 1 and each pose of joints and shapes on top of the person."""
+def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: FaceParts, result: FaceParts) -> SetError:
+    """Compare both rigs, each shape at 1 and each pose of joints and shapes on top of the person.
+
+    :param parts: that `before` was built of
+    :param result: that `after` was built of
+    """
     largest = np.zeros(len(before.points))
     shapes = [({name: 1.0}, rest_coefficients(len(before.joints))) for name in before.shapes]
     poses = random_poses(before, parts)
@@ -49,7 +55,24 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
         max_mm=float(largest.max(initial=0.0)),
         shapes=len(shapes),
         poses=len(poses),
+        sliders_max_mm=1000 * parts.meters_per_unit * _sliders_apart(before, after, parts, result),
     )
+
+
+def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
+    """Largest distance between points under the same slider values, in stage units."""
+    random, farthest = np.random.default_rng(_SEED), 0.0
+    for _ in range(POSES if parts.sliders else 0):
+        values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
+        exact, own = (
+            rig.evaluate(weights, coefficients=coefficients)
+            for rig, (coefficients, weights) in (
+                (before, slide(parts.sliders, before.joints, values, parts.slider_network)),
+                (after, slide(result.sliders, after.joints, values, result.slider_network)),
+            )
+        )
+        farthest = max(farthest, float(np.linalg.norm(own - exact, axis=1).max(initial=0.0)))
+    return farthest
 
 
 def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:

@@ -62,7 +62,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         person=None,
     )
     where = " in the joints" if pose == "set-joints" else ""
-    error = set_error(rig, build(result), person, new, parts)
+    error = set_error(rig, build(result), person, new, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error)
 
 
