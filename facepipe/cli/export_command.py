@@ -5,6 +5,7 @@ Exit code 1: done, but sliders learned by --distil are further off than --distil
 examples:
   facepipe export head.usda -o head.glb
   facepipe export head.usda -o head.onnx
+  facepipe export head.usda --rename vrm -o head.glb
   facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
   facepipe export person.usda -o template.glb --pose rest
   facepipe export head.usda --sliders -o sliders.onnx
@@ -37,6 +38,7 @@ from facepipe.cli.export_neural import (
     with_neural,
 )
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
+from facepipe.cli.rename import add_rename, rename_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
 from facepipe.reports import ExportReport
@@ -53,6 +55,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     known = suffix.lower().removeprefix(".") in registry.suffixes()
     for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
         add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
+    add_rename(parser)
     add_neural_option(parser)
     add_distil_options(parser)
 
@@ -63,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
     check_neural(arguments)
+    rename = rename_of(arguments)
     exporter = registry.exporter(out)
     beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
     if beside and not arguments.force:
@@ -77,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
         held = face if learned is None else HeldFace(learned[0])
         held = held if neural is None else HeldFace(neural.parts)
         held = held if encoder is None else HeldFace(face.parts(), encoder)
+        if rename is not None:
+            held = HeldFace(rename(held.parts()), encoder)
         report: ExportReport = exporter.export(held, out, options)
         bar.update()
     text = [as_text(report)]

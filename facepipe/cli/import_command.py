@@ -6,6 +6,7 @@ examples:
   facepipe import obj shapes/ face.usdc
   facepipe import gltf head.glb head.usda
   facepipe import usd others.usd face.usda
+  facepipe import gltf avatar.glb face.usda --rename arkit
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import argparse
 from pathlib import Path
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.show import progress, warn
+from facepipe.cli.rename import add_rename, convention_of, convention_text, rename_of
+from facepipe.cli.show import note, progress, warn
+from facepipe.rig.rename import shapes_of
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -24,6 +27,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("kind", choices=sorted(IMPORTERS), metavar="KIND", help=" ".join(sorted(IMPORTERS)))
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file or folder to read")
     add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
+    add_rename(parser)
     named = [word for word in words if not word.startswith("-") and word in IMPORTERS][:1]
     for kind in named or IMPORTERS:
         add_options(parser, importer(kind).Options, f"options of {kind}")
@@ -38,11 +42,16 @@ def run(arguments: argparse.Namespace) -> int:
     out = output_of(arguments, [arguments.source])
     check_suffix(out)
     options = options_from(arguments, importer(arguments.kind).Options)
+    rename = rename_of(arguments)
     with progress("import", 2) as bar:
         imported = load(arguments.kind, arguments.source, options)
         bar.update()
-        save_parts(imported.parts, out)
+        parts = imported.parts if rename is None else rename(imported.parts)
+        save_parts(parts, out)
         bar.update()
     warn(imported.warnings)
+    found = convention_of(shapes_of(parts))
+    if found is not None and not found["exact"]:
+        note(f"shapes: {convention_text(found)}")
     print(out)
     return 0

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.cli.rename import convention_of, convention_text
 from facepipe.cli.show import emit, table
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def summarise(face: Face) -> dict[str, Any]:
         "joints": list(parts.skeleton.joints),
         "joint_names": list(parts.skeleton.names),
         "shapes": list(face.shapes),
+        "shape_names": convention_of(face.shapes),
         "inbetweens": sum(len(shape.inbetweens) for mesh in parts.meshes for shape in mesh.blendshapes),
         "regions": sorted({name for mesh in parts.meshes for name in mesh.regions}),
         "landmarks": {
@@ -95,6 +97,7 @@ def as_text(summary: dict[str, Any]) -> str:
             for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
         ],
         *[("photos", _listing(summary["photos"])) for _ in summary["photos"][:1]],
+        *[("shapes' names", convention_text(summary["shape_names"])) for _ in summary["shapes"][:1]],
         ("inbetweens", summary["inbetweens"] or "none"),
         ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in summary["landmarks"].items()) or "none"),
         ("attach joint", summary["attach_joint"] or "none"),

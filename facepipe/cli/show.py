@@ -42,6 +42,11 @@ def warn(lines: Iterable[str]) -> None:
         print(f"facepipe: warning: {line}", file=sys.stderr)
 
 
+def note(line: str) -> None:
+    """Print a fact to stderr."""
+    print(f"facepipe: {line}", file=sys.stderr)
+
+
 @contextlib.contextmanager
 def progress(label: str, total: int) -> Iterator[Any]:
     """A bar on stderr with ``update()`` per step; shown on a terminal only."""
