@@ -43,6 +43,7 @@ COMMANDS = {
     "split-shapes": "split scanned expressions into the person's own shapes",
     "rebuild": "make an actor's neutral and own shapes from scans",
     "neural-rig": "learn what a rig does, as one small network",
+    "bake": "write what a face's rig does as controls and points over time",
     "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
     "cook": "bring faces up to date with what they are made of",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
 from facepipe import tokens
 from facepipe.finite import require_finite
@@ -40,15 +40,32 @@ def save_controls(
     if len(codes):
         stage.SetStartTimeCode(float(codes[0]))
         stage.SetEndTimeCode(float(codes[-1]))
+    author_controls(prim, path, controls, values, codes)
+    save_layer(stage.GetRootLayer(), path)
+
+
+def author_controls(
+    prim: Usd.Prim,
+    path: str | os.PathLike[str],
+    controls: Sequence[Control],
+    values: FloatArray,
+    codes: FloatArray,
+) -> None:
+    """Author numbers ``facepipe:control:<name>`` on a prim of the root layer.
+
+    :param path: of the stage, for messages
+    :param values: (f, c)
+    :param codes: (f,) ascending time codes; none for a pose
+    :raises InputError: a name that USD can't hold
+    """
+    layer = prim.GetStage().GetRootLayer()
     with Sdf.ChangeBlock():
         for control, column in zip(controls, np.asarray(values, np.float64).T, strict=True):
             check_property_name(path, "control", control.name)
             name = f"{tokens.CONTROL_PREFIX}{control.name}"
-            spec = Sdf.AttributeSpec(
-                stage.GetRootLayer().GetPrimAtPath("/Controls"), name, Sdf.ValueTypeNames.Double, declaresCustom=True
-            )
+            own = layer.GetPrimAtPath(prim.GetPath())
+            spec = Sdf.AttributeSpec(own, name, Sdf.ValueTypeNames.Double, declaresCustom=True)
             spec.customData = {"minimum": float(control.minimum), "maximum": float(control.maximum)}
             spec.default = float(control.default if len(codes) else column[0])
             for code, value in zip(codes.tolist(), column.tolist(), strict=False):
-                stage.GetRootLayer().SetTimeSample(spec.path, code, value)
-    save_layer(stage.GetRootLayer(), path)
+                layer.SetTimeSample(spec.path, code, value)

@@ -62,7 +62,10 @@ def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
 
 
 def is_recorded(path: str | os.PathLike[str]) -> bool:
-    """Whether a stage is to be learned from its samples: it has no face, or controls and points over time.
+    """Whether a stage is to be learned from its samples: it has no face, or controls over time and points over time.
+
+    Points may be those that a SkelAnimation moves, beside numbers ``facepipe:control:<name>``: a face's own sliders and
+    shapes are better learned from its own rig.
 
     :raises InputError: no such file, or no readable USD
     """
@@ -71,7 +74,19 @@ def is_recorded(path: str | os.PathLike[str]) -> bool:
         prims = list(prims_below(stage.GetPseudoRoot(), path))
     if not any(is_applied(prim, tokens.FACE_API) for prim in prims):
         return True
-    return any(_cached(prim) for prim in prims) and any(_controlled(prim) for prim in prims)
+    if any(_cached(prim) for prim in prims):
+        return any(_controlled(prim) for prim in prims)
+    return any(_animated(prim) for prim in prims) and any(_sampled(prim, tokens.CONTROL_PREFIX) for prim in prims)
+
+
+def _animated(prim: Usd.Prim) -> bool:
+    return bool(prim.IsA(UsdSkel.Animation) and any(one.GetNumTimeSamples() for one in prim.GetAuthoredAttributes()))
+
+
+def _sampled(prim: Usd.Prim, prefix: str) -> bool:
+    return any(
+        one.GetNumTimeSamples() and str(one.GetName()).startswith(prefix) for one in prim.GetAuthoredAttributes()
+    )
 
 
 def _cached(prim: Usd.Prim) -> bool:

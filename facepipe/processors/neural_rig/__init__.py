@@ -2,6 +2,7 @@
 
 from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport
 from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
+from facepipe.processors.neural_rig.bake_motion import BakeMotion, BakeReport
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.inverse_report import ControlReport, InverseReport
 from facepipe.processors.neural_rig.invert import InvertedMotion, InvertNeuralRig
@@ -32,6 +33,8 @@ __all__ = [
     "AttachNeuralRig",
     "AttachOptions",
     "AttachedNeuralRig",
+    "BakeMotion",
+    "BakeReport",
     "ControlReport",
     "EncoderReport",
     "FrameBlocksOptions",

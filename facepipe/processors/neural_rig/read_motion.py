@@ -13,6 +13,7 @@ from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
 from facepipe.processors.database import Topology
+from facepipe.processors.neural_rig.animated_face import AnimatedFace
 from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions, frame_blocks
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
@@ -22,6 +23,9 @@ from facepipe.stage.point_cache import PointCache, read_point_cache
 from facepipe.stage.read_controls import read_controls
 
 FloatArray = npt.NDArray[np.floating]
+Codes = npt.NDArray[np.float64]
+
+_SAME = 1e-6  # of a time code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +42,11 @@ class ReadMotion:
         """The frames of a stage, float32.
 
         Frames are the times at which controls or points have samples; what has none at a time must be held there. Rest
-        is the first frame with all controls at their defaults, else the points authored without time.
+        is the first frame with all controls at their defaults, else the points authored without time. Where no mesh
+        has points over time, a face is what its rig makes of the SkelAnimation that moves it, at the samples of that.
 
-        :raises InputError: no readable USD, no controls, no point cache, a single frame, NaN, values beyond limits, no
-            rest, or a time at which controls or points are not known
+        :raises InputError: no readable USD, no controls, nothing that moves points, a single frame, NaN, values beyond
+            limits, no rest, or a time at which controls or points are not known
         :raises TopologyError: a mesh whose number of points changes
         """
         tracks = read_controls(path, self.prims)
@@ -51,21 +56,44 @@ class ReadMotion:
             raise InputError(path, what)
         cache = read_point_cache(path, also=sampled)
         if not cache.moving.any():
-            raise InputError(path, "no point cache, expected meshes whose points have time samples")
+            return self._animated(path, tracks, np.array(sampled), cache)
         if len(cache.codes) < 2:
             raise InputError(path, "one frame, expected several")
-        _check_times(path, tracks, np.array(sampled), cache)
-        return self._motion(path, tracks, cache)
+        guessed = [(one.mesh.name, one.guessed) for one in cache.meshes]
+        _check_times(path, tracks, np.array(sampled), cache.codes, cache.codes[cache.moving], guessed)
+        return self._motion(path, tracks, cache, cached_points(cache, path), cache.codes)
 
-    def _motion(self, path: Path, tracks: Sequence[ControlTrack], cache: PointCache) -> Motion:
+    def _animated(self, path: Path, tracks: Sequence[ControlTrack], sampled: Codes, cache: PointCache) -> Motion:
+        """The frames of a face that a SkelAnimation moves, with its bones."""
+        face = AnimatedFace.of(path) if cache.has_face else None
+        moving = np.zeros(0) if face is None else _snapped(face.codes(cache.codes_per_second), sampled)
+        if face is None or not len(moving):
+            what = "expected meshes whose points have time samples, or a face that a SkelAnimation moves over time"
+            raise InputError(path, f"no point cache, {what}")
+        if len(moving) < 2:
+            raise InputError(path, "one frame, expected several")
+        codes = np.union1d(sampled, moving)
+        between = ~np.isin(codes, moving) & (codes > moving[0]) & (codes < moving[-1])
+        _check_times(path, tracks, sampled, codes, moving, [(face.animation.name, between)])
+        return self._motion(path, tracks, cache, face, moving)
+
+    def _motion(
+        self,
+        path: Path,
+        tracks: Sequence[ControlTrack],
+        cache: PointCache,
+        placed: CachedPoints | AnimatedFace,
+        codes: Codes,
+    ) -> Motion:
         controls = tuple(_control(path, track) for track in tracks)
-        values = np.stack([track.at(cache.codes) for track in tracks], axis=1)
-        chosen, blocks = frame_blocks(cache.codes, values, self.options)
-        placed, to = cached_points(cache, path), world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
+        values = np.stack([track.at(codes) for track in tracks], axis=1)
+        chosen, blocks = frame_blocks(codes, values, self.options)
+        to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
         rest = _rest(path, controls, values, placed) @ to[:3, :3].T + to[:3, 3]
         points = np.empty((len(chosen), *rest.shape), np.float32)
         for own, number in zip(points, chosen, strict=True):
             own[:] = placed.sample(int(number)) @ to[:3, :3].T + to[:3, 3]
+        bones, coefficients = placed.bones(to, chosen) if isinstance(placed, AnimatedFace) else (None, None)
         return Motion(
             where=str(path),
             topology=Topology.of(FaceParts(meshes=placed.meshes)),
@@ -74,25 +102,43 @@ class ReadMotion:
             points=points,
             rest=rest,
             blocks=blocks,
+            bones=bones,
+            coefficients=coefficients,
             source="samples",
             between=len(values) - len(chosen),
         )
 
 
-def _check_times(path: Path, tracks: Sequence[ControlTrack], sampled: FloatArray, cache: PointCache) -> None:
-    """:raises InputError: the first time at which controls or points are not known"""
-    moving = cache.codes[cache.moving]
+def _snapped(codes: Codes, to: Codes) -> Codes:
+    """Time codes, those next to others as these are: they went by seconds."""
+    near = np.asarray(to)[np.clip(np.searchsorted(to, codes - _SAME), 0, len(to) - 1)]
+    return np.where(np.abs(near - codes) < _SAME, near, codes)
+
+
+def _check_times(
+    path: Path,
+    tracks: Sequence[ControlTrack],
+    sampled: Codes,
+    codes: Codes,
+    moving: Codes,
+    points: Sequence[tuple[str, npt.NDArray[np.bool_]]],
+) -> None:
+    """:param codes: (f,) of controls and points
+    :param moving: those at which points are sampled
+    :param points: what holds points, and (f,) whether they are between two samples that differ
+    :raises InputError: the first time at which controls or points are not known
+    """
     faults: list[tuple[float, str, str]] = []
-    for what, codes, ends in (("points", sampled, moving), ("controls", moving, sampled)):
-        beyond = codes[(codes < ends[0]) | (codes > ends[-1])]
+    for what, own, ends in (("points", sampled, moving), ("controls", moving, sampled)):
+        beyond = own[(own < ends[0]) | (own > ends[-1])]
         if len(beyond):
             faults.append((float(beyond[0]), what, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
     between = "no sample, between two that differ"
     for name, guessed in (
-        *((track.where, track.guessed(cache.codes)) for track in tracks),
-        *((one.mesh.name, one.guessed) for one in cache.meshes),
+        *((track.where, track.guessed(codes)) for track in tracks),
+        *points,
     ):
-        faults += [(float(code), name, between) for code in cache.codes[guessed][:1]]
+        faults += [(float(code), name, between) for code in codes[guessed][:1]]
     if faults:
         code, name, what = min(faults)
         expected = "expected controls and points sampled at the same times"
@@ -109,7 +155,9 @@ def _control(path: Path, track: ControlTrack) -> Control:
     return Control(name=track.name, minimum=low, maximum=high if low < high else low + 1.0, default=default)
 
 
-def _rest(path: Path, controls: Sequence[Control], values: FloatArray, placed: CachedPoints) -> FloatArray:
+def _rest(
+    path: Path, controls: Sequence[Control], values: FloatArray, placed: CachedPoints | AnimatedFace
+) -> FloatArray:
     """(n, 3) world points in stage units."""
     at_rest = np.flatnonzero((values == [control.default for control in controls]).all(axis=1))
     if len(at_rest):

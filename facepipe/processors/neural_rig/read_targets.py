@@ -9,20 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import Animation, FaceParts
+from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.database import Topology
+from facepipe.processors.neural_rig.animated_face import AnimatedFace
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
-from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import NeuralRig
-from facepipe.stage import open_face
-from facepipe.stage.animation_source import moving_animation
 from facepipe.stage.point_cache import read_point_cache
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
-_DIGITS = 9  # of time codes: what going by seconds has rounded comes back
 _GAP = 2.0  # steps without a frame: more, and another clip begins
 
 
@@ -56,11 +53,8 @@ def read_targets(path: Path, rig: NeuralRig) -> Targets:
     codes: FloatArray = cache.codes
     animated = None
     if cache.has_face and not len(codes):
-        face = open_face(path)
-        animation = moving_animation(face)
-        if animation is not None:
-            animated = _Animated(face.parts(), animation)
-            codes = animated.codes(cache.codes_per_second)
+        animated = AnimatedFace.of(path)
+        codes = codes if animated is None else animated.codes(cache.codes_per_second)
     placed = animated or cached_points(cache, path)
     _check(path, Topology.of(FaceParts(meshes=placed.meshes)), rig)
     to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
@@ -76,22 +70,3 @@ def _check(path: Path, topology: Topology, rig: NeuralRig) -> None:
         what = f"meshes {', '.join(topology.names[:4])} of {topology.point_count:,} points"
         expected = f"expected those that the neural rig was learned on, of {len(rig.rest):,} points, with their faces"
         raise TopologyError(path, f"{what}, {expected}")
-
-
-class _Animated:
-    """World points of a face that an animation moves, in stage units."""
-
-    def __init__(self, parts: FaceParts, animation: Animation) -> None:
-        self.meshes = parts.meshes
-        self.count = 1 if animation.times is None else len(animation.times)
-        self._rig, self._skeleton, self._animation = build(parts), parts.skeleton, animation
-
-    def codes(self, codes_per_second: float) -> FloatArray:
-        """(f,) time codes of the samples; none of a pose."""
-        times = self._animation.times
-        return np.zeros(0) if times is None else np.round(np.asarray(times) * codes_per_second, _DIGITS)
-
-    def sample(self, number: int) -> FloatArray:
-        """(n, 3)."""
-        local = sample_transforms(self._skeleton, self._animation, number)
-        return self._rig.evaluate(sample_weights(self._animation, number), joint_transforms=local)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,9 +25,13 @@ IntArray = npt.NDArray[np.integer]
 
 @dataclass(frozen=True, kw_only=True)
 class SampleMotion:
-    """Sets the sliders of a face, and the shapes that no slider drives, and evaluates them with `facepipe.rig`."""
+    """Sets the sliders of a face, and the shapes that no slider drives, and evaluates them with `facepipe.rig`.
+
+    :param also: shapes to set beside the sliders that drive them
+    """
 
     options: SampleMotionOptions = field(default_factory=SampleMotionOptions)
+    also: Collection[str] = ()
 
     def __call__(
         self,
@@ -42,7 +46,7 @@ class SampleMotion:
         :param done: called once for each frame
         :raises InputError: a face without controls, or no frame asked for
         """
-        controls = controls_of(parts)
+        controls = controls_of(parts, self.also)
         if not controls:
             raise InputError(where, "has neither sliders nor shapes, expected something to set")
         values: FloatArray = np.zeros((0, len(controls)))
@@ -100,10 +104,13 @@ def _placed(rig: Rig, to: FloatArray, coefficients: FloatArray, weights: Mapping
     return np.asarray(points @ to[:3, :3].T + to[:3, 3])
 
 
-def controls_of(parts: FaceParts) -> tuple[Control, ...]:
-    """The sliders that have a range, and the shapes that none of them drives, 0 to 1, in the order of the rig."""
+def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, ...]:
+    """The sliders that have a range, and the shapes that none of them drives, 0 to 1, in the order of the rig.
+
+    :param also: shapes that are controls though sliders drive them
+    """
     sliders = [one for one in parts.sliders if one.minimum < one.maximum]
-    driven = {shape for one in sliders for shape, _ in one.shapes} | {one.name for one in sliders}
+    driven = {shape for one in sliders for shape, _ in one.shapes} - set(also) | {one.name for one in sliders}
     found = [Control(name=one.name, minimum=one.minimum, maximum=one.maximum, default=one.default) for one in sliders]
     shapes = dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes)
     return (*found, *(Control(name=shape) for shape in shapes if shape not in driven))
