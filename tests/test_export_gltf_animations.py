@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import gltf_reader
 import numpy as np
 import pytest
+from facepipe_gltf import Options, export
 from facepipe_gltf.space import decompose, rotation_matrices
 from faces import tiny_face
+from gltf_builder import make_model
 from gltf_export import (
     TOLERANCE,
     Writing,
@@ -22,11 +26,16 @@ from gltf_export import (
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import shared
+from pxr import Usd, UsdSkel
 from test_export_gltf import FACES
+from test_import_gltf import animated
 
-from facepipe.importers import load
+import facepipe
+from facepipe.importers import gltf, load
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build
+from facepipe.stage import save_parts
+from facepipe.stage.author import author
 
 __all__ = ["writing", "written"]
 
@@ -163,3 +172,57 @@ def test_decomposed_matrices_come_back(seed: int, mirrored: bool) -> None:
     assert np.abs(back - matrices[:, :3, :3]).max() < 1e-9 * np.abs(scale).max()
     matrices[:, :3, :3] = matrices[:, :3, :3] @ np.array([[1, 0.3, 0], [0, 1, 0], [0, 0, 1]])
     assert decompose(matrices).sheared.all()
+
+
+def test_clips_are_sampled_at_a_frame_rate_as_usd_draws_them(writing: Writing) -> None:
+    parts = tiny_face()
+    parts = replace(parts, animations=(moving(parts, rigid=True),), played="talk")
+    file, report = writing(parts, animations=True, fps=8.0)
+    stage = author(parts)
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetDefaultPrim()), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Tiny/Skeleton")))
+    names, rig = list(query.GetAnimQuery().GetBlendShapeOrder()), build(parts)
+    frames = np.arange(13) / 8
+    assert set(frames) <= set(file.key_times("talk"))
+    for time in frames:
+        code = time * stage.GetTimeCodesPerSecond()
+        local = np.swapaxes(np.array(query.ComputeJointLocalTransforms(code)), 1, 2)
+        weights = dict(zip(names, query.GetAnimQuery().ComputeBlendShapeWeights(code), strict=True))
+        expected = rig.split(rig.evaluate(weights, joint_transforms=local) @ to_gltf(parts).T)
+        assert difference(file.pose("talk", time), expected, parts) < TOLERANCE * head_height(parts)
+    (line,) = (one for one in report.warnings if "sampled at 8 frames per second" in one)
+    assert line.endswith("off by at most nothing")  # all keys are on frames
+
+
+def test_what_a_lower_frame_rate_costs_is_measured(writing: Writing) -> None:
+    parts = tiny_face()
+    blink = np.array([0.0, 0.0, 0.75, 0.0])
+    clip = Animation(
+        name="blink", times=np.array([0.0, 0.5, 0.75, 1.0]), shapes=("jawOpen",), shape_weights=blink[:, None]
+    )
+    _, report = writing(replace(parts, animations=(clip,)), animations=True, fps=2.0)
+    assert any(line.endswith("sampled at 2 frames per second: off by at most weights 0.75") for line in report.warnings)
+
+
+def test_held_values_are_step_keys_and_come_back(tmp_path: Path) -> None:
+    """A STEP channel of another tool's file is one again, with its own keys and values, after a way through USD."""
+    builder, _, _ = animated(make_model())
+    (tmp_path / "a.glb").write_bytes(builder.glb())
+    parts = gltf.read(tmp_path / "a.glb", gltf.Options()).parts
+    save_parts(parts, tmp_path / "a.usda")
+    export(facepipe.open(tmp_path / "a.usda"), tmp_path / "b.glb", Options(animations=True))
+    before, after = (gltf_reader.read(tmp_path / name) for name in ("a.glb", "b.glb"))
+    found = []
+    for file in (before, after):
+        samplers = [one for one in file.animation("talk")["samplers"] if one["interpolation"] == "STEP"]
+        assert len(samplers) == 1
+        times, values = (file.decoded(samplers[0][key]) for key in ("input", "output"))
+        changes = np.flatnonzero(np.append(True, np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3))
+        found.append((times.ravel()[changes], values[changes]))
+    np.testing.assert_allclose(found[0][0][1:], found[1][0][1:], atol=1e-6)  # the first is held before it too
+    np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-3)  # half precision of SkelAnimation
+    again = gltf.read(tmp_path / "b.glb", gltf.Options()).parts.animations[0]
+    assert again.times is not None
+    assert parts.animations[0].times is not None
+    np.testing.assert_allclose(again.times, parts.animations[0].times, atol=1e-6)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.parts import Animation, FloatArray, IntArray, Skeleton, exact
 from facepipe.rig.animation import local_transforms
+from facepipe.rig.resample import TICK
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
 from facepipe_gltf.placement import accumulate
@@ -17,6 +19,7 @@ from facepipe_gltf.sculpts import Sculpt
 from facepipe_gltf.space import Space, Trs, decompose
 
 Json = dict[str, Any]
+_NEAR = 1e-5  # seconds
 _SAME = 1e-7  # joints nearer to rest than this (metres, quaternion and scale units) get no channel
 
 
@@ -65,7 +68,7 @@ class AnimationWriter:
         for i, joint in enumerate(used):
             for path, name in enumerate(("translation", "rotation", "scale")):
                 if changed[i, path]:
-                    _channel(result, self.buffers, keyed, values[path][:, i], joints.of_joint[joint], name)
+                    _channel(result, self.buffers, times, keyed, values[path][:, i], joints.of_joint[joint], name)
 
     def _report_shear(
         self, animation: Animation, used: IntArray, local: FloatArray, trs: Trs, joints: JointNodes
@@ -99,7 +102,7 @@ class AnimationWriter:
             if one.shape in column:
                 values[:, i] = activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
         keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
-        _channel(result, self.buffers, keyed, values.ravel(), node, "weights")
+        _channel(result, self.buffers, keys, keyed, values, node, "weights")
 
 
 def activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
@@ -145,7 +148,23 @@ def _changed(trs: Trs, rest: Trs, used: IntArray) -> FloatArray:
     return np.stack([(np.abs(one) > _SAME).any(axis=(0, 2)) for one in differences], axis=1)
 
 
-def _channel(result: Json, buffers: Buffers, keyed: int, values: FloatArray, node: int, path: str) -> None:
-    output = buffers.add(np.asarray(values).astype(np.float32), "keys")
+def _channel(
+    result: Json, buffers: Buffers, times: FloatArray, keyed: int, values: FloatArray, node: int, path: str
+) -> None:
+    """Add a channel: (t, width) values at `times`, which are the accessor `keyed`."""
+    kept = _held(times, values)
+    if kept is not None:
+        keyed, values = buffers.add(times[kept].astype(np.float32), "keys", bounds=True), values[kept]
+    output = buffers.add((values.ravel() if path == "weights" else values).astype(np.float32), "keys")
     result["channels"].append({"sampler": len(result["samplers"]), "target": {"node": node, "path": path}})
-    result["samplers"].append({"input": keyed, "output": output, "interpolation": "LINEAR"})
+    mode = "LINEAR" if kept is None else "STEP"
+    result["samplers"].append({"input": keyed, "output": output, "interpolation": mode})
+
+
+def _held(times: FloatArray, values: FloatArray) -> npt.NDArray[np.bool_] | None:
+    """The keys of a track that is held and changes within ticks only, as imports write STEP; None for all others."""
+    changes = (np.diff(values, axis=0) != 0).any(axis=1)
+    ticks = np.abs(np.diff(times) - TICK) < _NEAR
+    if not changes.any() or (changes & ~ticks).any() or (changes[1:] & changes[:-1]).any():
+        return None
+    return np.concatenate([[True], ~changes[1:], [True]])

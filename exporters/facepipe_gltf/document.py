@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import facepipe
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
+from facepipe.rig.resample import resampled
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
@@ -78,7 +79,8 @@ class _Writer:
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
 
     def document(self) -> Document:
-        parts, options = self.parts, self.options
+        parts = self.parts = self._at_frames(self.parts)
+        options = self.options
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
         self.materials = MaterialWriter(parts.materials)
@@ -142,6 +144,19 @@ class _Writer:
         self.warnings += joints.warnings
         accessor = self.buffers.add(inverse_binds.astype(np.float32), "matrices")
         return joints, [{"name": skeleton.name, "joints": joints.of_joint, "inverseBindMatrices": accessor}]
+
+    def _at_frames(self, parts: FaceParts) -> FaceParts:
+        """The face with its clips sampled at the frames that are asked for."""
+        fps = self.options.fps
+        if fps is None or not self.options.animations:
+            return parts
+        clips = []
+        for one in parts.animations:
+            clip, off = resampled(parts.skeleton, one, fps, parts.meters_per_unit * 1000)
+            clips.append(clip)
+            if off:
+                self.warnings.append(f"{one.name}: sampled at {fps:g} frames per second: off by at most {off}")
+        return replace(parts, animations=tuple(clips), frames_per_second=fps)
 
     def _animations(self, joints: JointNodes | None) -> list[Json]:
         writer = AnimationWriter(self.parts.skeleton, self.space, joints, self.targets, self.buffers, self.warnings)

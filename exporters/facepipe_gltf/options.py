@@ -48,6 +48,10 @@ class Options:
         metadata={"help": "compute the normals of blendshapes that have none"},
     )
     animations: bool = field(default=False, metadata={"help": "export poses and animations"})
+    fps: float | None = field(
+        default=None,
+        metadata={"help": "frames per second to sample clips at; their own keys by default", "range": (1.0, 1000.0)},
+    )
     quantize: bool = field(
         default=False,
         metadata={"help": "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)"},

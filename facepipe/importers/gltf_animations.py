@@ -15,7 +15,6 @@ import numpy as np
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_key_times import (
-    TICK,
     Channel,
     frame_rate,
     lines_error,
@@ -31,6 +30,7 @@ from facepipe.names import handles
 from facepipe.parts import Animation, FloatArray
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
+from facepipe.rig.resample import TICK
 
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
 

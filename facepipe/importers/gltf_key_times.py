@@ -13,8 +13,8 @@ import numpy as np
 
 from facepipe.importers.gltf_samplers import Sampler, sample
 from facepipe.parts import FloatArray
+from facepipe.rig.resample import ON_FRAME, TICK, whole_frames
 
-TICK = 2.0**-10  # seconds before the next key until which a STEP channel holds its value
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at
 _TOLERANCE = {"translation": 5e-5, "rotation": 5e-4, "scale": 5e-4, "weights": 5e-4}  # of curves: metres, radians, 1
 _UNITS = {"translation": (1e3, " mm"), "rotation": (1.0, " rad"), "scale": (1.0, ""), "weights": (1.0, "")}
@@ -22,7 +22,6 @@ _NONE = 1e-6  # an error below this is that of float32
 _MOST = 64  # lines that stand for the curve between two keys
 _WITHIN = 4  # points of a line where its distance from the curve is measured
 _AT_ONCE = 1 << 20  # numbers
-_ON_FRAME = 1e-3  # frames that a float32 time may be off
 
 
 @dataclass(frozen=True)
@@ -43,22 +42,22 @@ def sample_times(channels: Sequence[Channel], fps: float | None) -> FloatArray:
     if fps is not None:
         first = min(channel.sampler.times[0] for channel in channels)
         last = max(channel.sampler.times[-1] for channel in channels)
-        low, high = np.floor(first * fps + _ON_FRAME), np.ceil(last * fps - _ON_FRAME)
-        return np.asarray(np.arange(low, max(high, low) + 1) / fps)
+        return whole_frames(first, last, fps)
     found = [channel.sampler.times for channel in channels]
     found += [_holds(channel.sampler) for channel in channels if channel.sampler.mode == "STEP"]
     found += [_bends(channel) for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    return np.unique(np.concatenate(found))
+    times = np.concatenate(found)
+    return times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
 
 
 def frame_rate(times: FloatArray) -> float:
     """The lowest of `RATES` whose frames all `times` fall on; that of film where there is none."""
-    return next((rate for rate in RATES if _frames_off(times, rate).max(initial=0.0) < _ON_FRAME), RATES[0])
+    return next((rate for rate in RATES if _frames_off(times, rate).max(initial=0.0) < ON_FRAME), RATES[0])
 
 
 def on_frames(times: FloatArray, rate: float) -> FloatArray:
     """`times`, those that are a whole frame in float32 exactly so; as they are where two would become one."""
-    found = np.where(_frames_off(times, rate) < _ON_FRAME, np.rint(times * rate) / rate, times)
+    found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
     return found if (np.diff(found) > 0).all() else times
 
 

@@ -13,6 +13,7 @@ from facepipe.importers import gltf_accessors as accessors
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
 from facepipe.parts import FloatArray
+from facepipe.rig.trs import slerp
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def sample(sampler: Sampler, times: FloatArray, rotation: bool = False) -> Float
         arrive, leave = sampler.tangents
         values = _hermite(a, span[:, None] * leave[left], b, span[:, None] * arrive[right], share)
     elif rotation:
-        values = _slerp(_unit(sampler, a), _unit(sampler, b), share)
+        values = slerp(_unit(sampler, a), _unit(sampler, b), share)
     else:
         values = np.where(share == 0.0, a, a + share * (b - a))
     return _unit(sampler, values) if rotation else values
@@ -73,19 +74,6 @@ def sample(sampler: Sampler, times: FloatArray, rotation: bool = False) -> Float
 def _hermite(a: FloatArray, out: FloatArray, b: FloatArray, into: FloatArray, s: FloatArray) -> FloatArray:
     s2, s3 = s * s, s * s * s
     return np.asarray((2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + s) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into)
-
-
-def _slerp(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    """Along the shorter arc; nearly equal rotations are interpolated linearly, as their angle has no usable sine."""
-    dot = np.sum(a * b, axis=1, keepdims=True)
-    b = np.where(dot < 0.0, -b, b)
-    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
-    sine = np.sin(angle)
-    near = sine < 1e-6
-    safe = np.where(near, 1.0, sine)
-    from_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    from_b = np.where(near, share, np.sin(share * angle) / safe)
-    return np.asarray(from_a * a + from_b * b)
 
 
 def _unit(sampler: Sampler, quaternions: FloatArray) -> FloatArray:

@@ -79,6 +79,22 @@ def quaternions(rotations: FloatArray) -> FloatArray:
     return np.asarray(chosen / np.linalg.norm(chosen, axis=-1, keepdims=True))
 
 
+def slerp(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
+    """(..., 4) unit quaternions between `a` and `b`, along the shorter arc.
+
+    :param share: (..., 1), 0 at `a` and 1 at `b`
+    """
+    dot = np.sum(a * b, axis=-1, keepdims=True)
+    b = np.where(dot < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    sine = np.sin(angle)
+    near = sine < 1e-6  # nearly equal rotations: their angle has no usable sine
+    safe = np.where(near, 1.0, sine)
+    from_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    from_b = np.where(near, share, np.sin(share * angle) / safe)
+    return np.asarray(from_a * a + from_b * b)
+
+
 def rotation_matrices(rotations: FloatArray) -> FloatArray:
     """(..., 3, 3) matrices of (..., 4) quaternions x y z w, normalised first."""
     q = np.asarray(rotations, dtype=np.float64)
