@@ -38,7 +38,8 @@ from facepipe import sample
 from facepipe.cli import main
 from facepipe.errors import InputError
 from facepipe.importers import gltf, load
-from facepipe.parts import FaceParts, FloatArray, Landmarks
+from facepipe.parts import FaceParts, FloatArray, Landmarks, Slider
+from facepipe.rig import build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
@@ -348,6 +349,25 @@ def extension(path: Path) -> Any:
     return read_json(path)["extensions"]["VRMC_vrm"]
 
 
+def test_sliders_called_as_arkit_shapes_become_expressions(tmp_path: Path) -> None:
+    """At full value an expression is what the slider does, joints, shapes and all."""
+    parts = tiny_face()
+    shape = parts.meshes[0].blendshapes[1].name
+    channels = (("root/jaw", "rx", 0.4), ("root/jaw", "sy", 0.2), ("root", "tz", 0.1))
+    slider = Slider(name="MouthFunnel", maximum=2.0, channels=channels, shapes=((shape, 0.3),))
+    parts = replace(parts, sliders=(slider, Slider(name="width", channels=channels)))
+    report = exported(parts, tmp_path / "head.vrm")
+    assert any("1 shape that sliders make (mouthFunnel)" in line for line in report.added)
+    answer, (rest, found) = seen(tmp_path / "head.vrm", parts, [{}, {"expressions": {"mouthFunnel": 1.0}}])
+    coefficients, weights = slide(parts.sliders, parts.skeleton.joints, {"MouthFunnel": 2.0})
+    rig = build(parts)
+    expected = rig.evaluate(weights, coefficients=coefficients) - rig.evaluate({})
+    used = np.isfinite(rest).all(axis=1)
+    assert np.abs(expected).max() > 0.1
+    assert np.abs(found - rest - expected * parts.meters_per_unit)[used].max() < TOLERANCE * head_height(parts)
+    assert "width" not in answer["expressions"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sample", "ict", "makehuman"])
 def test_three_vrm_moves_whole_faces_as_their_rigs_do(kind: str, tmp_path: Path) -> None:
@@ -356,9 +376,23 @@ def test_three_vrm_moves_whole_faces_as_their_rigs_do(kind: str, tmp_path: Path)
     own = [shape.name for shape in parts.meshes[0].blendshapes][:5]
     path = tmp_path / "head.vrm"
     check_motion(parts, path, presets, own, joint)
+    check_sliders(parts, path)
     report = validate([path])[path]["issues"]
     assert report["numErrors"] == report["numWarnings"] == 0
     assert not [one for one in vrm.validate(path, khronos=False) if one.severity != "info"]
+
+
+def check_sliders(parts: FaceParts, path: Path) -> None:
+    """Every expression that a slider became is at full value what the slider does, and a face has each once."""
+    wanted = [one.name for one in parts.sliders if one.name in ARKIT_SHAPES]
+    own = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
+    rig = build(parts)
+    answer, found = seen(path, parts, [{}, *({"expressions": {name: 1.0}} for name in wanted if name not in own)])
+    assert len(answer["expressions"]) == len({*answer["expressions"]})
+    for name, points in zip((one for one in wanted if one not in own), found[1:], strict=True):
+        coefficients, weights = slide(parts.sliders, parts.skeleton.joints, {name: 1.0})
+        moved = (rig.evaluate(weights, coefficients=coefficients) - rig.evaluate({})) * parts.meters_per_unit
+        assert off(points, found[0] + moved, parts) < TOLERANCE, name
 
 
 def face(kind: str) -> tuple[FaceParts, str | None]:
@@ -369,6 +403,6 @@ def face(kind: str) -> tuple[FaceParts, str | None]:
         return load("ict", shared("ict_facekit/ict_facekit.npz")).parts, None
     from facepipe.importers.makehuman import Options
 
-    options = Options(shapes="expression/caucasian/*")
+    options = Options(shapes="expression/caucasian/*", sliders="arkit")
     parts = load("makehuman", shared("makehuman/makehuman_head.npz"), options).parts
     return parts, next(joint for joint in parts.skeleton.joints if joint.endswith("/head"))

@@ -19,6 +19,7 @@ from facepipe_gltf.vrm.look_at import look_at, looks_by_shapes
 from facepipe_gltf.vrm.meta import meta_of
 from facepipe_gltf.vrm.nodes import NodeTree
 from facepipe_gltf.vrm.options import Options
+from facepipe_gltf.vrm.slider_shapes import with_slider_shapes
 
 Json = dict[str, Any]
 EXTENSION = "VRMC_vrm"
@@ -45,7 +46,8 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
     if missing and not options.stub_body:
         what = f"no joints for {len(missing)} of the 15 human bones that VRM requires: {', '.join(missing)}"
         raise InputError(parts.name, f"{what}; expected joints of known names, or option stub_body, which adds them")
-    placed, figure, added = _standing(parts, humanoid, bool(missing))
+    shaped, said = with_slider_shapes(parts)
+    placed, figure, added = _standing(shaped, humanoid, bool(missing))
     document = write(replace(placed, animations=()), options.gltf, tangents=False)
     tree = NodeTree(document.json)
     bones = _human_nodes(parts, document, tree, humanoid, figure, added)
@@ -72,7 +74,7 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
     counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
     warnings = (*document.warnings, *humanoid.unfit)
     finished = replace(document, counts=document.counts | counts, warnings=warnings, dropped=tuple(lost))
-    return VrmDocument(finished, tuple(added))
+    return VrmDocument(finished, (*added, *said))
 
 
 def _human_nodes(

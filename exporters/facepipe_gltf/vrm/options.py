@@ -34,7 +34,9 @@ class Options:
         metadata={"help": "human bones whose joints have names of their own: BONE=JOINT, separated by commas"},
     )
     shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
-    morph_normals: bool = field(default=False, metadata={"help": "compute the normals of blendshapes that have none"})
+    morph_normals: bool = field(
+        default=True, metadata={"help": "compute the normals of blendshapes that have none; runtimes compute none"}
+    )
 
     @property
     def gltf(self) -> GltfOptions:
