@@ -4,6 +4,7 @@ Exit code 1: done, but sliders learned by --distil are further off than --distil
 
 examples:
   facepipe export head.usda -o head.glb
+  facepipe export head.usda -o small.glb --engine three --quantize
   facepipe export head.usda -o head.onnx
   facepipe export head.usda --rename vrm -o head.glb
   facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
