@@ -69,6 +69,7 @@ class Skin:
     joint_indices: IntArray  # (n, influences) int32, into Skeleton.joints
     joint_weights: FloatArray  # (n, influences)
     geom_bind_transform: FloatArray = field(default_factory=identity)  # mesh space -> skeleton space at bind time
+    dual_quaternion: bool = False  # skel:skinningMethod dualQuaternion; else joints blend linearly
 
 
 @dataclass(frozen=True, kw_only=True)

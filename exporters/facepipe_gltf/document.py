@@ -12,6 +12,7 @@ import facepipe
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
+from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe.rig.resample import resampled
 from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
@@ -210,6 +211,7 @@ class _Writer:
             counts=self._counts(skins, animations, shapes),
             warnings=(
                 *self.warnings,
+                *linear_skinning_notes(self.parts),
                 *skin_warnings(meshes, self.options.most_influences),
                 *textures.warnings,
                 *engine_warnings(self.options.reader, self.nodes),

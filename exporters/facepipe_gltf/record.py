@@ -19,7 +19,6 @@ from facepipe.parts import (
     Mesh,
     Recipe,
     Skeleton,
-    Skin,
     TextureInput,
     UvSet,
 )
@@ -126,7 +125,7 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
         regions={name: np.asarray(mask, np.float32) for name, mask in mesh.regions.items()},
         skin=None
         if mesh.skin is None or baked.influences is None
-        else Skin(joint_indices=NONE, joint_weights=NONE, geom_bind_transform=mesh.skin.geom_bind_transform),
+        else replace(mesh.skin, joint_indices=NONE, joint_weights=NONE),
         blendshapes=_shape_husks(baked),
         material_faces=mesh.material_faces if whole else (),
     )

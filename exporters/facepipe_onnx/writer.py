@@ -20,6 +20,7 @@ from facepipe.parts import FaceParts, IntArray, Slider
 from facepipe.reports import ExportReport
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
+from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_onnx import sidecar, slider_graph
 from facepipe_onnx.describe import describe
 from facepipe_onnx.graph import build, select_shapes
@@ -63,7 +64,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     require_finite(parts, parts.name, error=ExportError)
     delivered = set_face(parts, options.pose)
     parts = delivered.parts
-    whole = build_rig(parts)
+    whole = replace(build_rig(parts), dual=None)  # graphs blend joints linearly, which the report says
     triangles = _triangles(parts, whole) if options.normals else None
     names = select(whole.shapes, options.shapes, "shapes")
     rig, sliders = select_shapes(whole, names), None
@@ -88,6 +89,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         counts=_counts(rig, options, sliders, model),
         bytes=len(data),
         seconds=time.perf_counter() - start,
+        warnings=linear_skinning_notes(parts),
         dropped=_dropped(parts, options, sliders),
         error_mm=None if packed is None else packed["error_mm"],
         pose=delivered.pose,

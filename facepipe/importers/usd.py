@@ -19,7 +19,6 @@ from facepipe.parts import (
     Material,
     Mesh,
     Skeleton,
-    Skin,
     Slider,
     SliderNetwork,
     Texture,
@@ -129,10 +128,10 @@ def _normalised(source: Path, mesh: Mesh, warnings: list[str]) -> Mesh:
         warnings.append(f"{mesh.name}: weights of {int(wrong.sum())} points normalised, their sums were {found}")
     return replace(
         mesh,
-        skin=Skin(
+        skin=replace(
+            mesh.skin,
             joint_indices=indices.astype(np.int32),
             joint_weights=(weights / sums[:, None]).astype(np.float32),
-            geom_bind_transform=mesh.skin.geom_bind_transform,
         ),
     )
 

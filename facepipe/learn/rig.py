@@ -41,6 +41,7 @@ class DifferentiableRig:
             photo-to-face-sliders [0242] does; by default they come first, as in DESIGN section 7, USD and glTF
         :raises InputError: a slider or network of a joint, channel or shape that the rig has not
         """
+        rig.require_linear("the differentiable rig")
         self.joints, self.shapes, self.point_count = rig.joints, rig.shapes, len(rig.points)
         self.expressions_last, self.dtype, self.device = expressions_last, dtype, torch.device(device)
         self.sliders = DifferentiableSliders(sliders, rig.joints, rig.shapes, dtype, device, network)

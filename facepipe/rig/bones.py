@@ -16,7 +16,9 @@ def bones_in(rig: Rig, to: FloatArray) -> Rig:
     """The rig without its shapes, in another unit and world: points and joints scaled, skeleton space turned.
 
     :param to: (4, 4) from the rig's world to the other one, without shear
+    :raises InputError: points skinned by dual quaternions
     """
+    rig.require_linear("a neural rig")
     scale = float(np.cbrt(abs(np.linalg.det(to[:3, :3]))))
     larger, smaller = np.diag([scale] * 3 + [1.0]), np.diag([1.0 / scale] * 3 + [1.0])
     return replace(

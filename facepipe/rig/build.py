@@ -44,7 +44,14 @@ def build(parts: FaceParts) -> Rig:
         ).reshape(-1, 4, 4),
         parent_world=np.asarray(skeleton.transform, dtype=np.float64),
         influences=_influences(parts, offsets),
+        dual=_dual(parts),
     )
+
+
+def _dual(parts: FaceParts) -> npt.NDArray[np.bool_] | None:
+    """(n,) which points are skinned by dual quaternions; None where none is."""
+    own = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
+    return np.repeat(own, [len(mesh.points) for mesh in parts.meshes]) if any(own) else None
 
 
 def mesh_spaces(parts: FaceParts) -> list[FloatArray]:

@@ -1,7 +1,7 @@
 """The rig of one face as flat arrays, and its evaluation.
 
 ``point = sum_i w_i world_i inverse(bind_i) geomBind (point_0 + sum_k b_k delta_k)`` (DESIGN section 7): blendshapes
-first, then linear blend skinning, in float64.
+first, then linear blend skinning, in float64; dual quaternions where a mesh asks for them.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy import sparse
 from facepipe.errors import InputError
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.dual_quaternions import dual_quaternion_blend
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -55,6 +56,7 @@ class Rig:
     inverse_bind: FloatArray  # (j, 4, 4)
     parent_world: FloatArray  # (4, 4) skeleton space -> world, what roots hang under by default
     influences: sparse.csr_array  # (n, j + 1) weights
+    dual: npt.NDArray[np.bool_] | None = None  # (n,) points skinned by dual quaternions, others linearly; None: none
 
     @cached_property
     def deltas(self) -> sparse.csr_array:
@@ -117,15 +119,36 @@ class Rig:
 
     def skin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
         """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
-        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        blended = self._blended(matrices)
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3])
+
+    def _blended(self, matrices: FloatArray) -> FloatArray:
+        """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices."""
+        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        if self.dual is not None:
+            root = matrices[-1]  # quaternions blend in skeleton space: what scales the skeleton scales them all
+            within = dual_quaternion_blend(self.influences[self.dual], np.linalg.inv(root) @ matrices)
+            blended[self.dual] = root[:3, :3] @ within
+            blended[self.dual, :, 3] += root[:3, 3]
+        return np.asarray(blended)
+
+    def require_linear(self, what: str) -> None:
+        """:raises InputError: points that are skinned by dual quaternions, which `what` does not know"""
+        if self.dual is None:
+            return
+        bounds = zip(self.mesh_names, self.mesh_offsets[:-1], self.mesh_offsets[1:], strict=True)
+        names = [name for name, start, end in bounds if self.dual[start:end].any()]
+        raise InputError(
+            f"{self.name} -> {names[0]}",
+            f"skinned by dual quaternions, which {what} does not know; expected skel:skinningMethod classicLinear",
+        )
 
     def unskin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
         """(n, 3) morphed points of (n, 3) world points under (j + 1, 4, 4) skinning matrices: the inverse of `skin`.
 
         Where the matrices flatten a point's surroundings it is the one nearest to its place at bind time.
         """
-        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        blended = self._blended(matrices)
         linear, off = blended[:, :, :3], points - blended[:, :, 3]
         crossed = np.stack([np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)], axis=1)
         volume = np.einsum("ni,ni->n", linear[:, 0], crossed[:, 0])

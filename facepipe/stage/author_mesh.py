@@ -146,6 +146,9 @@ def author_skin(prim: Usd.Prim, skin: Skin, joints: Sequence[str], present: Skin
                 primvar.BlockIndices()
         if inherited_attribute(prim, "skel:joints"):  # another order of the joints
             binding.CreateJointsAttr(list(joints))
+    if skin.dual_quaternion != (present is not None and present.dual_quaternion):
+        method = UsdSkel.Tokens.dualQuaternion if skin.dual_quaternion else UsdSkel.Tokens.classicLinear
+        binding.CreateSkinningMethodAttr(method)
     if not (present and same(skin.geom_bind_transform, present.geom_bind_transform)):
         binding.CreateGeomBindTransformAttr(to_matrix(skin.geom_bind_transform))
 

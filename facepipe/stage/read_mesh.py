@@ -152,6 +152,7 @@ def _skin(where: str, points: int, binding: Binding) -> Skin | None:
         joint_indices=indices,
         joint_weights=weights,
         geom_bind_transform=matrix(query.GetGeomBindTransform(Usd.TimeCode.Default())),
+        dual_quaternion=query.GetSkinningMethod() == UsdSkel.Tokens.dualQuaternion,
     )
 
 

@@ -157,6 +157,7 @@ def part_of(rig: Rig, points: IntArray) -> Rig:
         points=rig.points[points],
         targets=tuple(targets),
         influences=rig.influences[points],
+        dual=None if rig.dual is None else rig.dual[points],
         mesh_names=("landmarks",),
         mesh_offsets=np.array([0, len(points)]),
     )

@@ -27,6 +27,7 @@ def check_rig(where: str, parts: FaceParts, rig: Rig) -> None:
         raise InputError(where, "has no joints, expected a skinned face (`facepipe skin` makes one)")
     if rig.influences[:, : len(rig.joints)].nnz == 0:
         raise InputError(where, "no point follows a joint, expected a skinned face (`facepipe skin` makes one)")
+    rig.require_linear("the fit")
     check_spaces(where, parts)
     for joint, bind, rest in zip(rig.joints, parts.skeleton.bind_transforms, rig.rest, strict=True):
         check_invertible(f"{where} -> {joint}", "bind transform", bind)

@@ -1,0 +1,38 @@
+"""What formats whose joints blend linearly do to meshes that are skinned by dual quaternions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from facepipe.parts import FaceParts
+from facepipe.rig.animation import sample_transforms, sample_weights
+from facepipe.rig.build import build
+
+_POSES = 20  # of each animation, evenly spread
+
+
+def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
+    """A line for the report of a writer that blends joints linearly, where the face has meshes that don't."""
+    names = [mesh.name for mesh in parts.meshes if mesh.skin is not None and mesh.skin.dual_quaternion]
+    if not names:
+        return ()
+    owners = names[0] if len(names) == 1 else f"{len(names)} meshes"
+    line = f"{owners}: skinned by dual quaternions, which the format has not: linearly in the file"
+    rig = build(parts)
+    linear = replace(rig, dual=None)
+    apart, poses = 0.0, 0
+    for animation in parts.animations:
+        count = 1 if animation.times is None else len(animation.times)
+        for index in np.unique(np.linspace(0, count - 1, min(count, _POSES)).astype(np.int64)).tolist():
+            local = sample_transforms(parts.skeleton, animation, index)
+            weights = rig.weight_vector(
+                {name: weight for name, weight in sample_weights(animation, index).items() if name in rig.shapes}
+            )
+            pair = [one.evaluate(weights, joint_transforms=local) for one in (rig, linear)]
+            apart = max(apart, float(np.linalg.norm(pair[0] - pair[1], axis=1).max(initial=0.0)))
+            poses += 1
+    if not poses:
+        return (f"{line}; the face has no pose that would show how far off",)
+    return (f"{line}, up to {apart * parts.meters_per_unit * 1000:.3g} mm off over {poses} poses of its own",)
