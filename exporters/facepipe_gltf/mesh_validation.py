@@ -40,7 +40,8 @@ def accessors(document: RawDocument) -> Iterator[Problem]:
 
 def compressed(document: RawDocument) -> Iterator[Problem]:
     """Whether there is data that no check here sees."""
-    if MESHOPT in document.json.get("extensionsUsed", []):
+    used = document.json.get("extensionsUsed")
+    if isinstance(used, list) and MESHOPT in used:
         yield "/bufferViews", f"compressed ({MESHOPT}): what is in them was not checked"
 
 

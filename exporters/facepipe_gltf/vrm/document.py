@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
         lost.append("lookAt (no eye joints, no landmarks multipie68, no shapes eyeBlink)")
     else:
         gaze = _gaze(placed, humanoid, expressions)
-        extension["lookAt"] = look_at(tree, bones, figure.eyes, gaze == "bone")
+        extension["lookAt"] = look_at(tree, bones, figure.eyes, gaze or "expression")
         if gaze is None:
             lost.append("what turns the eyes (neither eye joints with skin weights nor the shapes eyeLook)")
     document.json.setdefault("extensions", {})[EXTENSION] = extension
@@ -114,7 +114,7 @@ def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FacePar
     return placed, figure, said
 
 
-def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> str | None:
+def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Literal["bone", "expression"] | None:
     """What turns the eyes: their bones where these move points, else shapes; None for neither."""
     weighted = set[int]()
     for mesh in parts.meshes:

@@ -22,7 +22,7 @@ _STRAIGHT = [[0.0, 0.0], [1.0, 1.0]]
 
 @cache
 def table() -> Mapping[str, Any]:
-    """The table: ``preset``, name -> ARKit shape -> weight, and ``degrees``, direction -> angle."""
+    """The table: ``preset``, name -> ARKit shape -> weight, and ``degrees``, kind -> direction -> angle."""
     read = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
     for name, weights in read["preset"].items():
         read["preset"][name] = {one: weight for shape, weight in weights.items() for one in _sides(shape)}

@@ -58,8 +58,10 @@ def given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
     """
     found: dict[str, int] = {}
     for pair in filter(None, (one.strip() for one in text.split(","))):
-        bone, _, joint = (part.strip() for part in pair.partition("="))
+        bone, equals, joint = (part.strip() for part in pair.partition("="))
         where = f"option bones -> {pair}"
+        if not equals:
+            raise InputError(where, "expected BONE=JOINT")
         if bone not in PARENTS:
             known = did_you_mean(bone, PARENTS) or ", expected one like hips, spine, head, jaw, leftEye"
             raise InputError(where, f"'{bone}' is no human bone of VRM{known}")

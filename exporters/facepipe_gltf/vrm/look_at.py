@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,20 +22,17 @@ _FIELDS = {
 }
 
 
-def look_at(tree: NodeTree, bones: Mapping[str, int], eyes: FloatArray, with_bones: bool) -> Json:
+def look_at(tree: NodeTree, bones: Mapping[str, int], eyes: FloatArray, kind: Literal["bone", "expression"]) -> Json:
     """Bones turn by the angle of what is looked at, up to a limit; shapes are fully on at the same angle.
 
     :param eyes: (2, 3) left and right
     """
     between = np.linalg.inv(tree.world(bones["head"])) @ [*eyes.mean(axis=0), 1.0]
+    limits = {field: table()["degrees"][kind][name] for field, name in _FIELDS.items()}
     ranges = {
-        field: {
-            "inputMaxValue": table()["degrees"][name],
-            "outputScale": table()["degrees"][name] if with_bones else 1.0,
-        }
-        for field, name in _FIELDS.items()
+        field: {"inputMaxValue": limit, "outputScale": limit if kind == "bone" else 1.0}
+        for field, limit in limits.items()
     }
-    kind = "bone" if with_bones else "expression"
     return {"type": kind, "offsetFromHeadBone": numbers(between[:3])} | ranges
 
 

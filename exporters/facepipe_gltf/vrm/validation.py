@@ -49,7 +49,8 @@ def _version(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     if vrm.get("specVersion") != "1.0":
         found = f"specVersion {str(vrm['specVersion'])[:40]}" if "specVersion" in vrm else f"no {EXTENSION}"
         yield "/extensions", f"{found}, expected {EXTENSION} with specVersion 1.0"
-    if EXTENSION not in (document.json.get("extensionsUsed") or []):
+    used = document.json.get("extensionsUsed")
+    if not isinstance(used, list) or EXTENSION not in used:
         yield "/extensionsUsed", f"no {EXTENSION}, expected it"
 
 
