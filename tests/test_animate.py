@@ -21,7 +21,7 @@ import facepipe
 from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.importers.ict import Options as IctOptions
-from facepipe.parts import Animation, FaceParts, Skeleton
+from facepipe.parts import Animation, FaceParts, Skeleton, Slider
 from facepipe.pipeline.animate import AnimateJob, make
 from facepipe.processors.animate import AnimateOptions, Performance, read_performance
 from facepipe.sample import make as make_sample
@@ -311,6 +311,52 @@ def test_names_of_another_convention_and_of_both_sides(tmp_path: Path) -> None:
     assert set(report.no_target) == {"tongueOut"}
 
 
+def slid() -> FaceParts:
+    """A face whose sliders nod its head and smile, and turn its left eye."""
+    nod = Slider(
+        name="jaw_drop",
+        channels=(("spine/Head", "rx", 0.4), ("spine/Head", "sy", 0.2)),
+        channel_curves=(((0.0, 0.0), (0.5, 0.8), (1.0, 1.0)), None),
+        shapes=(("mouthSmileLeft", 0.5),),
+    )
+    look = Slider(name="eyeLookUp_L", minimum=-1.0, maximum=2.0, channels=(("spine/Head/eye_L", "ry", 0.3),))
+    return replace(boned(), sliders=(nod, look, Slider(name="other", value=0.5)))
+
+
+def test_what_no_shape_means_moves_sliders(tmp_path: Path) -> None:
+    path, out = tmp_path / "face.usda", tmp_path / "out.usda"
+    save_parts(slid(), path)
+    rows = np.random.default_rng(2).random((4, 3))
+    clip = table(tmp_path / "a.csv", "JawDrop,eyeLookUpLeft,mouthSmileLeft", rows)
+    report = make(AnimateJob(face=path, clip=clip, out=out))
+    assert (report.sliders, report.shapes) == (("jaw_drop", "eyeLookUp_L"), ("mouthSmileLeft",))
+    face = facepipe.open(out)
+    for index, (drop, look, smile) in enumerate(rows):
+        local, weights = face.sample("a", index)
+        values = {"jaw_drop": drop, "eyeLookUp_L": 2 * look, "other": 0.0}
+        expected = face.evaluate({"mouthSmileLeft": smile}, sliders=values)
+        assert difference(face, face.evaluate(weights, joint_transforms=local), expected) < 1e-6
+
+
+def test_a_joint_that_a_slider_moves_turns_with_the_head_and_an_eye_not_twice(tmp_path: Path) -> None:
+    path = tmp_path / "face.usda"
+    save_parts(slid(), path)
+    local = {}
+    for name, header in (
+        ("turn", "HeadYaw"),
+        ("nod", "jaw_drop"),
+        ("both", "HeadYaw,jaw_drop,eyeLookUpLeft,LeftEyeYaw"),
+    ):
+        rows = np.array([[0.3, 1.0, 0.0, 0.2] if name == "both" else [0.3 if name == "turn" else 1.0]] * 2)
+        clip, out = table(tmp_path / f"{name}.csv", header, rows), tmp_path / f"{name}.usda"
+        report = make(AnimateJob(face=path, clip=clip, out=out))
+        local[name] = facepipe.open(out).sample(name, 1)[0][1]
+    assert report.no_target == {"LeftEyeYaw": "eyeLookUp_L and its like turn this eye"}
+    rest = boned().skeleton.rest_transforms[1]
+    expected = local["turn"] @ np.linalg.inv(rest) @ local["nod"]
+    np.testing.assert_allclose(local["both"], expected, atol=1e-6)
+
+
 def test_trim_resample_and_offset(tmp_path: Path) -> None:
     path, out = tmp_path / "face.usda", tmp_path / "out.usda"
     save_parts(tiny_face(), path)
@@ -380,9 +426,13 @@ BAD: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], str]] = {
     "backwards": (text("frame,jawOpen\n5,0\n4,0\n"), (), "frame 2: is before the frame above it"),
     "timecode": (text("timecode,jawOpen\n12:00,0\n"), (), "line 2: timecode '12:00', expected HH:MM:SS:FF"),
     "too long": (text("frame,jawOpen\n0,0\n1,0\n99999999,0\n"), (), "100000000 frames with those that are missing"),
-    "another face": (text("browFlash,earLeft\n0,1\n0,1\n"), (), "none of its shapes is among the 2 names ('browFlash'"),
+    "another face": (
+        text("browFlash,earLeft\n0,1\n0,1\n"),
+        (),
+        "none of its shapes and sliders is among the 2 names ('browFlash'",
+    ),
     "nothing left": (text("jawOpen\n0\n1\n"), ("--start", "5"), "nothing from 5 to inf s, expected some of its 0.0166"),
-    "no such joint": (text("jawOpen,HeadYaw\n0,1\n1,1\n"), ("--head", "haed"), "no joint 'haed' for Head"),
+    "no such joint": (text("jawOpen,HeadYaw\n0,1\n1,1\n"), ("--head", "haed"), "did you mean 'Head'?"),
     "out of range": (text("jawOpen\n0\n1\n"), ("--resample", "0"), "option resample"),
     "bad name": (text("jawOpen\n0\n1\n"), ("--name", "a b"), "no name of a prim, expected one like a_b"),
     "suffix": (text("jawOpen\n0\n1\n", "a.fbx"), (), "suffix '.fbx', expected one of .csv .json"),

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.show import emit, warn
+from facepipe.cli.show import emit, progress, warn
 
 if TYPE_CHECKING:
     from facepipe.processors.animate import AnimateReport
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         options=options_from(arguments, AnimateOptions),
         flatten=arguments.flatten,
     )
-    report = make(job)
+    report = make(job, progress)
     warn(report.warnings)
     emit({"path": str(out), **dataclasses.asdict(report)}, f"{out}: {as_text(report)}", as_json=arguments.json)
     return 0
@@ -65,8 +65,11 @@ def as_text(report: AnimateReport) -> str:
     """The report for people."""
     span = f"{report.start:g} to {report.end:g} s at {report.frames_per_second:g} fps"
     joints = "".join(f", {part} by {path.rpartition('/')[2]}" for part, path in report.joints.items())
+    sliders = f", {len(report.sliders)} sliders" if report.sliders else ""
     filled = f", {report.filled:,} of them filled" if report.filled else ""
-    lines = [f"{report.animation}: {report.frames:,} frames{filled}, {span}: {len(report.shapes)} shapes{joints}"]
+    lines = [
+        f"{report.animation}: {report.frames:,} frames{filled}, {span}: {len(report.shapes)} shapes{sliders}{joints}"
+    ]
     reasons = dict.fromkeys(report.no_target.values())
     for reason in reasons:
         names = ", ".join(name for name, why in report.no_target.items() if why == reason)

@@ -8,7 +8,7 @@ from pathlib import Path
 from facepipe.errors import InputError, SchemaError
 from facepipe.names import identifier
 from facepipe.options import check_ranges, from_json, to_json
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.pipeline.verbs import Cooked, Watch, under_source, unwatched
 from facepipe.processors.animate import AnimateFace, AnimateOptions, AnimateReport, read_performance
 from facepipe.stage import open_face
 from facepipe.stage.source_recipes import read_source_recipe, source_recipe
@@ -41,10 +41,10 @@ def cook(path: Path, watch: Watch) -> Cooked:
         raise SchemaError(f"{recipe.where} -> name", f"{str(name)[:40]}, expected a text")
     options = from_json(AnimateOptions, values, recipe.where)
     job = AnimateJob(face=face, clip=clip, out=path, name=name, options=options, flatten=recipe.standalone)
-    return Cooked(report=make(job))
+    return Cooked(report=make(job, watch))
 
 
-def make(job: AnimateJob) -> AnimateReport:
+def make(job: AnimateJob, watch: Watch = unwatched) -> AnimateReport:
     """Read, author, save.
 
     :raises FacepipeError: what can't be read, put on the face or written
@@ -56,5 +56,7 @@ def make(job: AnimateJob) -> AnimateReport:
     performance = read_performance(job.clip, job.options.fps, degrees=job.options.angles == "deg")
     animate = AnimateFace(performance=performance, name=name, options=job.options)
     recipe = source_recipe(VERB, (job.face, job.clip), job.out, {"name": name, **to_json(job.options)})
-    with open_face(job.face).deriving(job.out, flatten=job.flatten) as derived, under_source(job.face):
-        return animate(derived, recipe=recipe)
+    face = open_face(job.face)
+    frames, derive = len(performance.values), face.deriving(job.out, flatten=job.flatten)
+    with watch("animate", frames) as bar, derive as derived, under_source(job.face):
+        return animate(derived, recipe=recipe, done=bar.update)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.names import did_you_mean
-from facepipe.parts import Animation, FaceParts, FloatArray, Recipe
+from facepipe.parts import Animation, FaceParts, FloatArray, Recipe, Skeleton
 from facepipe.processors.animate.angles import PARTS, angle_of
+from facepipe.processors.animate.driven_sliders import driven, turned
 from facepipe.processors.animate.options import AnimateOptions
 from facepipe.processors.animate.performance import Performance
-from facepipe.processors.animate.turned_joints import angles_of, joint_of, turned_by_shapes, turns
+from facepipe.processors.animate.turned_joints import (
+    angles_of,
+    joint_of,
+    turned_by_shapes,
+    turned_by_sliders,
+    turns,
+)
 from facepipe.reports import Report
-from facepipe.rig.conventions import match_shapes
+from facepipe.rig.bone_coefficients import rest_coefficients
+from facepipe.rig.conventions import match_shapes, spelling
 from facepipe.stage import Face
 from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
@@ -32,8 +41,11 @@ class AnimateReport(Report):
     start: float  # seconds on the stage
     end: float
     shapes: tuple[str, ...]
+    sliders: tuple[str, ...] = ()  # whose motion is in the clip
     joints: Mapping[str, str] = field(default_factory=dict)  # Head, LeftEye, RightEye -> path of the joint that turns
-    renamed: Mapping[str, str] = field(default_factory=dict)  # name in the performance -> shapes, where they differ
+    renamed: Mapping[str, str] = field(
+        default_factory=dict
+    )  # name in the performance -> shapes or sliders, where they differ
     no_target: Mapping[str, str] = field(default_factory=dict)  # name in the performance -> why it moves nothing
     filled: int = 0  # frames that the performance lacks
     authored: tuple[str, ...] = ()
@@ -53,10 +65,13 @@ class AnimateFace:
     name: str
     options: AnimateOptions = field(default_factory=AnimateOptions)
 
-    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> AnimateReport:
+    def __call__(
+        self, face: Face, *, recipe: Recipe | None = None, done: Callable[[], object] = lambda: None
+    ) -> AnimateReport:
         """Author it.
 
         :param recipe: authored with the result; None leaves what the face has
+        :param done: called after every frame that sliders move
         :raises InputError: nothing of the performance has a target, two of its names have the same, no such joint, no
             frame is left, or the animation's name is taken
         """
@@ -65,15 +80,21 @@ class AnimateFace:
             raise InputError(face.where, f"has an animation '{self.name}' already, expected another name")
         performance = self.performance.cut(self.options.start, self.options.end)
         performance = performance.at_rate(self.options.resample or performance.fps)
-        weights, renamed, no_target = _weights(parts, performance)
-        joints, coefficients, unturned = _turned(face.where, parts, performance, self.options, tuple(weights))
-        if not weights and not joints:
+        targets = _targets(parts, performance)
+        joints, turns, unturned = _turned(face.where, parts, performance, self.options, targets)
+        if not targets.weights and not targets.sliders and not joints:
             raise InputError(face.where, _another_face(performance, parts))
+        by_sliders = driven(parts, targets.sliders, len(performance.values), done)
+        weights = {**by_sliders.weights, **targets.weights}
+        weights |= {
+            one: by_sliders.weights[one] + targets.weights[one] for one in by_sliders.weights.keys() & targets.weights
+        }
+        moving, coefficients = _moved(parts.skeleton, by_sliders.coefficients, turns)
         times = on_frames(face, performance.seconds + self.options.offset)
         animation = Animation(
             name=self.name,
             times=times,
-            joints=tuple(joints.values()),
+            joints=moving,
             coefficients=coefficients,
             shapes=tuple(weights),
             shape_weights=np.stack(list(weights.values()), axis=1) if weights else None,
@@ -87,37 +108,49 @@ class AnimateFace:
             frames_per_second=performance.fps,
             start=float(times[0]),
             end=float(times[-1]),
-            shapes=tuple(weights),
+            shapes=tuple(targets.weights),
+            sliders=tuple(targets.sliders),
             joints=joints,
-            renamed=renamed,
-            no_target={**no_target, **unturned},
+            renamed=targets.renamed,
+            no_target={**targets.lost, **unturned},
             filled=performance.filled,
             authored=authored,
             warnings=performance.warnings,
         )
 
 
-def _weights(
-    parts: FaceParts, performance: Performance
-) -> tuple[dict[str, FloatArray], dict[str, str], dict[str, str]]:
-    """Shape -> (T,) weights; name -> shapes that are called otherwise; name -> why it has no target."""
+class _Targets(NamedTuple):
+    weights: dict[str, FloatArray]  # shape -> (T,)
+    sliders: dict[str, FloatArray]  # slider -> (T,)
+    renamed: dict[str, str]  # name -> shapes or sliders that are called otherwise
+    lost: dict[str, str]  # name -> why it has no target
+
+
+def _targets(parts: FaceParts, performance: Performance) -> _Targets:
+    """Where weights go: to shapes, and to sliders that are not called as one of these."""
     shapes = _shapes(parts)
+    taken = {spelling(shape) for shape in shapes}
+    sliders = [one.name for one in parts.sliders if spelling(one.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
     names = [name for name in performance.names if not angle_of(name)]
-    found = match_shapes(names, shapes)
-    weights = {target: columns[name] for name, targets in found.items() for target in targets}
-    renamed = {name: ", ".join(targets) for name, targets in found.items() if targets != (name,)}
-    left = [shape for shape in shapes if shape not in weights]
-    lost = {name: f"no such shape{did_you_mean(name, left)}" for name in names if name not in found}
-    return weights, renamed, lost
+    found = match_shapes(names, [*shapes, *sliders])
+    column_of = {target: columns[name] for name, targets in found.items() for target in targets}
+    free = [one for one in (*shapes, *sliders) if one not in column_of]
+    what = "no such shape or slider" if sliders else "no such shape"
+    return _Targets(
+        {target: column for target, column in column_of.items() if target in shapes},
+        {target: column for target, column in column_of.items() if target in sliders},
+        {name: ", ".join(targets) for name, targets in found.items() if targets != (name,)},
+        {name: f"{what}{did_you_mean(name, free)}" for name in names if name not in found},
+    )
 
 
 def _turned(
-    where: str, parts: FaceParts, performance: Performance, options: AnimateOptions, shapes: tuple[str, ...]
-) -> tuple[dict[str, str], FloatArray | None, dict[str, str]]:
-    """Part -> joint, (T, joints, 9) coefficients, and the angles without target with why."""
+    where: str, parts: FaceParts, performance: Performance, options: AnimateOptions, targets: _Targets
+) -> tuple[dict[str, str], dict[int, FloatArray], dict[str, str]]:
+    """Part -> joint, number of a joint -> (T, 9) coefficients, and the angles without target with why."""
     joints: dict[str, str] = {}
-    moved: list[FloatArray] = []
+    turned_by: dict[int, FloatArray] = {}
     lost: dict[str, str] = {}
     wanted = dict(zip(PARTS, (options.head, options.left_eye, options.right_eye), strict=True))
     for part in PARTS:
@@ -125,7 +158,8 @@ def _turned(
         angles = angles_of(performance, part)
         why = "left out" if wanted[part] else "no such joint"
         if joint is not None and wanted[part] is None and part != "Head":
-            by = turned_by_shapes(parts.meshes, joint, part.removesuffix("Eye").lower(), shapes)
+            by = turned_by_shapes(parts.meshes, joint, part.removesuffix("Eye"), targets.weights)
+            by = by or turned_by_sliders(parts.sliders, parts.skeleton.joints[joint], targets.sliders)
             joint, why = (joint, "") if by is None else (None, f"{by} and its like turn this eye")
         if not angles.any():
             continue
@@ -133,10 +167,22 @@ def _turned(
             lost |= {name: why for name in performance.names if (angle_of(name) or "").startswith(part)}
             continue
         joints[part] = parts.skeleton.joints[joint]
-        moved.append(turns(parts.skeleton, parts.up_axis, joint, angles))
+        turned_by[joint] = turns(parts.skeleton, parts.up_axis, joint, angles)
     if len(set(joints.values())) < len(joints):
         raise InputError(where, f"one joint for two of {', '.join(joints)}, expected different ones")
-    return joints, np.stack(moved, axis=1) if moved else None, lost
+    return joints, turned_by, lost
+
+
+def _moved(
+    skeleton: Skeleton, by_sliders: FloatArray, turns: Mapping[int, FloatArray]
+) -> tuple[tuple[str, ...], FloatArray | None]:
+    """The joints that leave rest, and their (T, joints, 9) coefficients."""
+    coefficients = np.array(by_sliders)
+    for joint, turn in turns.items():
+        coefficients[:, joint] = turned(turn, coefficients[:, joint])
+    moving = (coefficients != rest_coefficients(1)).any(axis=(0, 2)) if len(skeleton.joints) else np.zeros(0, bool)
+    used = np.flatnonzero(moving)
+    return tuple(skeleton.joints[i] for i in used), coefficients[:, used] if used.size else None
 
 
 def _shapes(parts: FaceParts) -> list[str]:
@@ -144,7 +190,7 @@ def _shapes(parts: FaceParts) -> list[str]:
 
 
 def _another_face(performance: Performance, parts: FaceParts) -> str:
-    shapes, first = _shapes(parts), performance.names[0]
+    shapes, first = [*_shapes(parts), *(one.name for one in parts.sliders)], performance.names[0]
     some = ", ".join(shapes[:4]) + (" ..." if len(shapes) > 4 else "") or "none, there are none"
     names = f"{len(performance.names)} names ('{first[:40]}' ...) of {Path(performance.where).name}"
-    return f"none of its shapes is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"
+    return f"none of its shapes and sliders is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"

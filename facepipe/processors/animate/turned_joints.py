@@ -8,16 +8,17 @@ angles of the eyes move so with EyeLookIn, EyeLookOut, EyeLookUp and EyeLookDown
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from facepipe.errors import InputError
-from facepipe.parts import FloatArray, Mesh, Skeleton
+from facepipe.names import did_you_mean
+from facepipe.parts import FloatArray, Mesh, Skeleton, Slider
 from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.performance import Performance
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients
-from facepipe.rig.conventions import shape_key
+from facepipe.rig.conventions import meaning, shape_key
 from facepipe.rig.trs import decompose, rotation_matrices
 
 NONE = "none"
@@ -50,8 +51,9 @@ def _asked(where: str, skeleton: Skeleton, part: str, wanted: str) -> int:
     found = paths or last
     if len(found) != 1:
         what = f"{len(found)} joints '{wanted[:60]}' for {part}" if found else f"no joint '{wanted[:60]}' for {part}"
-        some = ", ".join(one.rpartition("/")[2] for one in skeleton.joints[:6]) or "none, there are none"
-        raise InputError(where, f"{what}, expected a path or name of one: {some}")
+        names = [one.rpartition("/")[2] for one in skeleton.joints]
+        some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
+        raise InputError(where, f"{what}, expected a path or name of one: {some}{did_you_mean(wanted, names)}")
     return found[0]
 
 
@@ -59,9 +61,16 @@ def _name(joint: str) -> str:
     return shape_key(_PREFIX.sub("", joint.rpartition("/")[2]))
 
 
-def turned_by_shapes(meshes: Sequence[Mesh], joint: int, side: str, shapes: Sequence[str]) -> str | None:
-    """A shape of `shapes` that looks around with the eye of `side`, by moving points that the joint holds."""
-    looks = {shape for shape in shapes if shape_key(shape).startswith("eyelook") and shape_key(shape).endswith(side)}
+def turned_by_sliders(sliders: Sequence[Slider], joint: str, chosen: Collection[str]) -> str | None:
+    """A slider of those `chosen` that moves the joint."""
+    found = (one.name for one in sliders if one.name in chosen and any(joint == path for path, _, _ in one.channels))
+    return next(found, None)
+
+
+def turned_by_shapes(meshes: Sequence[Mesh], joint: int, side: str, shapes: Collection[str]) -> str | None:
+    """A shape of `shapes` that looks around with the eye of `side` (Left, Right), by moving points of the joint."""
+    meant = {shape: meaning(shape) or "" for shape in shapes}
+    looks = {shape for shape, one in meant.items() if one.startswith("eyeLook") and one.endswith(side)}
     for mesh in meshes:
         if mesh.skin is None:
             continue
