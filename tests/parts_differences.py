@@ -94,13 +94,16 @@ def _walk(one: object, other: object, where: str, tolerance: float) -> Iterator[
     elif isinstance(one, Mapping) and isinstance(other, Mapping):
         for key in dict.fromkeys([*one, *other]):
             yield from _walk(one.get(key), other.get(key), f"{where}[{key}]", tolerance)
-    elif _is_list(one) and _is_list(other) and len(one) == len(other):  # type: ignore[arg-type]
+    elif _is_list(one) and _is_list(other):
+        if len(one) != len(other):  # type: ignore[arg-type]
+            yield f"{where.strip('.')}: {_short(one)} and {_short(other)}"
+            return
         for i, (left, right) in enumerate(zip(one, other, strict=True)):  # type: ignore[call-overload]
             yield from _walk(left, right, f"{where}.{getattr(left, 'name', i)}", tolerance)
     elif isinstance(one, float) and isinstance(other, float):
         if abs(one - other) > max(tolerance, 1e-7) * abs(one):
             yield f"{where.strip('.')}: {one} and {other}"
-    elif one != other:
+    elif type(one) is not type(other) or one != other:
         yield f"{where.strip('.')}: {_short(one)} and {_short(other)}"
 
 

@@ -56,7 +56,7 @@ def packed(record: Record) -> tuple[Json, bytes]:
     arrays = ArrayWriter()
     text = json.dumps(to_json(record, arrays), separators=(",", ":"), allow_nan=False).encode()
     block = struct.pack("<I", len(text)) + text + arrays.finish()
-    return {"version": VERSION, "inflated": len(block)}, zlib.compress(block, 9)
+    return {"version": VERSION, "inflated": len(block)}, zlib.compress(block)
 
 
 def unpacked(data: bytes, inflated: int, where: str) -> Record:
