@@ -34,6 +34,7 @@ from vrm_export import (
     VOWELS,
     evaluated,
     exported,
+    four,
     rotation,
     seen,
 )
@@ -384,6 +385,29 @@ def read_json(path: Path) -> Any:
 def extension(path: Path) -> Any:
     """The VRM extension of a file."""
     return read_json(path)["extensions"]["VRMC_vrm"]
+
+
+@pytest.mark.slow
+def test_the_set_face_is_delivered(tmp_path: Path) -> None:
+    """Sliders of the person are in the rest, and shapes play on top; the template comes by --pose rest."""
+    values = {"noseWidth": 0.8, "jawWidth": -0.7}
+    template = head()
+    parts = replace(
+        template, sliders=tuple(replace(one, value=values.get(one.name, one.value)) for one in template.sliders)
+    )
+    report = exported(parts, tmp_path / "set.vrm")
+    exported(parts, tmp_path / "rest.vrm", pose="rest")
+    assert report.pose != "rest"
+    coefficients, _ = slide(parts.sliders, parts.skeleton.joints)
+    person = build(four(parts)).evaluate({}, coefficients=coefficients) * parts.meters_per_unit
+    for name, expected in (("set.vrm", person), ("rest.vrm", evaluated(parts, {}))):
+        _, (found,) = seen(tmp_path / name, parts, [{}])
+        used = np.isfinite(found).all(axis=1)
+        apart = (found - expected)[used].mean(axis=0)
+        assert off(found, expected + apart, parts) < TOLERANCE
+    assert np.abs(person - evaluated(parts, {})).max() > 1e-3
+    with pytest.raises(InputError, match="expected set or rest"):
+        exported(parts, tmp_path / "no.vrm", pose="set-joints")
 
 
 def test_sliders_called_as_arkit_shapes_become_expressions(tmp_path: Path) -> None:

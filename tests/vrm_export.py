@@ -48,7 +48,7 @@ def evaluated(
     parts: FaceParts, weights: Mapping[str, float], head: str | None = None, turn: Sequence[float] = (0, 0, 0, 1)
 ) -> FloatArray:
     """(n, 3) points in metres of a Y-up face by the rig, of the 4 largest influences, its `head` joint turned."""
-    rig = build(replace(parts, meshes=tuple(limited(mesh, 4) for mesh in parts.meshes)))
+    rig = build(four(parts))
     local = None
     if head is not None:
         local = np.array(parts.skeleton.rest_transforms, np.float64)
@@ -56,6 +56,11 @@ def evaluated(
         rest = rotation_at_rest(parts.skeleton, joint)
         local[joint, :3, :3] = local[joint, :3, :3] @ rest.T @ rotation(turn) @ rest
     return np.asarray(rig.evaluate(dict(weights), joint_transforms=local) * parts.meters_per_unit)
+
+
+def four(parts: FaceParts) -> FaceParts:
+    """The face with the 4 largest influences of every point."""
+    return replace(parts, meshes=tuple(limited(mesh, 4) for mesh in parts.meshes))
 
 
 def rotation_at_rest(skeleton: Skeleton, joint: int) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
@@ -27,16 +28,21 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     """Write a face as VRM 1.0.
 
     :raises InputError: another suffix, no licence or authors, human bones that are missing, a shape glob that matches
-        nothing
+        nothing, or no such pose
     :raises ExportError: a face that glTF can't hold
     """
+    from facepipe.rig.set_face import set_face
     from facepipe_gltf.files import write_glb
     from facepipe_gltf.packing import embedded
     from facepipe_gltf.vrm.document import write_vrm
 
     start = time.perf_counter()
     (target,) = outputs(path)
-    written = write_vrm(face.parts(), options or Options(), target.stem)
+    options = options or Options()
+    if options.pose == "set-joints":
+        raise InputError("option pose", "set-joints scales joints, which VRM doesn't allow, expected set or rest")
+    delivered = set_face(face.parts(), options.pose)
+    written = write_vrm(delivered.parts, options, target.stem)
     document = written.document
     files = write_glb(target, *embedded(document))
     return ExportReport(
@@ -49,6 +55,8 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
         dropped=document.dropped,
         added=written.added,
         error_mm=document.error_mm,
+        pose=delivered.pose,
+        pose_error=None if delivered.error is None else asdict(delivered.error),
     )
 
 

@@ -33,6 +33,13 @@ class Options:
         default="",
         metadata={"help": "human bones whose joints have names of their own: BONE=JOINT, separated by commas"},
     )
+    pose: str = field(
+        default="set",
+        metadata={
+            "help": "the person that becomes the rest: set (slider values, applied bone coefficients), rest (the "
+            "template), or an animation of the face"
+        },
+    )
     shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
     morph_normals: bool = field(
         default=True, metadata={"help": "compute the normals of blendshapes that have none; runtimes compute none"}
