@@ -88,6 +88,7 @@ def _husk(
         skeleton=skeleton,
         animations=tuple(_animation_husk(one, joints, shapes) for one in parts.animations if one.name in animations),
         played=parts.played if parts.played in animations else None,
+        person=parts.person if parts.person in animations else None,
         sliders=with_mutual_mirrors(sliders),
         slider_network=network,
         bone_limits=parts.bone_limits if joints else None,

@@ -48,6 +48,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     new = _new_rest(rig, parts.skeleton, person, in_joints=pose == "set-joints")
     moved = None if pose == "set-joints" else _linear_and_off(rig, person)
     bounds = rig.mesh_offsets
+    animations = animations_on(parts, person, new)
     result = replace(
         parts,
         meshes=tuple(
@@ -55,7 +56,8 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
             for i, mesh in enumerate(parts.meshes)
         ),
         skeleton=new.skeleton,
-        animations=animations_on(parts, person, new),
+        animations=animations,
+        played=parts.played if parts.played in {one.name for one in animations} else None,
         sliders=sliders_on(parts, person, new),
         slider_network=network_on(parts, person, new),
         bone_limits=limits_on(parts.bone_limits, person, new),

@@ -12,7 +12,7 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
-from facepipe.rig import Rig, build
+from facepipe.rig import Rig, build, set_face
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
@@ -51,7 +51,7 @@ class Sources:
 
 
 def stack(faces: Sequence[Face]) -> Sources:
-    """Read the faces.
+    """Read the faces, each as it is set.
 
     :raises InputError: no face, or one that can't be read
     :raises TopologyError: meshes that differ, with the first difference
@@ -62,12 +62,12 @@ def stack(faces: Sequence[Face]) -> Sources:
         if not isinstance(face, Face):
             raise InputError("sources", f"{face!r:.60} given, expected a Face as facepipe.open gives it")
     names = tuple(face.where.partition(" -> ")[0] for face in faces)
-    base = faces[0].parts()
+    base = set_face(faces[0].parts()).parts
     if not any(len(mesh.points) for mesh in base.meshes):
         raise TopologyError(names[0], "has no points, expected a face with meshes")
     parts, warnings = [base], []
     for name, face in zip(names[1:], faces[1:], strict=True):
-        other = face.parts()
+        other = set_face(face.parts()).parts
         parts.append(in_order(base, names[0], other, name))
         _check_joints(f"{name} -> {other.skeleton.name}", other.skeleton.joints, base.skeleton.joints, names[0])
         extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
