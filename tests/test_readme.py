@@ -76,7 +76,7 @@ def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
         done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
     assert {"sheet.png", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
-    assert (tmp_path / "me.onnx").stat().st_size > 0
+    assert (tmp_path / "me.glb").stat().st_size > 0
 
 
 def test_the_demo_makes_everything(tmp_path: Path) -> None:

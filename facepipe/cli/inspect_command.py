@@ -33,6 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def summarise(face: Face) -> dict[str, Any]:
     """Counts and names of everything on the face, as JSON values."""
+    from facepipe.rig import person_of
+
     parts = face.parts()
     return {
         "face": face.where,
@@ -64,6 +66,7 @@ def summarise(face: Face) -> dict[str, Any]:
         "sliders": [slider.name for slider in parts.sliders],
         "materials": [material.name for material in parts.materials],
         "photos": [photo.name for photo in parts.photos],
+        "person": person_of(parts).description,
         "attach_joint": parts.attach_joint,
         "attribution": parts.attribution,
         "recipe": parts.recipe.verb if parts.recipe else None,
@@ -98,6 +101,7 @@ def as_text(summary: dict[str, Any]) -> str:
         ],
         *[("photos", _listing(summary["photos"])) for _ in summary["photos"][:1]],
         *[("shapes' names", convention_text(summary["shape_names"])) for _ in summary["shapes"][:1]],
+        ("person", summary["person"]),
         ("inbetweens", summary["inbetweens"] or "none"),
         ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in summary["landmarks"].items()) or "none"),
         ("attach joint", summary["attach_joint"] or "none"),

@@ -25,6 +25,14 @@ class SetFace:
     parts: FaceParts  # its rest is the person; shapes, joints and animations play on top
     pose: str  # who that is, for reports
     error: SetError | None  # of expressions on top; None where the person is the template
+    stretch: FloatArray | None = None  # (j, 3, 3) that translations of coefficients made for the template take
+
+    def carried(self, coefficients: FloatArray) -> FloatArray:
+        """(..., j, 9) bone coefficients made for the template, for this face: a person's scales left the joints."""
+        result: FloatArray = np.array(coefficients, dtype=np.float64)
+        if self.stretch is not None:
+            result[..., :3] = np.einsum("jab,...jb->...ja", self.stretch, result[..., :3])
+        return result
 
 
 def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
@@ -65,7 +73,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     )
     where = " in the joints" if pose == "set-joints" else ""
     error = set_error(rig, build(result), person, new, parts, result)
-    return SetFace(parts=result, pose=person.description + where, error=error)
+    return SetFace(parts=result, pose=person.description + where, error=error, stretch=new.stretch)
 
 
 def _new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> NewRest:

@@ -10,6 +10,7 @@ from facepipe.errors import InputError
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.quality import Quality, quality_from
 from facepipe.processors.database.whole_face import Topology, WholeFace, whole_face
+from facepipe.rig import set_face
 from facepipe.stage import open_face
 from facepipe.stage.recipes import file_recipe, source_digest
 
@@ -29,7 +30,7 @@ class StageSource:
     def __call__(self) -> WholeFace:
         """:raises FacepipeError: a file that can't be read, or another topology"""
         base = self.base.topology() if isinstance(self.base, StageSource) else self.base
-        face = whole_face(open_face(self.path).parts(), str(self.path), base, self.base_name)
+        face = whole_face(set_face(open_face(self.path).parts()).parts, str(self.path), base, self.base_name)
         self._topology = face.topology
         return replace(face, name=self.name, source=self.path.name, digest=source_digest(self.path))
 
