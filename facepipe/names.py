@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from facepipe.errors import InputError
 
 _LONGEST = 200  # characters of an identifier
+_FEW = 6  # right names in a message
 _SHOWN = 60  # characters of a wrong name in a message
 _LONGEST_LIKE = 200  # characters of a wrong name that are compared
 
@@ -53,6 +54,16 @@ def handles(names: Sequence[str], fallback: str) -> tuple[str, ...]:
     return tuple(name if name and count[name] == 1 else next(free) for name in names)
 
 
+def fits_joint(pattern: str, joint: str) -> bool:
+    """Whether a glob, or the source's name of a joint, stands for a joint path: for all of it or for its last part.
+
+    >>> fits_joint("ja*", "head/jaw"), fits_joint("eye.L", "head/eye_L"), fits_joint("head", "head/jaw")
+    (True, True, False)
+    """
+    leaf = joint.rpartition("/")[2]
+    return fnmatchcase(joint, pattern) or fnmatchcase(leaf, pattern) or leaf == identifier(pattern)
+
+
 def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
     """The `names` that one of the comma-separated `globs` matches, in their order; none where there is no glob.
 
@@ -64,10 +75,11 @@ def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
     """
     patterns = [glob.strip() for glob in globs.split(",") if glob.strip()]
     for pattern in patterns:
-        if pattern != "*" and not any(fnmatchcase(name, pattern) for name in names):
+        if pattern != "*" and not any(name == pattern or fnmatchcase(name, pattern) for name in names):
             some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
-            raise InputError(f"option {option}", f"'{pattern}' matches none of {len(names)}, expected some of: {some}")
-    return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))
+            near = did_you_mean(pattern, names) or f", expected some of: {some}"
+            raise InputError(f"option {option}", f"'{pattern[:_SHOWN]}' matches none of {len(names)}{near}")
+    return tuple(name for name in names if any(name == one or fnmatchcase(name, one) for one in patterns))
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
@@ -87,9 +99,20 @@ def unknown(name: str, known: Collection[str], what: str) -> str:
     >>> unknown("jawopn", ["jawOpen", "jawLeft"], "shape"), unknown("tail", ["jawOpen"], "shape")
     ("no shape 'jawopn', did you mean 'jawOpen'?", "no shape 'tail', expected one of jawOpen")
     """
-    few = list(known)[:4]
-    some = f"one of {', '.join(few)}{' ...' if len(known) > len(few) else ''}" if few else "none: there are none"
-    return f"no {what} '{name[:_SHOWN]}'{did_you_mean(name, known) or f', expected {some}'}"
+    return f"no {what} '{name[:_SHOWN]}'{suggestion(name, known)}"
+
+
+def suggestion(name: str, known: Collection[str], otherwise: str = "none, there are none") -> str:
+    """The end of a message about a name that is not there: the nearest that is, else a few, or `otherwise`."""
+    few = list(known)[:_FEW]
+    some = ", ".join(few) + (" ..." if len(known) > len(few) else "") or otherwise
+    return did_you_mean(name, known) or f", expected one of {some}"
+
+
+def unmatched(pattern: str, known: Sequence[str], what: str) -> str:
+    """A message about a pattern that fits nothing, with the nearest name that is there, or a few of those."""
+    some = f"some of {', '.join(known[:4])} ..." if known else "a face that has some"
+    return f"matches none of {len(known)} {what}{did_you_mean(pattern, known) or f', expected {some}'}"
 
 
 def find(name: str, known: Collection[str], where: object, what: str) -> str:

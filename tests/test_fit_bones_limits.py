@@ -212,7 +212,7 @@ def test_a_subset_on_several_meshes_is_one_mask() -> None:
 @pytest.mark.parametrize(
     ("regions", "mask", "message"),
     [
-        ({"nose": 1.0}, (), "region nose: no such region or point subset, expected some of lips, mouth, neck"),
+        ({"nose": 1.0}, (), "region nose: no such region or point subset, expected one of lips, mouth, neck"),
         ({}, ("nose",), "mask nose: no such region or point subset"),
         ({"mouth": -1.0}, (), "region mouth: weight -1.0, expected a number from 0"),
         ({"mouth": np.nan}, (), "region mouth: weight nan"),

@@ -135,7 +135,9 @@ def test_a_face_without_sliders_is_told_so(folder: Path, capsys: Capsys) -> None
     save_parts(tiny_face(), folder / "none.usda")
     assert done(capsys, "none.usda") == "none.usda: 0 sliders in 0 groups\n"
     assert "sliders: none, expected some" in failed(capsys, "none.usda", "--reset", "-o", "out.usda")
-    assert "unknown, expected one of 0: none" in failed(capsys, "none.usda", "--set", "a=1", "-o", "out.usda")
+    assert "no slider 'a', expected one of none, there are none" in failed(
+        capsys, "none.usda", "--set", "a=1", "-o", "out.usda"
+    )
 
 
 # ---- tables
@@ -325,7 +327,7 @@ def test_a_pose_beyond_limits_is_written_and_told(folder: Path, capsys: Capsys) 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--set", "opne=1"), "slider opne: unknown, expected one of 3: jawLeft, jawRight, open"),
+        (("--set", "opne=1"), "no slider 'opne', did you mean 'open'?"),
         (("--set", "open=2"), "slider open: value 2, expected -1 to 1"),
         (("--set", "open=nan"), "--set open=nan: expected NAME=NUMBER with a finite number"),
         (("--set", "open"), "--set open: expected NAME=NUMBER"),

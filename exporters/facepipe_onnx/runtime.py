@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe_onnx import sidecar
 from facepipe_onnx.metadata_checks import properties
 from facepipe_onnx.read import problems, read
@@ -120,8 +121,7 @@ class Deformer:
         number = {one: i for i, one in enumerate(names)}
         for one, value in values.items():
             if one not in number:
-                some = ", ".join(names[:6]) + (f", ... ({len(names)} in all)" if len(names) > 6 else "")
-                raise InputError(where, f"no '{one}', expected one of {some}")
+                raise InputError(where, unknown(one, names, name.rstrip("s")))
             try:
                 full[number[one]] = np.asarray(value, dtype=np.float64).reshape(full.shape[1:])
             except (TypeError, ValueError) as error:

@@ -31,7 +31,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import output_of, pairs
+from facepipe.cli.parser import named, output_of, pairs
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.cli.sliders_from_network import listed, network_json, network_text
 from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, maker_of, shape_flags
@@ -207,10 +207,12 @@ def _learn(arguments: argparse.Namespace) -> int:
 
 
 def _set(arguments: argparse.Namespace) -> int:
+    import facepipe
     from facepipe.processors.sliders import SetSliders, slider_recipe
 
-    values = pairs(arguments.set, "--set")
     out = _output(arguments, [arguments.face])
+    known = [one.name for one in facepipe.open(arguments.face).sliders]
+    values = named(pairs(arguments.set, "--set"), known, "--set", "slider")
     settings = SetSliders(values=values, mirror=arguments.mirror, reset=arguments.reset, name=arguments.name)
     report: SetSlidersReport = _derive(arguments, out, settings, slider_recipe(arguments.face, out, settings=settings))
     what = ", ".join(f"{name} {value:g}" for name, value in report.values.items()) or "all at their defaults"

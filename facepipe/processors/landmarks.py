@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.parts import Landmarks, Mesh
 from facepipe.reports import Report
 from facepipe.stage import Face
@@ -58,5 +59,5 @@ def mesh_of(face: Face, name: str | None) -> Mesh:
     """
     named = {mesh.name: mesh for mesh in face.meshes}
     if not named or (name is not None and name not in named):
-        raise InputError(face.where, f"no mesh '{name or ''}', expected one of {', '.join(named) or 'at least one'}")
+        raise InputError(face.where, unknown(name or "", named, "mesh"))
     return named[name] if name is not None else max(named.values(), key=lambda mesh: len(mesh.points))

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.parts import FaceParts
 from facepipe.render.camera import Camera
 from facepipe.render.overlay import INK, font
@@ -91,7 +92,7 @@ def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
         start += len(mesh.points)
     if not points:
         known = sorted({name for mesh in parts.meshes for name in mesh.landmarks})
-        raise InputError(f"{parts.name} -> landmarks", f"no scheme {scheme!r}, expected one of {known}")
+        raise InputError(f"{parts.name} -> landmarks", unknown(scheme, known, "scheme"))
     return np.concatenate(points), np.concatenate(numbers)
 
 

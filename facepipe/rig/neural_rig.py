@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.special import expit
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.rig import Rig
 
@@ -57,8 +58,7 @@ class NeuralRig:
         found = {control.name: control.default for control in self.controls}
         for name, value in settings.items():
             if name not in found:
-                some = ", ".join(list(found)[:6])
-                raise InputError("neural rig", f"no control '{name}', expected some of {some}")
+                raise InputError("neural rig", unknown(name, found, "control"))
             if not np.isfinite(value):
                 raise InputError(f"neural rig -> {name}", f"value {value}, expected a finite number")
             found[name] = value

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.dual_quaternions import dual_quaternion_blend
@@ -79,7 +80,7 @@ class Rig:
         index = {name: i for i, name in enumerate(self.shapes)}
         for name, weight in (weights or {}).items():
             if name not in index:
-                raise InputError(self.name, f"no shape '{name}', expected one of {_some(self.shapes)}")
+                raise InputError(self.name, unknown(name, self.shapes, "shape"))
             if not np.isfinite(weight):
                 raise InputError(f"{self.name} -> {name}", f"weight {weight}, expected a finite number")
             vector[index[name]] = weight
@@ -214,7 +215,3 @@ class Rig:
         if not np.isfinite(array).all():
             raise InputError(self.name, f"{what} hold NaN or infinity, expected finite numbers")
         return array
-
-
-def _some(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:6]) + (f", ... ({len(names)} in all)" if len(names) > 6 else "") if names else "none"

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 from facepipe.rig.slider_network import add_network
@@ -51,7 +52,7 @@ def slide(
         for (shape, gain), curve in shape_entries(slider):
             weights[shape] = weights.get(shape, 0.0) + gain * response(curve, value, slider.default)
     if settings:
-        raise InputError("sliders", f"no slider '{next(iter(settings))}'")
+        raise InputError("sliders", unknown(next(iter(settings)), [*clamped], "slider"))
     if network is not None:
         add_network(network, joints, clamped, coefficients, weights)
     return coefficients, weights

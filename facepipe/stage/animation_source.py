@@ -7,6 +7,7 @@ from pxr import UsdSkel
 
 from facepipe.errors import InputError
 from facepipe.finite import require_finite
+from facepipe.names import unknown
 from facepipe.parts import Animation, FloatArray
 from facepipe.stage.author_animations import author_source
 from facepipe.stage.face import Face, animation_prims
@@ -24,7 +25,7 @@ def play(face: Face, name: str) -> None:
     prims = list(prims_below(face.prim, face.where))
     found = animation_prims(face).get(name)
     if found is None:
-        raise InputError(face.where, f"no animation '{name}'")
+        raise InputError(face.where, unknown(name, [one.name for one in face.animations], "animation"))
     skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))
     author_source(editable(skeleton), found.GetPath())
 

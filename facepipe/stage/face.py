@@ -15,6 +15,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe import __version__, tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.finite import require_finite
+from facepipe.names import unknown
 from facepipe.parts import (
     Animation,
     FaceParts,
@@ -187,7 +188,8 @@ class Face:
         for mesh in self.meshes:
             if scheme in mesh.landmarks:
                 return mesh, mesh.landmarks[scheme]
-        raise SchemaError(self.where, f"no landmarks of scheme '{scheme}'")
+        schemes = sorted({one for mesh in self.meshes for one in mesh.landmarks})
+        raise SchemaError(self.where, unknown(scheme, schemes, "landmarks of scheme"))
 
     def parts(self) -> FaceParts:
         """Everything the face holds, as arrays."""
@@ -295,8 +297,7 @@ class Face:
         """
         animation = next((one for one in self.animations if one.name == name), None)
         if animation is None:
-            expected = ", ".join(one.name for one in self.animations[:6]) or "none"
-            raise InputError(self.where, f"no animation '{name}', expected one of {expected}")
+            raise InputError(self.where, unknown(name, [one.name for one in self.animations], "animation"))
         count = 1 if animation.times is None else len(animation.times)
         if not 0 <= index < count:
             raise InputError(f"{self.where} -> {name}", f"no sample {index}, expected 0 to {count - 1}")
@@ -348,7 +349,7 @@ class Face:
         for prim, mesh in zip(prims, self.meshes, strict=True):
             if mesh.name == name:
                 return prim
-        raise InputError(self.where, f"no mesh '{name}'")
+        raise InputError(self.where, unknown(name, [mesh.name for mesh in self.meshes], "mesh"))
 
     def _finite(self, read: Read) -> Read:
         require_finite(read, self.where.partition(" -> ")[0], error=SchemaError)

@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import suggestion
 
 FloatArray = npt.NDArray[np.floating]
+
+_NO_REGIONS = "none: the first source has no regions"
 
 
 class Shares(NamedTuple):
@@ -44,8 +47,7 @@ class Weights:
         """
         for name in (*self.regions, *self.locked):
             if name not in regions:
-                expected = ", ".join(regions) or "none: the first source has no regions"
-                raise InputError(f"weights -> {name}", f"no such region, expected one of {expected}")
+                raise InputError(f"weights -> {name}", f"no such region{suggestion(name, regions, _NO_REGIONS)}")
         given = {name: _checked(name, row, sources) for name, row in self.regions.items()}
         default = np.ones(sources) if self.default is None else _checked("default", self.default, sources)
         gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)

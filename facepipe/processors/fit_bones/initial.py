@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import suggestion
 from facepipe.payload import decode
 from facepipe.processors.apply_bones import check_fits
 from facepipe.processors.bone_payload import SUFFIX, payload_bytes
@@ -29,8 +30,8 @@ def initial_coefficients(face: Face, word: str) -> FloatArray:
         return np.asarray(content.frames[0])
     animation = next((one for one in face.animations if one.name == word), None)
     if animation is None:
-        some = ", ".join(one.name for one in face.animations[:6]) or "none, the face has no animation"
-        raise InputError(f"initial {word}", f"no such animation, expected one of {some}")
+        known = [one.name for one in face.animations]
+        raise InputError(f"initial {word}", f"no such animation{suggestion(word, known)}")
     joints = face.skeleton.joints
     if animation.coefficients is not None:
         found = rest_coefficients(len(joints))

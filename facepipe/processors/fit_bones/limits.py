@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import fits_joint, unmatched
 from facepipe.parts import BoneLimits
 from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.fit_bones.checks import LEAST_SCALE
@@ -172,14 +172,9 @@ def _channels(where: str, name: str) -> list[int]:
 
 
 def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
-    found = [
-        number
-        for number, path in enumerate(joints)
-        if fnmatchcase(path, pattern) or fnmatchcase(path.rpartition("/")[2], pattern)
-    ]
+    found = [number for number, path in enumerate(joints) if fits_joint(pattern, path)]
     if not found:
-        some = ", ".join(joint.rpartition("/")[2] for joint in joints[:4])
-        raise InputError(where, f"matches none of {len(joints)} joints, expected some of {some} ...")
+        raise InputError(where, unmatched(pattern, [joint.rpartition("/")[2] for joint in joints], "joints"))
     return found
 
 

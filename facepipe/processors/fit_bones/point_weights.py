@@ -9,11 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import suggestion
 from facepipe.parts import FaceParts, all_regions
 
 FloatArray = npt.NDArray[np.floating]
 
 LARGEST_WEIGHT = 1e12
+
+_NONE = "none, the face has neither regions nor point subsets"
 
 
 def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence[str]) -> FloatArray:
@@ -55,6 +58,5 @@ def _masks(parts: FaceParts) -> dict[str, FloatArray]:
 
 def _mask(known: Mapping[str, FloatArray], name: str, where: str) -> FloatArray:
     if name not in known:
-        some = ", ".join(sorted(known)) or "none, the face has neither regions nor point subsets"
-        raise InputError(where, f"no such region or point subset, expected some of {some}")
+        raise InputError(where, f"no such region or point subset{suggestion(name, sorted(known), _NONE)}")
     return known[name]

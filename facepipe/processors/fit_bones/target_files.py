@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.fit_bones.matching import match_meshes
@@ -94,8 +95,7 @@ def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> FileP
     animations = read_loose_animations(path)
     animation = next((one for one in animations if one.name == name), None)
     if animation is None:
-        some = ", ".join(one.name for one in animations[:6]) or "none there"
-        raise InputError(path, f"no animation '{name}', expected one of {some}")
+        raise InputError(path, unknown(name, [one.name for one in animations], "animation"))
     if has_face:
         other = open_face(path)
         points, times = sampled(other, name)

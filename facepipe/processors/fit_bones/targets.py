@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.names import identifier, unique_identifiers
+from facepipe.names import identifier, suggestion, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones.target_files import Loader, read_file, sampled, split_file
 from facepipe.stage import Face
@@ -110,10 +110,9 @@ def _of_face(face: Face, word: str) -> Target:
     if clip:
         points, times = sampled(face, word)
         return Target(name=identifier(word), points=points, times=times)
-    known = [*face.shapes[:4], *(one.name for one in face.animations[:4])]
-    some = ", ".join(known) + (" ..." if len(face.shapes) + len(face.animations) > len(known) else "")
-    what = "no such blendshape, animation or file type, expected"
-    raise InputError(f"target {word}", f"{what} {some or 'a file (.usda .obj .glb ...)'}")
+    known = [*face.shapes, *(one.name for one in face.animations)]
+    what = "no such blendshape, animation or file type"
+    raise InputError(f"target {word}", what + suggestion(word, known, "a file (.usda .obj .glb ...)"))
 
 
 def _shape(face: Face, name: str, weight: float, word: str | None = None) -> Target:

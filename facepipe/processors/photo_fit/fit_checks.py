@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.errors import InputError
 from facepipe.finite import require_finite
+from facepipe.names import suggestion
 from facepipe.parts import FloatArray, Slider
 from facepipe.stage import Face
 
@@ -66,7 +67,7 @@ def _check_key(where: str, key: FloatArray) -> None:
 def _check_expressions(face: Face, where: str, expressions: Mapping[str, float]) -> None:
     for name, weight in expressions.items():
         if name not in face.shapes:
-            raise InputError(f"{where} -> {name}", f"no such shape, expected one of {_some(face.shapes)}")
+            raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, face.shapes)}")
         if not 0 <= weight <= 1:
             raise InputError(f"{where} -> {name}", f"weight {weight:g}, expected 0 to 1")
 
@@ -75,7 +76,7 @@ def _check_tint(face: Face, fit: PhotoFit) -> None:
     known = [one.name for one in face.materials]
     for name, tint in fit.tint.items():
         if name and name not in known:  # "" are surfaces without a material
-            raise InputError(f"{face.where} -> tint {name}", f"no such material, expected one of {_some(known)}")
+            raise InputError(f"{face.where} -> tint {name}", f"no such material{suggestion(name, known)}")
         if np.shape(tint) != (3,) or not min(tint) >= 0:
             raise InputError(f"{face.where} -> tint {name}", f"{tint}, expected 3 factors of 0 or more")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from facepipe.errors import InputError
+from facepipe.names import suggestion
 
 _SIDES = ("_L", "_R")
 
@@ -57,8 +58,7 @@ def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) 
             raise InputError(f"{where} -> {name}", f"weight {weight}, expected one above 0, up to 2")
         own = next((each for each in _spellings(name) if each in known), None)
         if own is None:
-            some = ", ".join(list(shapes)[:4])
-            raise InputError(f"{where} -> {name}", f"no such shape, expected some of {some} ...")
+            raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, shapes)}")
         found[own] = max(weight, found.get(own, 0.0))
     return {name: found[name] for name in shapes if name in found}
 

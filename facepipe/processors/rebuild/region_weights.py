@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import suggestion
 from facepipe.parts import FaceParts, all_regions
 
 FloatArray = npt.NDArray[np.floating]
+
+_NO_REGIONS = "none: the face has no regions (facepipe regions)"
 
 
 def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
@@ -23,8 +26,9 @@ def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatA
     regions = all_regions(parts.meshes)
     for name in names:
         if name not in regions:
-            expected = f"one of {', '.join(regions)}" if regions else "a face with regions (facepipe regions)"
-            raise InputError(f"{where} -> region {name[:60]}", f"no such region, expected {expected}")
+            raise InputError(
+                f"{where} -> region {name[:60]}", f"no such region{suggestion(name, regions, _NO_REGIONS)}"
+            )
     masks = np.stack([regions[name] for name in dict.fromkeys(names)]).astype(np.float64)
     if not (np.isfinite(masks).all() and masks.max(initial=0.0) > 0.0):
         raise InputError(f"{where} -> region {', '.join(names)}", "no point is in it, expected some")

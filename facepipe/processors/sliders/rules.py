@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from facepipe.errors import InputError
+from facepipe.names import fits_joint, unmatched
 from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault, with_entries
@@ -120,9 +121,10 @@ def channel_targets(where: str, target: str, joints: Sequence[str]) -> list[tupl
     channels = [one for one in CHANNELS if channel in (one, one[0])]
     if not channels or not pattern:
         raise InputError(where, f"'{target[:60]}', expected JOINT:CHANNEL, channels {' '.join(CHANNELS)}, or t r s")
-    found = [one for one in joints if fnmatchcase(one, pattern) or fnmatchcase(one.rpartition("/")[2], pattern)]
+    found = [one for one in joints if fits_joint(pattern, one)]
     if not found:
-        raise InputError(where, f"'{pattern[:60]}' matches none of {len(joints)} joints, expected {_some(joints)}")
+        leaves = [one.rpartition("/")[2] for one in joints]
+        raise InputError(where, f"'{pattern[:60]}' {unmatched(pattern, leaves, 'joints')}")
     return [(joint, one) for joint in found for one in channels]
 
 
@@ -133,7 +135,7 @@ def shape_targets(where: str, target: str, shapes: Sequence[str]) -> list[str]:
     """
     found = [target] if target in shapes else [one for one in shapes if fnmatchcase(one, target)]
     if not found:
-        raise InputError(where, f"'{target[:60]}' matches none of {len(shapes)} shapes, expected {_some(shapes)}")
+        raise InputError(where, f"'{target[:60]}' {unmatched(target, shapes, 'shapes')}")
     return found
 
 
@@ -141,8 +143,3 @@ def check_number(where: str, what: str, value: float) -> None:
     """:raises InputError: NaN, infinity, or a number beyond reason"""
     if not -_LARGEST <= value <= _LARGEST:
         raise InputError(where, f"{what} {str(value)[:20]}, expected a finite number of at most {_LARGEST:g}")
-
-
-def _some(names: Sequence[str]) -> str:
-    last = [name.rpartition("/")[2] for name in names[:4]]
-    return f"some of {', '.join(last)} ..." if last else "a face that has some"

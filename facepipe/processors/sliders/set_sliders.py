@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from facepipe.errors import InputError
-from facepipe.names import identifier
+from facepipe.names import identifier, unknown
 from facepipe.parts import Animation, FaceParts, Recipe, Slider
 from facepipe.payload import PayloadContent
 from facepipe.processors.apply_bones import limit_warnings
@@ -134,8 +134,7 @@ def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, fl
     known = {one.name: one for one in sliders}
     for name, value in values.items():
         if name not in known:
-            some = ", ".join(list(known)[:4]) + (" ..." if len(known) > 4 else "") or "none"
-            raise InputError(f"{where} -> slider {name}", f"unknown, expected one of {len(known)}: {some}")
+            raise InputError(where, unknown(name, known, "slider"))
         low, high = known[name].minimum, known[name].maximum
         if not low <= value <= high:  # NaN too
             raise InputError(f"{where} -> slider {name}", f"value {value:g}, expected {low:g} to {high:g}")
