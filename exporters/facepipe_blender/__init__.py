@@ -10,7 +10,8 @@ def register() -> None:
     """Called by Blender when the add-on is enabled."""
     import bpy
 
-    bpy.utils.expose_bundled_modules()  # Blender's own USD, before anything imports pxr
+    if hasattr(bpy.utils, "expose_bundled_modules"):  # from Blender 4.4 on; before, they are on Python's path
+        bpy.utils.expose_bundled_modules()  # Blender's own USD, before anything imports pxr
     from .registration import register_all
 
     register_all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+
 import bpy
 
 from facepipe.pipeline.host_face import register_schemas
@@ -24,10 +26,12 @@ def register_all() -> None:
     )
     for one in CLASSES:
         bpy.utils.register_class(one)
+    atexit.register(unregister_all)  # Blender 4.5 as a module never ends with a hook in it
 
 
 def unregister_all() -> None:
     """Take back what `register_all` added."""
+    atexit.unregister(unregister_all)
     for one in reversed(CLASSES):
         bpy.utils.unregister_class(one)
     del bpy.types.Scene.facepipe_usd
