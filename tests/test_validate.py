@@ -73,6 +73,15 @@ def first(new: object) -> Callable[[list], list]:
     return lambda old: [new, *old[1:]]
 
 
+def upside_down(stage: Usd.Stage) -> None:
+    """Seeds landmarks whose eyes lie below the chin: the rows of the grid go up."""
+    head = stage.GetPrimAtPath("/Tiny/Head")
+    assert head.ApplyAPI("FacepipeLandmarksAPI", "multipie68")
+    marks = [0] * 68
+    marks[8], marks[27], marks[36], marks[45] = 32, 2, 0, 5
+    assert head.GetAttribute("facepipe:landmarks:multipie68:indices").Set(marks)
+
+
 def shorter(old: list) -> list:
     return old[:-1]
 
@@ -365,6 +374,7 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     ),
     "landmarks out of range": (changed(HEAD + "facepipe:landmarks:corners:indices", first(36)), {"LandmarkIndices"}),
     "landmark names too few": (changed(HEAD + "facepipe:landmarks:corners:names", shorter), {"LandmarkNames"}),
+    "landmarks of a face upside down": (upside_down, {"Plausible"}),
     "anchor out of range": (value(HEAD + "facepipe:anchor", 36), {"AnchorIndex"}),
     "slider lists not parallel": (value(SLIDER + "channelGains", [0.5, 0.5]), {"SliderLists"}),
     "slider default out of range": (value(SLIDER + "default", 2.0), {"SliderRange"}),

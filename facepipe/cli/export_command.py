@@ -19,6 +19,7 @@ examples:
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from facepipe import registry
@@ -64,6 +65,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Open, export, report."""
     import facepipe
+    from facepipe.rig import implausible
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
     check_neural(arguments)
@@ -93,6 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
     if learned is not None:
         report = with_distilled(report, learned[1])
         text += distilled_text(learned[1])
+    report = replace(report, warnings=(*report.warnings, *implausible(face.parts())))
     warn(report.warnings)
     emit(report, "\n".join(text), as_json=arguments.json)
     return 1 if learned is not None and learned[1].missed else 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.rename import convention_of, convention_text
-from facepipe.cli.show import emit, table
+from facepipe.cli.show import emit, table, warn
 
 if TYPE_CHECKING:
     from facepipe.stage import Face
@@ -25,9 +25,13 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Open and print."""
     import facepipe
+    from facepipe.rig import implausible
 
-    summary = summarise(facepipe.open(arguments.face))
-    emit(summary, as_text(summary), as_json=arguments.json)
+    face = facepipe.open(arguments.face)
+    summary = summarise(face)
+    warnings = implausible(face.parts())
+    warn(warnings)
+    emit({**summary, "warnings": list(warnings)}, as_text(summary), as_json=arguments.json)
     return 0
 
 

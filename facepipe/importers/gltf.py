@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document
 from facepipe.importers.gltf_losses import note_losses
-from facepipe.importers.imported import Imported, import_recipe
+from facepipe.importers.imported import UNIT_HELP, UP_HELP, Imported, as_told, import_recipe
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, Mesh
 
@@ -37,6 +38,8 @@ class Options:
             "range": (1.0, 1000.0),
         },
     )
+    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
+    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -54,6 +57,7 @@ def read(source: Path, options: Options) -> Imported:
             _check_finite(document, parts)
     except MemoryError:
         raise InputError(source.name, "needs more memory than there is") from None
+    parts = as_told(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(document.warnings))
 
 

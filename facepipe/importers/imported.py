@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from facepipe import __version__
 from facepipe.digests import digest
@@ -22,6 +22,22 @@ class Imported:
 
     parts: FaceParts
     warnings: tuple[str, ...] = ()
+
+
+UNIT_HELP: dict[str, Any] = {
+    "help": "metres in a unit of the file, where it is not as the file says",
+    "range": (1e-6, 1e3),
+    "unit": "m",
+}
+UP_HELP: dict[str, Any] = {
+    "help": "axis that points up in the file, where it is not as the file says",
+    "choices": ("Y", "Z"),
+}
+
+
+def as_told(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:
+    """The face in the unit and with the up axis that the user knows better than its file; None: as the file says."""
+    return replace(parts, meters_per_unit=meters_per_unit or parts.meters_per_unit, up_axis=up_axis or parts.up_axis)
 
 
 def import_recipe(kind: str, files: Mapping[Path, Iterable[Path]], options: DataclassInstance) -> Recipe:

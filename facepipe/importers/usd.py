@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from facepipe.errors import InputError, SchemaError, TopologyError
-from facepipe.importers.imported import Imported, import_recipe
+from facepipe.importers.imported import UNIT_HELP, UP_HELP, Imported, as_told, import_recipe
 from facepipe.names import unique_identifiers
+from facepipe.options import check_ranges
 from facepipe.parts import (
     Animation,
     FaceParts,
@@ -65,6 +67,8 @@ class Options:
             "parse": parse_variants,
         },
     )
+    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
+    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -76,6 +80,7 @@ def read(source: Path, options: Options) -> Imported:
     """
     from facepipe.stage.foreign import read_foreign
 
+    check_ranges(options)
     foreign = read_foreign(source, root=options.root, skeleton=options.skeleton, variants=options.variant)
     warnings = list(foreign.warnings)
     parts = foreign.parts
@@ -97,6 +102,7 @@ def read(source: Path, options: Options) -> Imported:
         materials=_distinct_textures(parts.materials),
         recipe=import_recipe("usd", {source: foreign.files}, options),
     )
+    parts = as_told(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(warnings))
 
 

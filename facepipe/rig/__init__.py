@@ -4,6 +4,7 @@ from facepipe.rig.animation import sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.build import build, mesh_spaces
 from facepipe.rig.person import Person, person_of
+from facepipe.rig.plausibility import implausible
 from facepipe.rig.rig import Rig, Target
 from facepipe.rig.set_face import SetFace, set_face
 from facepipe.rig.sliders import slide
@@ -16,6 +17,7 @@ __all__ = [
     "Target",
     "build",
     "coefficient_matrices",
+    "implausible",
     "matrix_coefficients",
     "mesh_spaces",
     "person_of",

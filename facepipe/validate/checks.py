@@ -56,6 +56,7 @@ CHECKS: tuple[Check, ...] = (
     Check("SkelBindingAPI", layout.skel_binding_api),
     Check("SkeletonBound", layout.skeleton_bound),
     Check("HasMesh", layout.has_mesh),
+    Check("Plausible", layout.plausible, "warning"),
     Check("Textures", layout.textures),
     Check("ReadableValues", layout.readable_values),
     Check("Finite", layout.finite),

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
+from facepipe.errors import FacepipeError
+from facepipe.parts import FaceParts
+from facepipe.rig import implausible
+from facepipe.stage import Face
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.guard import UNREADABLE, reason
 from facepipe.stage.textures import is_image
@@ -39,6 +43,21 @@ def has_mesh(face: FaceView) -> Iterator[Problem]:
     """A face has at least one mesh."""
     if face.prim is not None and not face.meshes:
         yield at(face.prim, "no Mesh below it, expected at least one")
+
+
+def plausible(face: FaceView) -> Iterator[Problem]:
+    """The face is as large as a head and, by its landmarks, stands upright and looks forward."""
+    if face.prim is None:
+        return
+    try:
+        own = Face(face.stage, face.prim)
+        up: Literal["Y", "Z"] = "Z" if own.up_axis == "Z" else "Y"
+        unit = own.meters_per_unit
+        lines = implausible(FaceParts(meshes=own.meshes, skeleton=own.skeleton, meters_per_unit=unit, up_axis=up))
+    except FacepipeError:
+        return  # other checks say what is wrong with it
+    for line in lines:
+        yield at(face.prim, line)
 
 
 def textures(face: FaceView) -> Iterator[Problem]:

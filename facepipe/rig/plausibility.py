@@ -1,0 +1,87 @@
+"""Whether a face is as large as a head and stands upright: what wrong units and axes of a source give away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from facepipe.parts import FaceParts, FloatArray, Mesh
+from facepipe.rig.build import build
+
+HEAD_MM = (150.0, 400.0)  # plausible heights of a head
+
+_SCHEME, _COUNT = "multipie68", 68
+_EAR_ENDS, _CHIN, _BRIDGE, _NOSE_TIP, _OUTER_CORNERS, _EYES = (0, 16), 8, 27, 30, (36, 45), slice(36, 48)
+_BRIDGES, _CORNERS = 2.5, 3.0  # a head in heights from chin to bridge of the nose, in distances of the eyes' corners
+_HEAD_LIKE = 1 / 3  # shortest side of a bounding box by the longest
+_STRAIGHT = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
+_AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
+
+
+def implausible(parts: FaceParts) -> tuple[str, ...]:
+    """One line for each thing that no real head shows, with what mends it.
+
+    Landmarks (`multipie68`) say how large the head is, body or not: it is too small or too large where both 2.5
+    times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
+    Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body has not,
+    nor has a part of a face. Landmarks alone say where up and front are.
+    """
+    rig = build(parts)
+    points = rig.evaluate()
+    own, unit = rig.split(points), parts.meters_per_unit
+    marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, own[mesh.name])) is not None), None)
+    if marks is None:
+        sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
+        if sides.min() < _HEAD_LIKE * sides.max():
+            return ()
+        return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high")
+    heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
+    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks"), *_stance(marks, parts.up_axis))
+
+
+def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
+    found = mesh.landmarks.get(_SCHEME)
+    return points[found.indices] if found is not None and len(found.indices) == _COUNT else None
+
+
+def _between(marks: FloatArray, one: int, other: int) -> float:
+    return float(np.linalg.norm(marks[one] - marks[other]))
+
+
+def _size(heights: FloatArray, meters_per_unit: float, how: str) -> tuple[str, ...]:
+    """:param heights: of the head in millimetres, as different measures have it"""
+    low, high = HEAD_MM
+    if not ((heights < low).all() or (heights > high).all()) or not (heights > 0).all():
+        return ()
+    height = float(heights[0])
+    power = 10.0 ** np.round(np.log10(np.sqrt(low * high) / height))
+    unit = f" {meters_per_unit * power:.6g}" if low <= height * power <= high else ""
+    what = f"the head is {_length(height)} {how}, expected {low:g} to {high:g} mm"
+    return (f"{what}; `facepipe import` with --meters-per-unit{unit} mends a wrong unit",)
+
+
+def _length(mm: float) -> str:
+    return f"{mm:.3g} mm" if mm < 1000.0 else f"{mm / 1000.0:.3g} m"
+
+
+def _stance(marks: FloatArray, up_axis: str) -> tuple[str, ...]:
+    up, front = _AXES[up_axis]
+    eyes, ears = marks[_EYES].mean(axis=0), marks[list(_EAR_ENDS)].mean(axis=0)
+    own_up, own_front = eyes - marks[_CHIN], marks[_NOSE_TIP] - ears
+    if _along(own_up, up) < _STRAIGHT:
+        nearest = _nearest(own_up)
+        mend = f"`facepipe import` with --up-axis {nearest[1]}" if nearest in ("+Y", "+Z") else "turning its source"
+        return (f"the face doesn't stand upright: its eyes lie {nearest} of the chin, expected {up}; {mend} mends it",)
+    if _along(own_front, front) < _STRAIGHT - 0.2:  # the nose lies below the ears
+        return (f"the face looks along {_nearest(own_front)}, expected {front}; turning its source mends it",)
+    return ()
+
+
+def _along(direction: FloatArray, axis: str) -> float:
+    """Cosine between a direction and an axis like ``-Y``."""
+    length = float(np.linalg.norm(direction))
+    return float(direction["XYZ".index(axis[1])]) * (-1.0 if axis[0] == "-" else 1.0) / length if length > 0 else 1.0
+
+
+def _nearest(direction: FloatArray) -> str:
+    longest = int(np.argmax(np.abs(direction)))
+    return f"{'-' if direction[longest] < 0 else '+'}{'XYZ'[longest]}"
