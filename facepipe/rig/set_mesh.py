@@ -95,12 +95,12 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
 
     knots = sorted({0.0 - start, 1.0 - start, *(one.weight - start for one in shape.inbetweens)})
     knots = [knot for knot in knots if min(abs(knot), abs(knot - 1.0)) > _APART]
-    names = {one.weight - start: one.name for one in shape.inbetweens}
+    names = {0.0 - start: "neutral", 1.0 - start: "full"}
+    names |= {one.weight - start: one.name for one in shape.inbetweens}
     inbetweens = []
     for knot in knots:
         offsets, normal_offsets = at(knot)
-        name = names.get(knot, "neutral" if knot < 0 else "full")
-        inbetweens.append(Inbetween(name=name, weight=knot, offsets=offsets, normal_offsets=normal_offsets))
+        inbetweens.append(Inbetween(name=names[knot], weight=knot, offsets=offsets, normal_offsets=normal_offsets))
     offsets, normal_offsets = at(1.0)
     return replace(shape, offsets=offsets, normal_offsets=normal_offsets, inbetweens=tuple(inbetweens))
 
