@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from oracle import bake, difference, played
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdSkel
 from test_import_usd import HEAD, TEETH, foreign_stage, read, rich_face, warned, written
 
 from facepipe.errors import InputError
@@ -151,3 +151,19 @@ def test_shapes_that_an_animation_moves_apart_stay_two(tmp_path: Path) -> None:
     imported = read(written(stage, tmp_path / "alike.usda"))
     (talk,) = imported.parts.animations
     assert (talk.shapes, Face.from_parts(imported.parts).shapes) == (("jawOpen",), ("jawOpen", "mouthSmileLeft"))
+
+
+def test_properties_and_prims_of_no_face_are_named(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    head = stage.GetPrimAtPath(HEAD)
+    head.CreateAttribute("userProperties:rig_version", Sdf.ValueTypeNames.Int).Set(3)
+    head.SetCustomDataByKey("artist", "me")
+    head.CreateAttribute("userProperties:blender:object_name", Sdf.ValueTypeNames.String).Set("Head")
+    UsdGeom.Camera.Define(stage, "/Rich/Camera")
+    UsdLux.SphereLight.Define(stage, "/Rich/Lamp")
+    assert sorted(read(written(stage, tmp_path / "face.usda")).warnings) == [
+        "</Rich/Camera>: 1 of type Camera: left out",
+        f"<{HEAD}>: customData artist, which no schema knows: left out",
+        f"<{HEAD}>: userProperties:rig_version, which no schema knows: left out",
+        "</Rich/Lamp>: 1 of type SphereLight: left out",
+    ]

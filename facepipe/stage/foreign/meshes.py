@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdLux, UsdSkel
 
 from facepipe import tokens
 from facepipe.stage.foreign.scene import Scene
@@ -14,6 +14,8 @@ from facepipe.stage.guard import reads_prim
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
 
+_KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
+_LISTED = 3
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
@@ -38,10 +40,26 @@ def _has_faces(prim: Usd.Prim) -> bool:
 
 
 def _name_others(scene: Scene) -> None:
-    drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer)
+    lights = (UsdLux.BoundableLightBase, UsdLux.NonboundableLightBase)
+    drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer, UsdGeom.Camera, *lights)
     others = [prim for prim in scene.prims if any(prim.IsA(one) for one in drawn) and not prim.IsA(UsdGeom.Mesh)]
     for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
         scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
+
+
+def note_custom(scene: Scene) -> None:
+    """Properties and data of a prim that no schema knows are named in a warning."""
+    own: dict[str, list[Usd.Prim]] = {}
+    for prim in scene.prims:
+        properties = [one.GetName() for one in prim.GetAuthoredProperties() if one.IsCustom()]
+        data = [key for key in prim.GetCustomData() if prim.HasAuthoredCustomDataKey(key) and key != "Blender"]
+        for name in [*properties, *(f"customData {key}" for key in data)]:
+            if not name.startswith(_KNOWN_PROPERTIES):
+                own.setdefault(name, []).append(prim)
+    for name, prims in sorted(own.items())[:_LISTED]:
+        scene.warn(f"{name}, which no schema knows: left out", prims)
+    if len(own) > _LISTED:
+        scene.warn(f"{len(own) - _LISTED} more kinds of properties that no schema knows: left out")
 
 
 def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:

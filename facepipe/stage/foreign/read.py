@@ -16,7 +16,7 @@ from facepipe.stage.display_names import told_apart
 from facepipe.stage.files import quiet_diagnostics
 from facepipe.stage.foreign import face
 from facepipe.stage.foreign.materials import bound_materials
-from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes
+from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes, note_custom
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
 from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
@@ -59,6 +59,7 @@ def read_foreign(
         if not meshes:
             raise scene.error("no mesh to read, expected a face")
         mend_meshes(scene, meshes)
+        note_custom(scene)
         parts = _parts(scene, meshes, prim)
         return Foreign(
             parts=parts,
