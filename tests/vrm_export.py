@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from facepipe_gltf.vrm.meta import LICENSE_URL
 from gltf_export import Parts, limited
 from node import vrm_load
 
+from facepipe import sample
 from facepipe.parts import FaceParts, FloatArray, Skeleton
 from facepipe.reports import ExportReport
 from facepipe.rig import build
@@ -77,3 +81,21 @@ def rotation(quaternion: Sequence[float]) -> FloatArray:
     x, y, z, w = quaternion
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+
+
+@cache
+def head() -> FaceParts:
+    """The sample."""
+    return sample.make()
+
+
+def read_json(path: Path) -> Any:
+    """The JSON of a GLB."""
+    data = path.read_bytes()
+    (size,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + size])
+
+
+def extension(path: Path) -> Any:
+    """The VRM extension of a file."""
+    return read_json(path)["extensions"]["VRMC_vrm"]

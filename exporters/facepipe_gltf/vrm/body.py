@@ -40,7 +40,8 @@ def add_body(tree: NodeTree, bones: dict[str, int], figure: Figure, roots: Seque
     own = [bone for bone in TORSO if bone in bones]
     if "hips" not in bones:
         root = tree.add("root", np.zeros(3), None)
-        bones["hips"] = tree.add("hips", _at(figure, HIPS), root)
+        legs = [tree.world(bones[f"{side}UpperLeg"])[:3, 3] for side in SIDES if f"{side}UpperLeg" in bones]
+        bones["hips"] = tree.add("hips", np.mean(legs, axis=0) if len(legs) == 2 else _at(figure, HIPS), root)
     if "spine" not in bones:
         _add_spine(tree, bones, figure, own)
     elif "hips" not in own:
@@ -66,9 +67,11 @@ def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own: Seque
     up = _at(figure, _SKULL) if next_up is None else tree.world(bones[next_up])[:3, 3]
     part = (_SPINE - HIPS) / (_SKULL - HIPS)
     bones["spine"] = tree.add("spine", low + part * (up - low), bones["hips"])
-    if next_up is not None:
-        path = tree.path(bones[next_up])
-        tree.hang(path[path.index(bones["hips"]) - 1], bones["spine"])
+    arms = [f"{side}{part}" for side in SIDES for part in ("Shoulder", "UpperArm")]
+    for bone in (one for one in (next_up, *arms) if one in bones):
+        path = tree.path(bones[bone])
+        if bones["spine"] not in path and bones["hips"] in path:
+            tree.hang(path[path.index(bones["hips"]) - 1], bones["spine"])
 
 
 def _add_leg(tree: NodeTree, bones: dict[str, int], figure: Figure, side: str, sign: float) -> None:

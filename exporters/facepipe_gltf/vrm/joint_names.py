@@ -17,6 +17,7 @@ _TABLE = Path(__file__).with_name("joint_names.toml")
 _BREAKS = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z0-9])(?=[A-Z])")
 _PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
 _FEWEST = 3
+_ROOT = "root"
 _SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
 
 
@@ -35,8 +36,8 @@ def reduced(name: str) -> tuple[str, str]:
 def bones_of(joints: Sequence[str]) -> dict[str, int]:
     """Human bone -> number among the names of joints, by the convention that knows most of them; the first of several.
 
-    One that knows neither three names nor the head is none; neither is a joint the hips that no spine hangs below:
-    rigs of heads call their topmost joint alike.
+    One that knows neither three names nor the head is none; neither is a root the hips that no spine hangs below: rigs
+    of heads have one too.
     """
     found: dict[str, int] = {}
     numbers: dict[tuple[str, str], int] = {}
@@ -44,8 +45,8 @@ def bones_of(joints: Sequence[str]) -> dict[str, int]:
         numbers.setdefault(reduced(joint), i)
     for names in _conventions():
         known = {bone: numbers[name] for bone, every in names.items() for name in every if name in numbers}
-        if "spine" not in known:
-            known.pop("hips", None)
+        if "spine" not in known and "hips" in known and reduced(joints[known["hips"]])[1] == _ROOT:
+            del known["hips"]
         if len(known) > len(found) and (len(known) >= _FEWEST or "head" in known):
             found = known
     return found
