@@ -83,6 +83,12 @@ def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict
     ]
 
 
+def meshopt_encode(requests: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Arrays compressed with meshoptimizer, and what its own decoder makes of them."""
+    answers: list[dict[str, str]] = _run("meshopt_encode.mjs", [], json.dumps(requests))
+    return answers
+
+
 def _run(script: str, arguments: Sequence[str], request: str = "") -> Any:
     command = [node_packages(), str(HERE / script), *arguments]
     done = subprocess.run(command, input=request, capture_output=True, text=True, encoding="utf-8", check=False)

@@ -56,8 +56,7 @@ def test_files_are_valid_and_the_same_each_time(suffix: str, tmp_path: Path) -> 
         export(Parts(tiny_face()), path, options)
     issues = validate(paths[:1])[paths[0]]["issues"]
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0)
-    own = check(paths[0], khronos=False)
-    assert [(one.check, one.severity) for one in own] == [("facepipe:GltfCompressed", "info")]
+    assert check(paths[0], khronos=False) == ()
     if suffix == ".glb":
         assert paths[0].read_bytes() == paths[1].read_bytes()
 
@@ -98,6 +97,16 @@ def export_with(words: list[str], folder: Path, capsys: pytest.CaptureFixture[st
     return code, said
 
 
+def test_it_is_read_back_as_the_plain_file_is(tmp_path: Path) -> None:
+    plain, small = pair(tiny_face(), tmp_path, quantize=True, animations=True)
+    ours, theirs = (load("gltf", one.path).parts for one in (plain, small))
+    for mesh, other in zip(ours.meshes, theirs.meshes, strict=True):
+        assert np.array_equal(mesh.points, other.points)
+        assert np.array_equal(mesh.face_vertex_indices, other.face_vertex_indices)
+        for shape, its in zip(mesh.blendshapes, other.blendshapes, strict=True):
+            assert np.array_equal(shape.offsets, its.offsets)
+
+
 def test_a_coder_that_loses_something_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = meshopt._run
 
@@ -111,12 +120,8 @@ def test_a_coder_that_loses_something_is_found(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", ["ict/ict_facekit", "makehuman/makehuman_head"])
-def test_real_heads(source: str, tmp_path: Path) -> None:
-    kind, name = source.split("/")
-    parts = load(kind, shared(f"{name.partition('_head')[0]}/{name}.npz")).parts
+def test_a_real_head(tmp_path: Path) -> None:
+    parts = load("ict", shared("ict_facekit/ict_facekit.npz")).parts
     plain, small = pair(parts, tmp_path, quantize=True)
-    if kind == "ict":
-        same_in_three(parts, plain.path, small.path)
-        assert small.bytes < 1.7e6
-    assert small.bytes < 0.7 * plain.bytes
+    same_in_three(parts, plain.path, small.path)
+    assert small.bytes < 1.7e6

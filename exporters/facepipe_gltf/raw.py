@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.meshopt import EXTENSION, decode
 
 FloatArray = npt.NDArray[np.floating]
 Json = dict[str, Any]
@@ -21,16 +22,11 @@ Json = dict[str, Any]
 _GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-MESHOPT = "EXT_meshopt_compression"
 _MOST_ZEROS = 1 << 25
 
 
 class Broken(Exception):  # noqa: N818  (what a check reports, not what a user sees)
     """An accessor that can't be read, and why."""
-
-
-class Compressed(Broken):
-    """An accessor whose data is compressed, which is not decoded here."""
 
 
 class RawDocument:
@@ -55,6 +51,7 @@ class RawDocument:
             raise InputError(path, "no JSON object, expected a glTF document")
         self.json: Json = parsed
         self._buffers: dict[int, bytes] = {}
+        self._decoded: dict[int, bytes] = {}  # of compressed buffer views
 
     def _container(self, data: bytes) -> bytes:
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
@@ -129,9 +126,10 @@ class RawDocument:
         view = self.item("bufferViews", index)
         if view is None:
             raise Broken(f"bufferView {index} is not there")
-        if MESHOPT in (view.get("extensions") or {}):
-            raise Compressed(f"bufferView {index} is compressed")
-        start, length, buffer = view.get("byteOffset", 0), view.get("byteLength"), self._buffer(view.get("buffer"))
+        start, length = view.get("byteOffset", 0), view.get("byteLength")
+        compressed = self._compressed(index, view)
+        buffer = self._buffer(view.get("buffer")) if compressed is None else compressed
+        start = start if compressed is None else 0
         element = width * np.dtype(dtype).itemsize
         stride = view.get("byteStride", element)
         if not (is_index(start) and is_index(length) and is_index(offset) and is_index(stride)) or stride < element:
@@ -144,6 +142,24 @@ class RawDocument:
         rows = np.lib.stride_tricks.as_strided(raw, (count, element), (stride, 1))
         decoded: FloatArray = np.ascontiguousarray(rows).view(np.dtype(dtype).newbyteorder("<")).astype(np.float64)
         return decoded
+
+    def _compressed(self, index: object, view: Json) -> bytes | None:
+        """What a buffer view of compressed data holds; None where its data is as it is."""
+        extensions = view.get("extensions")
+        own = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+        if not isinstance(own, dict) or not is_index(index):
+            return None
+        if index not in self._decoded:
+            buffer, start, length = self._buffer(own.get("buffer")), own.get("byteOffset", 0), own.get("byteLength")
+            count, size = own.get("count"), own.get("byteStride")
+            if not (is_index(start) and is_index(length) and is_index(count) and is_index(size)):
+                raise Broken(f"byteOffset, byteLength, count or byteStride of {EXTENSION} is wrong")
+            try:
+                data = bytes(buffer[start : start + length])
+                self._decoded[index] = decode(data, count, size, str(own.get("mode")), str(own.get("filter", "NONE")))
+            except ValueError as error:
+                raise Broken(f"bufferView {index} can't be decoded: {error}") from None
+        return self._decoded[index]
 
     def _buffer(self, index: object) -> bytes:
         buffer = self.item("buffers", index)

@@ -17,12 +17,11 @@ from facepipe_gltf.raw import RawDocument
 
 _Check = Callable[[RawDocument], Iterable[tuple[str, str]]]
 
-CHECKS: tuple[tuple[str, _Check, Literal["error", "warning", "info"]], ...] = (
+CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
     ("GltfAsset", mesh.asset, "error"),
     ("GltfReferences", mesh.references, "error"),
     ("GltfNodeTree", mesh.node_tree, "error"),
     ("GltfAccessors", mesh.accessors, "error"),
-    ("GltfCompressed", mesh.compressed, "info"),
     ("GltfFinite", mesh.finite, "error"),
     ("GltfMinMax", mesh.bounds, "error"),
     ("GltfVertexCounts", mesh.vertex_counts, "error"),

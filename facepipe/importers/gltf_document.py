@@ -16,6 +16,7 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.importers import gltf_files, gltf_json
 from facepipe.importers.gltf_json import Value, members, quote
+from facepipe.meshopt import EXTENSION, decode
 
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
@@ -23,6 +24,7 @@ _BINARY_CHUNK = 0x004E4942
 
 SUPPORTED_EXTENSIONS = frozenset(
     {
+        EXTENSION,
         "KHR_mesh_quantization",
         "KHR_texture_transform",
         "KHR_materials_ior",
@@ -64,6 +66,7 @@ class Document:
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
     _buffers: dict[int, bytes] = field(default_factory=dict)
+    _decoded: dict[int, bytes] = field(default_factory=dict)  # of compressed bufferViews
     _entries: dict[str, list[Value]] = field(default_factory=dict)
 
     def entries(self, kind: str) -> list[Value]:
@@ -100,12 +103,32 @@ class Document:
     def view(self, reference: Value) -> tuple[bytes, int, int]:
         """The buffer, first byte and length of a bufferView."""
         value = self.entry("bufferViews", reference)
+        compressed = _compressed(value)
+        if compressed is not None:
+            decoded = self._decode(self.index("bufferViews", reference), compressed)
+            return decoded, 0, len(decoded)
         data = self.buffer(value.require("buffer"))
         start = optional_integer(value, "byteOffset")
         length = value.require("byteLength").integer(1)
         if start + length > len(data):
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
         return data, start, length
+
+    def _decode(self, number: int, packed: Value) -> bytes:
+        """What a bufferView of compressed data holds."""
+        if number not in self._decoded:
+            data = self.buffer(packed.require("buffer"))
+            start, length = optional_integer(packed, "byteOffset"), packed.require("byteLength").integer(1)
+            count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
+            self.budget.spend(count * size, packed)
+            mode, filtered = packed.require("mode").text(), packed.get("filter")
+            try:
+                self._decoded[number] = decode(
+                    data[start : start + length], count, size, mode, "NONE" if filtered is None else filtered.text()
+                )
+            except ValueError as error:
+                raise packed.error(f"can't be decoded: {error}") from None
+        return self._decoded[number]
 
     def _load(self, number: int) -> bytes:
         value = self.entries("buffers")[number]
@@ -121,6 +144,11 @@ class Document:
             raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
         self.budget.grant(length)
         return data[:length] if len(data) > length else data
+
+
+def _compressed(view: Value) -> Value | None:
+    extensions = view.get("extensions")
+    return None if extensions is None else extensions.get(EXTENSION)
 
 
 def optional_integer(value: Value, key: str, default: int = 0) -> int:
