@@ -152,6 +152,18 @@ def test_a_rigid_person_is_exact_and_turns_normals() -> None:
     np.testing.assert_allclose(scales, 1.0, atol=1e-12)  # no engine has to keep it
 
 
+def test_dual_quaternions_are_baked_as_they_move_points() -> None:
+    parts = with_person(tiny_face())
+    head = parts.meshes[0]
+    assert head.skin is not None
+    dual = replace(head, skin=replace(head.skin, dual_quaternion=True))
+    parts = replace(parts, meshes=(dual, parts.meshes[1]))
+    person = person_of(parts)
+    expected = build(parts).evaluate(person.weights, coefficients=person.coefficients)
+    assert worst(build(set_face(parts).parts).evaluate(), expected) < EXACT
+    assert worst(build(set_face(with_person(tiny_face())).parts).evaluate(), expected) > 1e-3  # linear ones are not
+
+
 def test_inbetweens_go_on_from_where_the_person_is() -> None:
     """A shape that the person has 0.3 of adds what the whole curve adds from there, at every weight."""
     parts = tiny_face()

@@ -120,10 +120,10 @@ class Rig:
 
     def skin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
         """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
-        blended = self._blended(matrices)
+        blended = self.blended(matrices)
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3])
 
-    def _blended(self, matrices: FloatArray) -> FloatArray:
+    def blended(self, matrices: FloatArray) -> FloatArray:
         """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices."""
         blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
         if self.dual is not None:
@@ -149,7 +149,7 @@ class Rig:
 
         Where the matrices flatten a point's surroundings it is the one nearest to its place at bind time.
         """
-        blended = self._blended(matrices)
+        blended = self.blended(matrices)
         linear, off = blended[:, :, :3], points - blended[:, :, 3]
         crossed = np.stack([np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)], axis=1)
         volume = np.einsum("ni,ni->n", linear[:, 0], crossed[:, 0])

@@ -54,7 +54,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
     new = _new_rest(rig, parts.skeleton, person, in_joints=pose == "set-joints")
-    moved = None if pose == "set-joints" else _linear_and_off(rig, person)
+    moved = None if pose == "set-joints" else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     bounds = rig.mesh_offsets
     animations = animations_on(parts, person, new)
     result = replace(
@@ -96,9 +96,3 @@ def _stretch(worlds: FloatArray) -> FloatArray:
     """(j, 3, 3) symmetric positive stretch K of the linear parts Q K (polar decomposition); mirrors stay in Q."""
     _, scale, Vt = np.linalg.svd(worlds[:, :3, :3])
     return np.asarray((np.swapaxes(Vt, -1, -2) * scale[:, None, :]) @ Vt)
-
-
-def _linear_and_off(rig: Rig, person: Person) -> FloatArray:
-    """(n, 3, 4) affine matrices of the points, from skeleton space at bind time to skeleton space under the person."""
-    matrices = rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4))
-    return np.asarray((rig.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4))
