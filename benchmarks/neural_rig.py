@@ -73,13 +73,14 @@ def main() -> int:
 
 def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], NeuralRig, float]:
     """The rows of the teacher's own frames, the neural rig with bones, and how much is not straight."""
-    from facepipe.processors.neural_rig import SampleMotionOptions, TrainNeuralRig
+    from facepipe.processors.neural_rig import SampleMotionOptions, TrainNeuralRig, TrainNeuralRigOptions
     from facepipe.processors.neural_rig.peers import best_blendshapes, ridge
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
     unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=2026))
-    rig = TrainNeuralRig()(learned).rig
-    alone = TrainNeuralRig()(replace(learned, bones=None, coefficients=None)).rig
+    train = TrainNeuralRig(options=TrainNeuralRigOptions(influences=0))
+    rig = train(learned).rig
+    alone = train(replace(learned, bones=None, coefficients=None)).rig
     straight, components = best_blendshapes(learned), ridge(learned, 0.01, 128)
     points, controls = len(learned.rest), len(first.controls)
     rows = [

@@ -126,7 +126,8 @@ def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterat
     yield Row("teacher", "numpy", ms=median(evaluate, 50))
     rigs = {path.stem: load_neural_rig(path) for path in arguments.rig}
     if not rigs:
-        options = TrainNeuralRigOptions(steps=arguments.steps) if arguments.steps else TrainNeuralRigOptions()
+        options = TrainNeuralRigOptions(influences=0)
+        options = replace(options, steps=arguments.steps) if arguments.steps else options
         rigs["neural rig"] = TrainNeuralRig(options=options)(learned).rig
     peer = best_blendshapes(learned).shapes.reshape(-1, *learned.rest.shape)
     for name, one in {"blendshapes": _of_shapes(learned, peer), **rigs, **_small(learned, arguments.steps)}.items():
@@ -159,7 +160,9 @@ def _small(learned: Motion, steps: int) -> dict[str, NeuralRig]:
 
     found = {}
     for name, (shapes, width) in SMALL.items():
-        options = TrainNeuralRigOptions(shapes=shapes, width=width, steps=min(steps or SMALL_STEPS, SMALL_STEPS))
+        options = TrainNeuralRigOptions(
+            shapes=shapes, width=width, steps=min(steps or SMALL_STEPS, SMALL_STEPS), influences=0
+        )
         frames = replace(learned, bones=None, coefficients=None) if "without" in name else learned
         found[name] = TrainNeuralRig(options=options)(frames).rig
     return found

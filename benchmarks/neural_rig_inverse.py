@@ -169,7 +169,7 @@ def _row(
 
 def _rigs(first: Teacher, files: list[Path] | None) -> list[tuple[NeuralRig, NeuralEncoder | None]]:
     """Those of the files, or two that learn the teacher: with its bones, and without; and their encoders."""
-    from facepipe.processors.neural_rig import SampleMotionOptions, TrainEncoder, TrainNeuralRig
+    from facepipe.processors.neural_rig import SampleMotionOptions, TrainEncoder, TrainNeuralRig, TrainNeuralRigOptions
     from facepipe.processors.neural_rig.neural_rig_file import has_encoder, load_encoder, load_neural_rig
 
     if files:
@@ -177,7 +177,8 @@ def _rigs(first: Teacher, files: list[Path] | None) -> list[tuple[NeuralRig, Neu
     learned = first.motion(SampleMotionOptions(spread=3000, sweep=6, together=2000))
     encoder = TrainEncoder()(learned).encoder
     motions = (learned, replace(learned, bones=None, coefficients=None))
-    return [(TrainNeuralRig()(one).rig, encoder) for one in motions]
+    train = TrainNeuralRig(options=TrainNeuralRigOptions(influences=0))
+    return [(train(one).rig, encoder) for one in motions]
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,25 @@ def bones_in(rig: Rig, to: FloatArray) -> Rig:
         inverse_bind=larger @ rig.inverse_bind @ smaller,
         parent_world=to @ rig.parent_world @ smaller,
     )
+
+
+def most_influences(rig: Rig) -> int:
+    """The number of joints that move the point that most move."""
+    return int(np.diff(rig.influences.indptr).max(initial=0))
+
+
+def with_influences(rig: Rig, most: int) -> Rig:
+    """The rig with the largest `most` weights of every point, renormalised."""
+    if most_influences(rig) <= most:
+        return rig
+    kept = rig.influences.copy()
+    for start, end in itertools.pairwise(kept.indptr.tolist()):
+        if end - start > most:
+            weights = kept.data[start:end]
+            weights[np.argsort(-weights, kind="stable")[most:]] = 0.0
+            weights /= weights.sum()
+    kept.eliminate_zeros()
+    return replace(rig, influences=kept)
 
 
 def coefficients_in(coefficients: FloatArray, scale: float) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.options import check_ranges
-from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView
+from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name
 from facepipe.processors.neural_rig.kept_motion import (
@@ -26,7 +26,7 @@ from facepipe.processors.neural_rig.kept_motion import (
 )
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
-from facepipe.rig.bones import bones_in
+from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.rig.sliders import with_mutual_mirrors
@@ -67,7 +67,7 @@ class AttachedNeuralRig:
     dropped_mm: float  # by which points can be off for what shapes leave out, with activations from -1 to 1
     shapes: int  # of the rig
     offsets: int  # that these hold, of all meshes
-    clips_mm: float  # by which points of clips are off at most, where a rig without bones plays them by shapes
+    clips_mm: float  # by which points of clips are off at most, where they play shapes for what the skin doesn't do
     warnings: tuple[str, ...] = ()
 
 
@@ -76,7 +76,8 @@ class AttachNeuralRig:
     """Puts a neural rig on a face of the meshes that it was learned on.
 
     Its controls are sliders in place of those of the same names. All else stays: skeleton, regions, materials, limits,
-    other sliders, the face's own shapes, clips. With bones the joints and skin of the face must be those of the rig.
+    other sliders, the face's own shapes, clips. With bones the joints and skin of the face must be those of the rig;
+    of a rig with fewer influences the face gets these, and clips that turn joints play shapes for the difference.
     Without bones what was skinned follows the first joint rigidly, so that it isn't skinned twice and still goes with
     the body; its points are the rig's at rest, and clips that turn joints play shapes for what the first joint doesn't
     do. Shapes are scaled so that their weights stay about within -1..1 over the ranges of the controls.
@@ -97,8 +98,8 @@ class AttachNeuralRig:
         own = own_shapes(parts) if self.options.keep_shapes else frozenset()
         names = tuple(shape_name(number) for number in range(len(rig.shapes)))
         offsets = np.where(moved[..., None], rig.shapes * scales[:, None, None], 0.0)
-        clips = _clips(parts, rig, own, names, offsets, tolerance)
         shapes = dict(zip(names, offsets, strict=True))
+        clips = _clips(parts, rig, own, shapes, tolerance)
         shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clips.shapes)}
         _check_names(where, own & shapes.keys())
         kept = kept_sliders(parts, rig, own)
@@ -139,7 +140,8 @@ def check_neural_rig(parts: FaceParts, rig: NeuralRig, where: str) -> None:
     for name, what in (("rest", "rest transforms"), ("inverse_bind", "bind transforms"), ("parent_world", "place")):
         if not np.allclose(getattr(own, name), getattr(rig.bones, name), rtol=0, atol=_MATRIX):
             raise TopologyError(where, f"{what} of the skeleton differ, expected those that the neural rig moves")
-    if abs(own.influences - rig.bones.influences).max() > _WEIGHT:
+    fewer = with_influences(own, most_influences(rig.bones))
+    if abs(fewer.influences - rig.bones.influences).max() > _WEIGHT:
         raise TopologyError(where, "skin weights differ, expected those that the neural rig moves")
 
 
@@ -230,18 +232,20 @@ def _turned(parts: FaceParts, rig: NeuralRig) -> list[FloatArray | None]:
 
 
 def _clips(
-    parts: FaceParts, rig: NeuralRig, own: Collection[str], names: Sequence[str], offsets: FloatArray, tolerance: float
+    parts: FaceParts, rig: NeuralRig, own: Collection[str], shapes: Mapping[str, FloatArray], tolerance: float
 ) -> BakedClips:
-    """Clips of shapes that are there, and of joints: as they are with bones, by shapes without."""
-    still = [one for one in parts.animations if set(one.shapes) <= set(own)]
-    baked = [] if rig.bones is not None else [one for one in parts.animations if one.joints]
-    again = {one.name: one for one in baked}
-    found = BakedClips(animations=(), shapes=np.zeros((0, *rig.rest.shape)), error_mm=0.0)
-    if baked:
-        found = baked_clips(parts, baked, names, offsets, tolerance)
-        again = {one.name: one for one in found.animations}
-    kept = tuple(again.get(one.name, one) for one in parts.animations if one.name in again or one in still)
-    return replace(found, animations=kept)
+    """Clips of shapes that are there, and of joints: as they are where the skin is the face's, else by shapes too."""
+    meshes = _meshes(parts, rig, (), {})
+    other_skin = any(one.skin is not two.skin for one, two in zip(parts.meshes, meshes, strict=True))
+    joints = [one for one in parts.animations if one.joints and other_skin]
+    baked = BakedClips(animations=(), shapes=np.zeros((0, *rig.rest.shape)), error_mm=0.0)
+    if joints:
+        pairs = zip(_spaces(parts, rig), mesh_spaces(parts), strict=True)
+        spaces = [(there @ np.linalg.inv(here))[:3, :3] for there, here in pairs]
+        baked = baked_clips(parts, replace(parts, meshes=meshes), joints, shapes, spaces, tolerance)
+    again = {one.name: one for one in baked.animations}
+    kept = [again.get(one.name, one) for one in parts.animations if one.name in again or set(one.shapes) <= set(own)]
+    return replace(baked, animations=tuple(kept))
 
 
 def _photos(parts: FaceParts, animations: Sequence[Animation]) -> tuple[PhotoView, ...]:
@@ -259,7 +263,20 @@ def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shape
     if skin is not None and rig.bones is None:
         one = np.ones((len(points), 1), np.float32)
         skin = replace(skin, joint_indices=np.zeros((len(points), 1), np.int32), joint_weights=one)
+    elif skin is not None and rig.bones is not None:
+        skin = _fewer(skin, most_influences(rig.bones))
     return replace(mesh, points=points, skin=skin, blendshapes=shapes)
+
+
+def _fewer(skin: Skin, most: int) -> Skin:
+    """The largest `most` weights of every point, renormalised; the skin itself where it has no more."""
+    if int(np.count_nonzero(skin.joint_weights, axis=1).max(initial=0)) <= most:
+        return skin
+    order = np.argsort(-np.asarray(skin.joint_weights), axis=1, kind="stable")[:, :most]
+    weights = np.take_along_axis(np.asarray(skin.joint_weights, np.float64), order, axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    joints = np.where(weights > 0, np.take_along_axis(skin.joint_indices, order, axis=1), 0)
+    return replace(skin, joint_indices=joints.astype(np.int32), joint_weights=weights)
 
 
 def _dropped(parts: FaceParts, attached: FaceParts) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build
 from facepipe.rig.bone_coefficients import CHANNELS
-from facepipe.rig.bones import bones_in
+from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import over, reach
 from facepipe.rig.neural_rig import NeuralRig
 
@@ -60,7 +60,9 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
     :raises TopologyError: other meshes or joints than those of the rig
     """
     subject.checked(rig)
-    bones = subject.bones if rig.bones is not None else None
+    bones = None
+    if rig.bones is not None and subject.bones is not None:
+        bones = with_influences(subject.bones, most_influences(rig.bones))
     rest = subject.rest if bones is None else bones.points
     transfer = Transfer(rest, subject.topology.triangles, np.zeros(len(rest), bool))
     sizes = reach(rig)[: len(rig.shapes)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import Animation, Blendshape, FaceParts, Slider
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
 
+_SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
 _MOST_SHAPES = 256  # that clips add
 _MOST_FRAMES = 512  # that these are chosen by
 
@@ -81,16 +81,23 @@ class BakedClips:
 
 
 def baked_clips(
-    parts: FaceParts, animations: Sequence[Animation], names: Sequence[str], shapes: FloatArray, tolerance: float
+    parts: FaceParts,
+    attached: FaceParts,
+    animations: Sequence[Animation],
+    shapes: Mapping[str, FloatArray],
+    spaces: Sequence[FloatArray],
+    tolerance: float,
 ) -> BakedClips:
-    """Clips that turn joints, of a face whose points follow the first joint alone: weights for where they go beyond it.
+    """Clips that turn joints, for a face with another skin: weights of shapes for where its joints don't bring points.
 
-    :param names: of the shapes that the face has for its rig
-    :param shapes: (r, n, 3) millimetres at a weight of 1
+    :param attached: the face with that skin, without shapes
+    :param shapes: (n, 3) millimetres at a weight of 1 of the shapes that it has for its rig
+    :param spaces: (3, 3) of every mesh from skeleton space at bind time to millimetres of the shapes
     :param tolerance: millimetres that weights and further shapes may leave, RMS
     """
-    frames = np.stack([moved for one in animations for moved in _beyond_first_joint(parts, one)])
-    flat, own = frames.reshape(len(frames), -1), shapes.reshape(len(shapes), -1)
+    frames = np.stack([moved for one in animations for moved in _beyond_joints(parts, attached, spaces, one)])
+    flat = frames.reshape(len(frames), -1)
+    own = np.array(list(shapes.values())).reshape(len(shapes), flat.shape[1])
     weights = np.linalg.lstsq(own @ own.T, own @ flat.T, rcond=1e-9)[0].T
     left = flat - weights @ own
     chosen = left[:: max(1, -(-len(left) // _MOST_FRAMES))].reshape(-1, *frames.shape[1:])
@@ -99,7 +106,7 @@ def baked_clips(
     sizes = np.maximum(np.abs(amounts).max(axis=0), np.finfo(np.float32).eps)
     further, amounts = further * sizes[:, None, None], amounts / sizes
     left -= amounts @ further.reshape(len(further), -1)
-    every = (*names, *map(clip_shape_name, range(len(further))))
+    every = (*shapes, *map(clip_shape_name, range(len(further))))
     rows = np.concatenate([weights, amounts], axis=1)
     ends = np.cumsum([_samples(one) for one in animations])
     return BakedClips(
@@ -116,15 +123,17 @@ def _samples(animation: Animation) -> int:
     return 1 if animation.times is None else len(animation.times)
 
 
-def _beyond_first_joint(parts: FaceParts, animation: Animation) -> Iterator[FloatArray]:
-    """(n, 3) float32 millimetres from rest of each sample, with what the first joint does to skinned meshes undone."""
-    rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-    rest = rig.evaluate()
-    still = rig.joint_worlds(rig.rest)[0]
-    skinned = np.concatenate([np.full(len(mesh.points), mesh.skin is not None) for mesh in parts.meshes])
+def _beyond_joints(
+    parts: FaceParts, attached: FaceParts, spaces: Sequence[FloatArray], animation: Animation
+) -> Iterator[FloatArray]:
+    """(n, 3) float32 millimetres of each sample, by which shapes are to move points before the other skin does."""
+    rig, other = build(parts), build(attached)
+    still = other.points
+    if not np.allclose(rig.points, still, rtol=0, atol=_SAME * np.abs(still).max(initial=0.0)):
+        still = other.unskin(rig.evaluate(), other.skinning_matrices(other.rest))  # its own points: as far as from rest
     for number in range(_samples(animation)):
         local = sample_transforms(parts.skeleton, animation, number)
         points = rig.evaluate(sample_weights(animation, number), joint_transforms=local)
-        back = still @ np.linalg.pinv(rig.joint_worlds(local)[0])
-        points[skinned] = points[skinned] @ back[:3, :3].T + back[:3, 3]
-        yield ((points - rest) @ to[:3, :3].T).astype(np.float32)
+        moved = other.unskin(points, other.skinning_matrices(local)) - still
+        pieces = zip(np.split(moved, other.mesh_offsets[1:-1]), spaces, strict=True)
+        yield np.concatenate([piece @ space.T for piece, space in pieces]).astype(np.float32)

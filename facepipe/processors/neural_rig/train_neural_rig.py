@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
 from facepipe.processors.neural_rig.straight_rig import straight_rig
 from facepipe.reports import Report
+from facepipe.rig.bones import with_influences
 from facepipe.rig.neural_rig import NeuralRig, from_default
 
 if TYPE_CHECKING:
@@ -44,6 +45,14 @@ class TrainNeuralRigOptions:
     )
     held_out: float = field(
         default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
+    )
+    influences: Literal[4, 8, 0] = field(
+        default=4,
+        metadata={
+            "help": "largest number of joints that move a point, as engines and `export --influences` have it: shapes "
+            "make up for the others; 0 keeps all",
+            "choices": (4, 8, 0),
+        },
     )
     steps: int = field(default=6000, metadata={"help": "most steps of training", "range": (1, 1e7)})
     detail: float = field(
@@ -127,6 +136,8 @@ class TrainNeuralRig:
         from facepipe.learn.network_fit import train
 
         options, still = self.options, motion.constant
+        if motion.bones is not None and options.influences:
+            motion = replace(motion, bones=with_influences(motion.bones, options.influences))
         if len(still) == len(motion.controls):
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
         learned, checked = motion.without(still).split(options.held_out, options.seed)
