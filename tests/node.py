@@ -48,26 +48,26 @@ def validate(files: Sequence[Path]) -> dict[Path, dict[str, Any]]:
     """The Khronos validator's report on each file."""
     if not files:
         return {}
-    reports = _run("validate.mjs", [str(file) for file in files])
+    reports = run_node("validate.mjs", [str(file) for file in files])
     return {Path(name): report for name, report in reports.items()}
 
 
 def three_load(file: Path, weights: Mapping[str, float], joints: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """What three.js makes of a GLB under target weights and local joint matrices (16 numbers, column-major)."""
-    answer: dict[str, Any] = _run("three_load.mjs", [str(file)], json.dumps({"weights": weights, "joints": joints}))
+    answer: dict[str, Any] = run_node("three_load.mjs", [str(file)], json.dumps({"weights": weights, "joints": joints}))
     return answer
 
 
 def vrm_load(file: Path, poses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What three-vrm makes of a .vrm in each of the poses (tests/js/vrm_load.mjs)."""
-    answer: dict[str, Any] = _run("vrm_load.mjs", [str(file)], json.dumps(poses))
+    answer: dict[str, Any] = run_node("vrm_load.mjs", [str(file)], json.dumps(poses))
     return answer
 
 
 def three_play(file: Path, clip: str, times: Sequence[float], out: Path) -> tuple[dict[str, Any], np.ndarray]:
     """What three.js shows of an animation: its meshes, and (times, vertices, 3) world positions, kept in `out`."""
     request = json.dumps({"clip": clip, "times": list(times)})
-    answer: dict[str, Any] = _run("three_play.mjs", [str(file), str(out)], request)
+    answer: dict[str, Any] = run_node("three_play.mjs", [str(file), str(out)], request)
     return answer, np.memmap(out, np.float32, "r").reshape(len(times), -1, 3)
 
 
@@ -76,7 +76,7 @@ def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict
     requests = [
         {name: {"dims": values.shape, "data": values.ravel().tolist()} for name, values in one.items()} for one in feeds
     ]
-    answers = _run("onnx_run.mjs", [str(file)], json.dumps(requests))
+    answers = run_node("onnx_run.mjs", [str(file)], json.dumps(requests))
     return [
         {name: np.array(one["data"], np.float32).reshape(one["dims"]) for name, one in answer.items()}
         for answer in answers
@@ -85,11 +85,12 @@ def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict
 
 def meshopt_encode(requests: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     """Arrays compressed with meshoptimizer, and what its own decoder makes of them."""
-    answers: list[dict[str, str]] = _run("meshopt_encode.mjs", [], json.dumps(requests))
+    answers: list[dict[str, str]] = run_node("meshopt_encode.mjs", [], json.dumps(requests))
     return answers
 
 
-def _run(script: str, arguments: Sequence[str], request: str = "") -> Any:
+def run_node(script: str, arguments: Sequence[str], request: str = "") -> Any:
+    """What a script of tests/js answers, JSON on its stdout, to a request on its stdin."""
     command = [node_packages(), str(HERE / script), *arguments]
     done = subprocess.run(command, input=request, capture_output=True, text=True, encoding="utf-8", check=False)
     if done.returncode:

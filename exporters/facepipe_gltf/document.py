@@ -214,7 +214,7 @@ class _Writer:
                 *linear_skinning_notes(self.parts),
                 *skin_warnings(meshes, self.options.most_influences),
                 *textures.warnings,
-                *engine_warnings(self.options.reader, self.nodes),
+                *engine_warnings(self.options.reader, self.nodes, skins),
             ),
             dropped=dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
             error_mm=self._error_mm(meshes),

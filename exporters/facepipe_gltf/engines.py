@@ -7,7 +7,7 @@ Unreal's Interchange take is what their documentation lists: KHR_mesh_quantizati
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +17,16 @@ if TYPE_CHECKING:
     from facepipe_gltf.options import Options
 
 _LISTED = 3
+_WORDS_IN_GODOT = (  # where its String::camelcase_to_underscore puts one
+    r"(?<=[^A-Z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})|(?<=[^0-9])(?=[0-9])|(?<=[0-9])(?=[^0-9][a-z0-9])"
+)
+
+
+def _in_godot(joint: str) -> str:
+    """Words apart, lower case, letters and digits of ASCII alone, numbers without leading zeros (Godot 3.2)."""
+    words = re.sub(_WORDS_IN_GODOT, "_", joint).lower()
+    kept = re.sub(r"[^a-z0-9_]", "", re.sub(r"[: ]", "_", words))
+    return re.sub(r"0+(\d+)", r"\1", re.sub(r"_+", "_", kept))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +40,7 @@ class Engine:
     meshopt: bool = False  # it reads EXT_meshopt_compression
     target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
     changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
+    joint_name: Callable[[str], str] | None = None  # what a joint is called instead
 
 
 ANY = Engine(title="glTF 2.0", meshopt=True)
@@ -42,6 +53,7 @@ ENGINES: Mapping[str, Engine] = {
         quantized=False,
         target_normals=True,
         changed_names=((r'[.:@/"]', ""),),
+        joint_name=_in_godot,
     ),
     "three": Engine(
         title="three.js",
@@ -74,10 +86,13 @@ def _refused(flag: str, engine: Engine, why: str) -> InputError:
     return InputError(flag, f"{engine.title} {why}, expected an export without it or another --engine")
 
 
-def engine_warnings(engine: Engine, nodes: Sequence[Mapping[str, Any]]) -> list[str]:
+def engine_warnings(
+    engine: Engine, nodes: Sequence[Mapping[str, Any]], skins: Sequence[Mapping[str, Any]]
+) -> list[str]:
     """A line about the names of nodes that the engine changes."""
-    names = [str(node["name"]) for node in nodes]
-    changed = {name: renamed(engine, name) for name in names if renamed(engine, name) != name}
+    joints = {joint for skin in skins for joint in skin["joints"]}
+    names = {str(node["name"]): renamed(engine, str(node["name"]), i in joints) for i, node in enumerate(nodes)}
+    changed = {old: new for old, new in names.items() if new != old}
     if not changed:
         return []
     few = ", ".join(f"'{old}' is '{new}' there" for old, new in list(changed.items())[:_LISTED])
@@ -85,8 +100,10 @@ def engine_warnings(engine: Engine, nodes: Sequence[Mapping[str, Any]]) -> list[
     return [f"{engine.title} changes {len(changed)} name{'s' * (len(changed) > 1)}: {few}{more}"]
 
 
-def renamed(engine: Engine, name: str) -> str:
-    """What the engine calls a node of this name."""
+def renamed(engine: Engine, name: str, joint: bool = False) -> str:
+    """What the engine calls a node, or a joint, of this name."""
+    if joint and engine.joint_name is not None:
+        return engine.joint_name(name)
     for pattern, instead in engine.changed_names:
         name = re.sub(pattern, instead, name)
     return name
