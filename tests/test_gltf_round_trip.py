@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import json
+import operator
+import random
+import struct
+import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,10 +26,12 @@ from parts_differences import differences
 
 import facepipe
 from facepipe import sample
+from facepipe.errors import FacepipeError
 from facepipe.geometry.polygons import triangulate
 from facepipe.importers import gltf, ict, makehuman
 from facepipe.importers.imported import Imported
 from facepipe.parts import (
+    Animation,
     BoneLimits,
     FaceParts,
     FloatArray,
@@ -185,6 +193,16 @@ def odd_face() -> FaceParts:
         skeleton=replace(parts.skeleton, name="Bones", transform=np.diag([2.0, 2.0, 2.0, 1.0])),
         meshes=(shown, replace(teeth, transform=uneven @ np.diag([1.0, -1.0, 1.0, 1.0]))),
         materials=(Material(name="skin"), Material(name="lips", ior=1.4), Material(name="spare")),
+        animations=(
+            Animation(
+                name="talk",
+                times=np.array([0.0, 0.5, 1.0]),
+                joints=("root/jaw",),
+                coefficients=np.array([[[0, 0.1 * t, 0, 0.1 * t, 0, 0, 1, 1, 1]] for t in range(3)], np.float32),
+                shapes=("jawOpen",),
+                shape_weights=np.array([[0.0], [0.8], [0.2]], np.float32),
+            ),
+        ),
         attach_joint="body/neck",
         attribution="© someone",
         bone_limits=BoneLimits(lower=np.full((3, 9), -0.5), upper=np.full((3, 9), 1.5)),
@@ -213,6 +231,8 @@ def test_units_axes_transforms_and_loose_points_come_back(tmp_path: Path) -> Non
         "meshes.Head.blendshapes.mouthSmileLeft.point_indices",
         "meshes.Head.blendshapes.mouthSmileLeft.offsets",
     ]
+    save_parts(after, tmp_path / "again.usda")
+    assert facepipe.open(tmp_path / "again.usda").parts().animations[0].times is not None
     one, other = build(before), build(after)
     apart = one.evaluate({"jawOpen": 0.6}) - other.evaluate({"jawOpen": 0.6})
     assert np.abs(np.delete(apart, 0, axis=0)).max() < 1e-5
@@ -257,6 +277,48 @@ def test_an_edited_file_is_read_as_plain_gltf(
     assert what in line
     assert imported.parts.meters_per_unit == 1.0
     assert not any(mesh.regions for mesh in imported.parts.meshes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_damaged_record_is_refused_in_words(seed: int, tmp_path: Path) -> None:
+    """Whatever stands in it, the file is read as it was, as plain glTF, or refused by an error of ours."""
+    path = tmp_path / "face.gltf"
+    save(write(odd_face(), Options(influences=8, animations=True)), path)
+    document = json.loads(path.read_text())
+    buffer = path.with_name(document["buffers"][0]["uri"])
+    said = document["extras"]["facepipe"]
+    view = document["bufferViews"][said["bufferView"]]
+    block = zlib.decompressobj().decompress(buffer.read_bytes()[view["byteOffset"] :])
+    (length,) = struct.unpack_from("<I", block)
+    generator = random.Random(seed)
+    for _ in range(8):
+        record = json.loads(block[4 : 4 + length])
+        *way, last = generator.choice(list(places(record)))
+        functools.reduce(operator.getitem, way, record)[last] = generator.choice(DAMAGE)
+        text = json.dumps(record).encode()
+        damaged = struct.pack("<I", len(text)) + text + block[4 + length :]
+        data = buffer.read_bytes()[: view["byteOffset"]] + zlib.compress(damaged)
+        (tmp_path / "damaged.bin").write_bytes(data)
+        said["inflated"], view["byteLength"] = len(damaged), len(data) - view["byteOffset"]
+        document["buffers"] = [{"byteLength": len(data), "uri": "damaged.bin"}]
+        path.write_text(json.dumps(document))
+        with contextlib.suppress(FacepipeError):
+            save_parts(gltf.read(path, gltf.Options()).parts, tmp_path / "face.usda")
+
+
+DAMAGE = (
+    None, 0, -1, 1.5, 1e30, "x", "", [], {}, [1], ["a", "b"], True,
+    {"array": ["f", 0, [3, 3]]}, {"array": ["i", 0, [4]]}, {"array": ["d", 0, [4, 4]]}, {"array": ["b", 0, [36, 3]]},
+    {"array": ["f", 10**9, [3]]}, {"array": ["f", 0, [2**30, 2**30, 2]]}, {"array": [{}, 0, []]},
+)  # fmt: skip
+
+
+def places(value: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The ways to all values within a JSON value."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in pairs:
+        yield (*way, key)
+        yield from places(inner, (*way, key))
 
 
 def real_face(name: str) -> FaceParts:

@@ -70,6 +70,7 @@ def _animation(
     names = tuple(shapes[i] for i in driven)
     result = replace(
         husk,
+        times=None if husk.times is None else np.asarray(husk.times, np.float64),
         joints=tuple(record.face.skeleton.joints[i] for i in joints),
         shapes=names,
         shape_weights=None if husk.shape_weights is None else _weights(read, rows, names, new_names),

@@ -73,7 +73,7 @@ class ArrayReader:
         if reference == []:
             return np.zeros(0)
         entry = reference.get("array") if isinstance(reference, dict) else None
-        if not (isinstance(entry, list) and len(entry) == 3 and entry[0] in _KINDS and isinstance(entry[2], list)):
+        if not (isinstance(entry, list) and [type(one) for one in entry] == [str, int, list] and entry[0] in _KINDS):
             raise InputError(where, "no reference to an array, expected one")
         kind, start, shape = _KINDS[entry[0]], entry[1], entry[2]
         if not all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one < 2**31 for one in (start, *shape)):

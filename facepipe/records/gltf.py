@@ -23,6 +23,7 @@ from facepipe.records.fields import from_json, to_json
 Json = dict[str, Any]
 
 VERSION = 1
+_FLAT = 1e-30  # of a determinant
 NONE: Any = np.zeros(0)  # stands for an array that the file holds, of any kind
 PER_POINT = np.zeros((0, 3))  # normals one a point; those of face corners are `NONE`
 
@@ -74,7 +75,11 @@ def unpacked(data: bytes, inflated: int, where: str) -> Record:
         raise InputError(where, "damaged, expected what facepipe wrote") from None
     if len(block) != inflated or not inflater.eof:
         raise InputError(where, f"{len(block)} bytes, expected {inflated}")
-    return from_json(Record, fields, ArrayReader(block[4 + length :]), where)
+    record = from_json(Record, fields, ArrayReader(block[4 + length :]), where)
+    for matrix in (record.axes, record.placement, *(mesh.matrix for mesh in record.meshes)):
+        if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all() or not abs(np.linalg.det(matrix)) > _FLAT:
+            raise InputError(where, "a matrix that can't be inverted")
+    return record
 
 
 def points_back(matrix: FloatArray, points: FloatArray) -> FloatArray:
