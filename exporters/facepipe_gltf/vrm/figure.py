@@ -15,7 +15,7 @@ from facepipe_gltf.space import space_of
 # Parts of a person's height (Drillis and Contini 1966, after Winter, Biomechanics and Motor Control of Human Movement)
 HIPS, CHIN = 0.53, 0.87
 _HEADS = 6.0  # head heights in a person's height where no landmark says where the chin is: heads come with their necks
-_SCHEME, _CHIN, _RIGHT_EYE, _LEFT_EYE = "multipie68", 8, slice(36, 42), slice(42, 48)
+_SCHEME, _MARKS, _CHIN, _RIGHT_EYE, _LEFT_EYE = "multipie68", 68, 8, slice(36, 42), slice(42, 48)
 _QUARTER = math.pi / 2
 
 
@@ -79,7 +79,7 @@ def moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
 def _landmarks(meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:
     """(68, 3) where some mesh has them."""
     for mesh, own in zip(meshes, points, strict=True):
-        if _SCHEME in mesh.landmarks:
+        if _SCHEME in mesh.landmarks and len(mesh.landmarks[_SCHEME].indices) == _MARKS:
             return np.asarray(own[np.asarray(mesh.landmarks[_SCHEME].indices)])
     return None
 

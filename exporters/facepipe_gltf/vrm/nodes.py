@@ -22,10 +22,6 @@ class NodeTree:
         self._parent = {child: i for i, node in enumerate(self.nodes) for child in node.get("children", [])}
         self._names = {node.get("name") for node in self.nodes}
 
-    def parent(self, node: int) -> int | None:
-        """The node above; None for a root."""
-        return self._parent.get(node)
-
     def path(self, node: int) -> list[int]:
         """The node and all above it, the root last."""
         path = [node]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,22 +34,29 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
     rest = _points(parts, rig, {})
     still = _STILL * float(np.ptp(rest, axis=0).max())
     made: dict[str, list[Blendshape]] = {mesh.name: [] for mesh in parts.meshes}
-    worst = 0.0
+    names, worst = [], 0.0
     for name, sliders in found.items():
         full = _points(parts, rig, {one: own[one].maximum for one in sliders}) - rest
         half = _points(parts, rig, {one: (own[one].maximum + _authored(own[one])) / 2 for one in sliders}) - rest
-        worst = max(worst, float(np.linalg.norm(half - full / 2, axis=1).max()))
+        if np.abs(full).max() > still:
+            names.append(name)
+            worst = max(worst, float(np.linalg.norm(half - full / 2, axis=1).max()))
         for mesh, offsets in zip(parts.meshes, rig.split(full).values(), strict=True):
             moving = np.flatnonzero(np.abs(offsets).max(axis=1) > still)
             if len(moving):
                 local = _in_mesh(parts, mesh, space, offsets)[moving]
                 made[mesh.name].append(Blendshape(name=name, point_indices=moving.astype(np.int32), offsets=local))
     meshes = tuple(replace(mesh, blendshapes=(*mesh.blendshapes, *made[mesh.name])) for mesh in parts.meshes)
-    some = ", ".join([*found][:_LISTED]) + (" ..." if len(found) > _LISTED else "")
-    off = worst * parts.meters_per_unit * 1000
-    count = f"{len(found)} shape{'s' * (len(found) > 1)}"
-    line = f"{count} that sliders make ({some}): alike at full value, half way at most {off:.2g} mm off"
-    return replace(parts, meshes=meshes), (line,)
+    return replace(parts, meshes=meshes), _said(names, worst * parts.meters_per_unit * 1000)
+
+
+def _said(names: Sequence[str], off: float) -> tuple[str, ...]:
+    """What the report says of the shapes."""
+    if not names:
+        return ()
+    some = ", ".join(names[:_LISTED]) + (" ..." if len(names) > _LISTED else "")
+    count = f"{len(names)} shape{'s' * (len(names) > 1)}"
+    return (f"{count} that sliders make ({some}): alike at full value, half way at most {off:.2g} mm off",)
 
 
 def _points(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> FloatArray:
