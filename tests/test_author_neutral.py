@@ -66,7 +66,8 @@ def test_the_stage_reopens_with_the_points_that_were_put_in(parts: FaceParts, tm
     face, report = authored(parts, points, tmp_path)
     assert np.abs(whole_points(face.parts()) - points).max() < 2e-7 * np.abs(points).max() + 1e-5
     assert report.authored[-1] == "recipe"
-    assert validate(tmp_path / "out.usda") == validate(tmp_path / "template.usda")
+    checks = [[one.check for one in validate(tmp_path / f"{name}.usda")] for name in ("out", "template")]
+    assert checks[0] == checks[1]
     before, after = whole_face(parts, "a"), whole_face(face.parts(), "b")
     assert list(after.deltas) == list(before.deltas)
     for name, delta in before.deltas.items():

@@ -208,6 +208,21 @@ def test_one_click_export_validates(sample: Path, tmp_path: Path) -> None:
     assert not [one for one in report["findings"] if one["severity"] != "info"]
 
 
+def test_the_files_are_named_after_the_face_and_overwritten_on_demand(sample: Path, tmp_path: Path) -> None:
+    step = {"directory": str(tmp_path)}
+    steps = [["export", step], ["export", step], ["export", {**step, "overwrite": True}], ["export", step]]
+    found, said = blender("operators.py", sample, steps, answer=tmp_path.parent / "a.npz")
+    names = {one.name for one in tmp_path.iterdir()}
+    assert names == {"Face.glb", "Face.onnx", "Face.onnx.json", "Face.report.json"}  # no object is called so
+    assert [bool(one) for one in found["said"].tolist()] == [False, True, False, True]
+    assert "Face.glb: exists" in found["said"][1]
+    assert "Warning:" not in said  # what formats don't hold of the sample is no fault
+    assert "Info: not in the files: " in said
+    report = json.loads((tmp_path / "Face.report.json").read_text())
+    assert report["warnings"] == []
+    assert report["facts"]
+
+
 def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:
     for seed, name in enumerate("abc"):
         save_parts(make(seed), tmp_path / f"{name}.usda")

@@ -66,12 +66,27 @@ def test_keys_relative_to_others_muted_keys_and_stretched_objects(told: Told) ->
     assert off(face, shown["relative_keys Head"], {"wide": 0.5}) < 1e-5
 
 
+def test_modifiers_are_applied_to_each_shape(told: Told) -> None:
+    folder, shown, _ = told
+    (face,) = faces(folder, "modifiers")
+    (mesh,) = face.meshes
+    assert len(mesh.points) == len(shown["modifiers Head"]) > 500
+    assert off(face, shown["modifiers Head"], {"smile": 1.0}) < 1e-5
+    assert mesh.skin is not None
+    np.testing.assert_allclose(mesh.skin.joint_weights.sum(axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(mesh.regions["mouth"], 1.0, atol=1e-6)
+    assert len(mesh.uv_sets) == 1
+    assert not [one for one in validate(folder / "modifiers.usda") if one.severity == "error"]
+
+
 def test_what_is_left_out_is_said(told: Told) -> None:
     folder, _, said = told
     assert "Eye: hidden or not chosen, left out of the face of Rig" in said
     assert [mesh.name for mesh in faces(folder, "hidden_mesh")[0].meshes] == ["Head"]
     assert "Rig: hidden or not chosen, without it Head is exported as no face" in said
-    assert "Head: modifiers Mirror (1 in all) are not applied" in said
+    assert "Head: modifiers Hidden (1 in all) are not applied, the viewport doesn't show them" in said
+    assert "Head: modifiers Weld (1 in all) are not applied, they make other points of some shape key" in said
+    assert len(faces(folder, "other_points")[0].meshes[0].points) == 42
     assert "Head: 2 points are in no region" in said
     assert "Head: is scaled by 0" in said
     assert not [name for name in ("hidden_armature", "flat", "no_shapes") if faces(folder, name)]

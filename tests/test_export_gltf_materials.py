@@ -272,7 +272,7 @@ def test_colours_are_kept_where_no_material_decides(writing: Writing) -> None:
         assert np.allclose(file.decoded(attributes["COLOR_0"]), colors[numbers], atol=1e-5)
     file, report = writing(face(Material(name="skin", diffuse_color=(0.5, 0.4, 0.3)), colors=colors), "material.glb")
     assert "COLOR_0" not in file.list("meshes")[0]["primitives"][0]["attributes"]
-    assert any("display colours" in line for line in report.warnings)
+    assert any("display colours" in line for line in report.dropped)
 
 
 def test_textures_without_uvs_are_left_out_and_said(writing: Writing) -> None:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from facepipe.errors import InputError
+from facepipe.names import identifier
 
-from .record import record_of
+from .record import kept_in, record_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,14 @@ class FaceObjects:
         """What was kept of the face that was imported; None for a face made here."""
         found = [record_of(obj) for obj in (self.armature, *self.meshes) if obj is not None]
         return next((one for one in found if one is not None), None)
+
+    @property
+    def name(self) -> str:
+        """What the face is called: as when it was imported, else as its first object.
+
+        :raises SchemaError: a damaged record of the imported face
+        """
+        return kept_in(self.record).parts.name if self.record is not None else identifier(self.first.name, "Face")
 
     @property
     def is_face(self) -> bool:

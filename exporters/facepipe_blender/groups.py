@@ -23,8 +23,10 @@ class Groups(NamedTuple):
     others: tuple[str, ...]  # groups that name no region
 
 
-def read_groups(obj: Any, bones: set[str]) -> Groups:
+def read_groups(obj: Any, bones: set[str], helpers: set[str]) -> Groups:
     """The vertex groups of a mesh object.
+
+    :param helpers: names of those that serve modifiers and shape keys
 
     Where some are called ``region:NAME`` these are its regions; where none is, all are that are no bones, hold some
     weight and serve no modifier or shape key.
@@ -33,10 +35,9 @@ def read_groups(obj: Any, bones: set[str]) -> Groups:
     own = {name: values for name, values in weights.items() if name in bones}
     free = {name: values for name, values in weights.items() if name not in bones}
     marked = {name: values for name, values in free.items() if name.startswith(REGION)}
-    used = _used(obj)
-    chosen = marked or {name: values for name, values in free.items() if name not in used}
+    chosen = marked or {name: values for name, values in free.items() if name not in helpers}
     regions = {name.removeprefix(REGION): values for name, values in chosen.items() if _names_region(name, values)}
-    others = [name for name in free if name.removeprefix(REGION) not in regions and name not in used]
+    others = [name for name in free if name.removeprefix(REGION) not in regions and name not in helpers]
     return Groups(own, regions, tuple(others))
 
 
@@ -81,8 +82,8 @@ def _weights(obj: Any) -> dict[str, FloatArray]:
     return {group.name: values for group, values in zip(obj.vertex_groups, found, strict=True)}
 
 
-def _used(obj: Any) -> set[str]:
-    """Groups that modifiers and shape keys name."""
+def helper_groups(obj: Any) -> set[str]:
+    """Names of the vertex groups that modifiers and shape keys use."""
     keys = obj.data.shape_keys.key_blocks if obj.data.shape_keys else ()
     return {str(getattr(one, "vertex_group", "")) for one in (*obj.modifiers, *keys)}
 

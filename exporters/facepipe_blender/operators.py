@@ -9,8 +9,7 @@ from typing import Any
 import bpy
 
 from facepipe.errors import FacepipeError, InputError
-from facepipe.names import identifier
-from facepipe.pipeline.deliver import DeliveryReport, deliver
+from facepipe.pipeline.deliver import DeliveryReport, deliver, outputs
 
 from .blend_again import blend_again
 from .face_objects import FaceObjects, face_of
@@ -29,8 +28,17 @@ class FACEPIPE_OT_export(bpy.types.Operator):  # noqa: N801  (Blender's way to n
         name="Sliders", description="The ONNX graph takes the face's sliders in place of bones and shapes"
     )
 
+    overwrite: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Overwrite", description="Put the files in place of others of their names", options={"SKIP_SAVE"}
+    )
+    ask: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
+
     def invoke(self, context: Any, event: Any) -> set[str]:
-        """Ask for the folder."""
+        """Ask for the folder; then, if need be, whether to overwrite what is there."""
+        if self.ask:
+            self.overwrite = True
+            there = ", ".join(one.name for one in outputs(Path(self.directory), self.file_name) if one.exists())
+            return set(context.window_manager.invoke_confirm(self, event, title="Overwrite?", message=there))
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -39,13 +47,22 @@ class FACEPIPE_OT_export(bpy.types.Operator):  # noqa: N801  (Blender's way to n
         try:
             face = face_of(context.active_object, context.scene.objects)
             folder = Path(bpy.path.abspath(self.directory)) if self.directory else Path()
-            name = self.file_name or identifier(face.first.name, "face")
-            report = _deliver(context, face, folder, name, self.sliders)
+            name = self.file_name or face.name
+            asked = self.options.is_invoke and not self.overwrite
+            if asked and any(one.exists() for one in outputs(folder, name)):
+                settings = {"directory": str(folder), "file_name": name, "sliders": self.sliders, "ask": True}
+                bpy.ops.facepipe.export("INVOKE_DEFAULT", **settings)
+                return {"CANCELLED"}
+            report = _deliver(context, face, folder, name, sliders=self.sliders, overwrite=self.overwrite)
         except FacepipeError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for line in [*FaceHook.warnings, *report.warnings, *(f"{one.where}: {one.message}" for one in report.findings)]:
+        for line in [*FaceHook.warnings, *report.warnings]:
             self.report({"WARNING"}, line)
+        for one in report.findings:
+            self.report({one.severity.upper()}, f"{one.where}: {one.message}")
+        for line in report.facts:
+            self.report({"INFO"}, f"not in the files: {line}")
         found = f"{report.errors} error(s), {len(report.findings) - report.errors} other finding(s)"
         self.report({"INFO"}, f"{', '.join(one.name for one in report.files)}: {found}")
         return {"FINISHED"}
@@ -71,18 +88,18 @@ class FACEPIPE_OT_blend(bpy.types.Operator):  # noqa: N801
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for line in warnings:
-            self.report({"WARNING"}, line)
-        self.report({"INFO"}, f"{face.first.name}: blended again")
+            self.report({"INFO"}, line)
+        self.report({"INFO"}, f"{face.name}: blended again")
         return {"FINISHED"}
 
 
-def _deliver(context: Any, face: FaceObjects, folder: Path, name: str, sliders: bool) -> DeliveryReport:
+def _deliver(context: Any, face: FaceObjects, folder: Path, name: str, **options: bool) -> DeliveryReport:
     if not folder.is_dir():
         raise InputError(folder, "the folder does not exist")
     with tempfile.TemporaryDirectory() as temporary:
         stage = Path(temporary) / "face.usdc"
         _export_usd(context, face, stage)
-        return deliver(stage, folder, name, sliders=sliders)
+        return deliver(stage, folder, name, **options)
 
 
 def _export_usd(context: Any, face: FaceObjects, path: Path) -> None:

@@ -11,8 +11,9 @@ from facepipe.errors import InputError
 from facepipe.parts import Blendshape, FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.pipeline.host_face import sculpted
 
-from .groups import SUBSET, read_groups
+from .groups import SUBSET, helper_groups, read_groups
 from .inbetween_keys import read_key_name
+from .modifiers import with_modifiers
 
 _SMOOTH = 1e-4  # corner normals of a point nearer than this are one
 
@@ -30,21 +31,27 @@ def read_mesh(obj: Any, name: str, joints: Mapping[str, int], uv_names: Mapping[
         obj.update_from_editmode()
     if not len(obj.data.polygons):
         raise InputError(obj.name, "no faces, expected a mesh with some")
-    modifiers = [one.name for one in obj.modifiers if one.type != "ARMATURE" and (one.show_viewport or one.show_render)]
-    if modifiers:
-        warnings.append(f"{obj.name}: modifiers {', '.join(modifiers[:3])} ({len(modifiers)} in all) are not applied")
-    data = obj.to_mesh() if editing else obj.data  # a mesh in edit mode shows no values of UV maps and attributes
-    try:
-        return _read(obj, data, name, joints, uv_names, warnings)
-    finally:
-        if editing:
-            obj.to_mesh_clear()
+    helpers = helper_groups(obj)
+    with with_modifiers(obj, warnings) as shown:
+        editing = editing and shown == obj
+        data = obj.to_mesh() if editing else shown.data  # a mesh in edit mode shows no values of UV maps and attributes
+        try:
+            return _read(shown, data, name, joints, uv_names, helpers, warnings)
+        finally:
+            if editing:
+                obj.to_mesh_clear()
 
 
 def _read(
-    obj: Any, data: Any, name: str, joints: Mapping[str, int], uv_names: Mapping[str, str], warnings: list[str]
+    obj: Any,
+    data: Any,
+    name: str,
+    joints: Mapping[str, int],
+    uv_names: Mapping[str, str],
+    helpers: set[str],
+    warnings: list[str],
 ) -> Mesh:
-    groups = read_groups(obj, {*joints})
+    groups = read_groups(obj, {*joints}, helpers)
     if groups.others:
         listed = ", ".join(groups.others[:3])
         warnings.append(f"{obj.name}: vertex groups {listed} ({len(groups.others)} in all) name no region: left out")

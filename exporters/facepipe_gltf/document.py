@@ -90,8 +90,6 @@ class _Writer:
         meshes = [baked for baked in meshes if len(baked.corners.faces)]
         for baked in meshes:
             self._mesh(baked)
-        if self.uncolored:
-            self.warnings.append(f"display colours of {meshes_said([*self.uncolored])} left out, materials decide")
         scene = list(range(len(self.nodes)))
         joints, skins = self._skin(meshes)
         if joints is not None:
@@ -216,9 +214,16 @@ class _Writer:
                 *textures.warnings,
                 *engine_warnings(self.options.reader, self.nodes, skins),
             ),
-            dropped=dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
+            dropped=(
+                *dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
+                *self._uncolored(),
+            ),
             error_mm=self._error_mm(meshes),
         )
+
+    def _uncolored(self) -> list[str]:
+        names = [*self.uncolored]
+        return [f"display colours of {meshes_said(names)}: materials decide"] if names else []
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
         """The errors of `ExportReport.error_mm` together, in mm; None where there is none."""

@@ -24,6 +24,7 @@ class DeliveryReport(Report):
     files: tuple[Path, ...]
     exports: tuple[ExportReport, ...]
     findings: tuple[Finding, ...]
+    facts: tuple[str, ...] = ()  # what a format doesn't hold, which is no fault
 
     @property
     def errors(self) -> int:
@@ -31,18 +32,27 @@ class DeliveryReport(Report):
         return sum(one.severity == "error" for one in self.findings)
 
 
-def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False) -> DeliveryReport:
-    """Export the face of a USD file as ``name.glb`` and ``name.onnx`` and check all; ``name.report.json`` tells.
+def outputs(folder: Path, name: str) -> tuple[Path, ...]:
+    """The files that `deliver` writes."""
+    return tuple(folder / f"{name}.{suffix}" for suffix in ("glb", "onnx", "onnx.json", "report.json"))
 
-    :param folder: there already; files of these names in it are overwritten
+
+def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overwrite: bool = False) -> DeliveryReport:
+    """Export the face of a USD file as ``name.glb`` and ``name.onnx`` and check all; a report goes beside them.
+
+    :param folder: there already
     :param sliders: the graph takes sliders in place of bone coefficients and shape weights
-    :raises InputError: no such folder, or a name that is a path
+    :param overwrite: put the files in place of others of their names
+    :raises InputError: no such folder, a name that is a path, or files that are there already
     :raises FacepipeError: a face that a format can't hold; then nothing is written
     """
     if not folder.is_dir():
         raise InputError(folder, "the folder does not exist")
     if not name or Path(name).name != name:
         raise InputError(f"name '{name}'", "expected a file name without folder and suffix")
+    there = [one.name for one in outputs(folder, name) if one.exists()]
+    if there and not overwrite:
+        raise InputError(folder / there[0], "exists, expected another name or folder (or to overwrite it)")
     face = open_face(path)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
         inner = Path(temporary)
@@ -66,12 +76,12 @@ def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], find
         dataclasses.replace(one, path=folder / one.path.name, files=tuple(folder / file.name for file in one.files))
         for one in exports
     ]
-    lines = [line for one in exports for line in (*one.warnings, *one.dropped)]
     return DeliveryReport(
         files=tuple(folder / one for one in names),
         exports=tuple(moved),
         findings=tuple(findings),
-        warnings=tuple(dict.fromkeys(lines)),
+        facts=tuple(dict.fromkeys(line for one in exports for line in one.dropped)),
+        warnings=tuple(dict.fromkeys(line for one in exports for line in one.warnings)),
     )
 
 

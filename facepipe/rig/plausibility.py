@@ -12,6 +12,7 @@ HEAD_MM = (150.0, 400.0)  # plausible heights of a head
 _SCHEME, _COUNT = "multipie68", 68
 _EAR_ENDS, _CHIN, _BRIDGE, _NOSE_TIP, _OUTER_CORNERS, _EYES = (0, 16), 8, 27, 30, (36, 45), slice(36, 48)
 _BRIDGES, _CORNERS = 2.5, 3.0  # a head in heights from chin to bridge of the nose, in distances of the eyes' corners
+_ROOM = 1.25  # since proportions differ, of stylised faces above all
 _HEAD_LIKE = 1 / 3  # shortest side of a bounding box by the longest
 _STRAIGHT = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
@@ -33,9 +34,9 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
         if sides.min() < _HEAD_LIKE * sides.max():
             return ()
-        return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high")
+        return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
-    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks"), *_stance(marks, parts.up_axis))
+    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
 
 
 def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
@@ -47,10 +48,13 @@ def _between(marks: FloatArray, one: int, other: int) -> float:
     return float(np.linalg.norm(marks[one] - marks[other]))
 
 
-def _size(heights: FloatArray, meters_per_unit: float, how: str) -> tuple[str, ...]:
-    """:param heights: of the head in millimetres, as different measures have it"""
+def _size(heights: FloatArray, meters_per_unit: float, how: str, room: float) -> tuple[str, ...]:
+    """
+    :param heights: of the head in millimetres, as different measures have it
+    :param room: factor by which a measure may be off
+    """
     low, high = HEAD_MM
-    if not ((heights < low).all() or (heights > high).all()) or not (heights > 0).all():
+    if not ((heights * room < low).all() or (heights > high * room).all()) or not (heights > 0).all():
         return ()
     height = float(heights[0])
     power = 10.0 ** np.round(np.log10(np.sqrt(low * high) / height))

@@ -82,9 +82,22 @@ armature = rig("Rig", head("Head"))
 armature.hide_render = True
 export("hidden_armature")
 mirrored = head("Head")
-mirrored.modifiers.new("Mirror", "MIRROR")
 mirrored.vertex_groups["region:mouth"].remove([0, 1])
-export("modifier")
+mirrored.modifiers.new("Hidden", "SUBSURF").show_viewport = False
+export("hidden_modifier")
+modified = head("Head")
+mirror = modified.modifiers.new("Mirror", "MIRROR")
+mirror.use_axis, mirror.use_mirror_merge = (False, False, True), False
+modified.modifiers.new("Smooth", "SUBSURF").levels = 1
+modified.modifiers.new("Thick", "SOLIDIFY").thickness = 0.1
+modified.location.z = 1
+rig("Rig", modified)
+modified.data.shape_keys.key_blocks["smile"].value = 1.0
+export("modifiers")
+welded = head("Head")
+welded.modifiers.new("Weld", "WELD").merge_threshold = 0.01
+welded.data.shape_keys.key_blocks["smile"].data[3].co = welded.data.shape_keys.key_blocks["smile"].data[4].co
+export("other_points")
 head("Head").scale.x = 0
 export("flat")
 bpy.ops.mesh.primitive_cube_add()
