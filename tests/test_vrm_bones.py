@@ -32,7 +32,7 @@ from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin
 from facepipe.stage import save_parts
 
 
-@pytest.mark.parametrize(("up", "turn"), [("Z", 0), ("Y", 90), ("Y", 180), ("Z", 270)])
+@pytest.mark.parametrize(("up", "turn"), [("Y", 90), ("Z", 180)])
 def test_models_look_along_z_and_stand_on_the_ground(up: Literal["Y", "Z"], turn: int, tmp_path: Path) -> None:
     """Whichever way a stage faces, the same model comes out."""
     parts = head()
@@ -183,7 +183,9 @@ def test_a_whole_body_is_taken_as_it_is(tmp_path: Path) -> None:
     assert not [one for one in vrm.validate(tmp_path / "whole.vrm", khronos=False) if one.severity != "info"]
 
 
-@pytest.mark.parametrize("without", ["Hips", "Spine", "LeftFoot", "RightHand"])
+@pytest.mark.parametrize(
+    "without", ["Spine", "LeftFoot", *(pytest.param(one, marks=pytest.mark.slow) for one in ("Hips", "RightHand"))]
+)
 def test_a_bone_that_alone_is_missing_is_put_between_the_others(without: str, tmp_path: Path) -> None:
     parts = standing(without)
     with pytest.raises(InputError, match="1 of the 15"):
