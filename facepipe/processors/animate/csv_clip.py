@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +19,7 @@ import numpy as np
 from facepipe.errors import InputError
 from facepipe.parts import FloatArray
 from facepipe.processors.animate.angles import ANGLES
-from facepipe.processors.animate.performance import FPS, Performance, in_radians, middle, steady
+from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, middle, steady
 from facepipe.processors.animate.timecode import frames_of
 from facepipe.reading import read_bytes
 from facepipe.rig.arkit import ARKIT_SHAPES
@@ -115,8 +114,9 @@ def _numbers(table: _Table, columns: Sequence[int]) -> FloatArray:
             values[row] = [float(cells[i]) for i in columns]
         except (ValueError, IndexError):
             raise _bad_cell(table, line, cells, columns) from None
-    if not np.isfinite(values).all():
-        line, cells = table.lines[int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])]
+    sound = np.abs(values) <= LARGEST  # nor NaN
+    if not sound.all():
+        line, cells = table.lines[int(np.flatnonzero(~sound.all(axis=1))[0])]
         raise _bad_cell(table, line, cells, columns)
     return values
 
@@ -124,7 +124,7 @@ def _numbers(table: _Table, columns: Sequence[int]) -> FloatArray:
 def _bad_cell(table: _Table, line: int, cells: Sequence[str], columns: Sequence[int]) -> InputError:
     if len(cells) < len(table.header):
         return InputError(table.where(line), f"{len(cells)} cells, expected {len(table.header)}")
-    wrong = next(i for i in columns if not _is_number(cells[i]) or not math.isfinite(float(cells[i])))
+    wrong = next(i for i in columns if not _is_number(cells[i]) or not abs(float(cells[i])) <= LARGEST)
     return InputError(table.where(line), f"{table.header[wrong][:60]} '{cells[wrong][:40]}', expected a number")
 
 

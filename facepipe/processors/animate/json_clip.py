@@ -9,7 +9,6 @@ frame itself. Seconds are "time", "timestamp" or "seconds", a timecode "timecode
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 from facepipe.errors import InputError
 from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.csv_clip import MOST_BYTES, rate_of
-from facepipe.processors.animate.performance import FPS, Performance, in_radians, steady
+from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, steady
 from facepipe.processors.animate.timecode import frames_of
 from facepipe.reading import read_json
 
@@ -108,6 +107,6 @@ def _first(keyed: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _number(where: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -LARGEST <= value <= LARGEST:
         raise InputError(where, f"{str(value)[:40]}, expected a number")
     return float(value)

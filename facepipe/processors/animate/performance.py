@@ -14,6 +14,7 @@ from facepipe.parts import FloatArray
 from facepipe.processors.animate.angles import angle_of
 
 FPS = 60.0  # of a file that does not say
+LARGEST = 1e12  # number that a file may hold; times in seconds since 1970 are below
 MOST_FRAMES = 1 << 19  # 2.4 hours at 60 fps
 _ON_FRAME = 0.01  # frames that a time may be off
 
@@ -43,8 +44,8 @@ class Performance:
         near = _ON_FRAME / self.fps
         kept = (self.seconds >= low - near) & (self.seconds <= high + near)
         if not kept.any():
-            what = f"nothing from {low:g} to {high:g} s, expected some of its {self.seconds[-1]:g} s"
-            raise InputError(self.where, what)
+            span = f"{low:g} s on" if end is None else f"{low:g} to {high:g} s"
+            raise InputError(self.where, f"nothing from {span}, expected some of its {self.seconds[-1]:g} s")
         return replace(self, values=self.values[kept])
 
     def at_rate(self, fps: float) -> Performance:
