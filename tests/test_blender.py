@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,7 +106,8 @@ def test_sample_comes_back(sample: Path, tmp_path: Path) -> None:
 
 
 def test_edits_come_back_and_nothing_else(sample: Path, tmp_path: Path) -> None:
-    _, said = blender("round_trip.py", sample, tmp_path / "out.usdc", {}, True, answer=tmp_path / "a.npz")
+    found, said = blender("round_trip.py", sample, tmp_path / "out.usdc", {}, True, answer=tmp_path / "a.npz")
+    check_played(sample, found)
     before, after = facepipe.open(sample).parts(), facepipe.open(tmp_path / "out.usdc").parts()
     assert validate(tmp_path / "out.usdc") == ()
     assert after.recipe is None
@@ -128,6 +129,19 @@ def test_edits_come_back_and_nothing_else(sample: Path, tmp_path: Path) -> None:
     )
     assert same(before.sliders, after.sliders)
     assert same(head.landmarks, edited.landmarks)
+
+
+def check_played(path: Path, found: Mapping[str, np.ndarray]) -> None:
+    """Blender shows the clip that the face plays, as the face has it at that frame."""
+    face = facepipe.open(path)
+    assert face.played is not None
+    assert found["rate"] == face.frames_per_second
+    local, weights = face.sample(face.played, int(found["frame"]))
+    assert max(weights.values()) > 0.05
+    points = face.split(face.evaluate(weights, joint_transforms=local))
+    for name, one in points.items():
+        off = np.abs(found[f"played {name}"] - in_blender(one, face.parts())).max()
+        assert off < 1e-5 * face.head_height * face.meters_per_unit
 
 
 def test_makehuman_comes_back(tmp_path: Path) -> None:
@@ -225,7 +239,7 @@ def test_the_files_are_named_after_the_face_and_overwritten_on_demand(sample: Pa
 
 def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:
     for seed, name in enumerate("abc"):
-        save_parts(make(seed), tmp_path / f"{name}.usda")
+        save_parts(replace(make(seed), played=None), tmp_path / f"{name}.usda")
     paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "blended")]
     assert main(["blend", *paths[:2], "-o", paths[2], "--set", "nose=0.2,0.8"]) == 0
     shutil.copy(paths[2], tmp_path / "imported.usda")
@@ -260,7 +274,7 @@ def test_operators_say_in_one_line_what_is_wrong(sample: Path, tmp_path: Path) -
 
 def test_lost_source_of_a_recipe(tmp_path: Path) -> None:
     for seed, name in enumerate("ab"):
-        save_parts(make(seed), tmp_path / f"{name}.usda")
+        save_parts(replace(make(seed), played=None), tmp_path / f"{name}.usda")
     paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "c")]
     assert main(["blend", *paths[:2], "-o", paths[2]]) == 0
     Path(paths[1]).unlink()

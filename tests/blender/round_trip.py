@@ -7,6 +7,13 @@ from session import ARGUMENTS, answer, bpy, np, world_points
 face, out, weights, edit = ARGUMENTS[:4]
 bpy.ops.wm.usd_import(filepath=face)
 meshes = {one.name: one for one in bpy.data.objects if one.type == "MESH"}
+bpy.context.scene.frame_set(5)
+played = {f"played {name}": world_points(obj) for name, obj in meshes.items()}
+if weights:  # the clip that the face plays would set them again
+    bpy.context.scene.frame_set(0)  # where it rests
+    for one in (*bpy.data.armatures, *bpy.data.objects, *bpy.data.shape_keys):
+        if one.animation_data:
+            one.animation_data.action = None
 for obj in meshes.values():
     for name, weight in weights.items():
         keys = obj.data.shape_keys
@@ -20,6 +27,9 @@ if edit:
     head.vertex_groups["region:neck"].add([3], 1.0, "REPLACE")
     meshes["TeethUpper"].location.z += 0.25
 answer(
+    frame=bpy.context.scene.frame_current,
+    rate=bpy.context.scene.render.fps,
+    **played,
     **shown,
     **{
         f"keys {name}": np.array([*obj.data.shape_keys.key_blocks.keys()] if obj.data.shape_keys else [])
