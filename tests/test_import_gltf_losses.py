@@ -62,6 +62,16 @@ def with_own_attribute(builder: Builder) -> None:
     primitive(builder)["attributes"]["_MASK"] = builder.array(np.zeros(54))  # type: ignore[index]
 
 
+def with_a_ninth_uv_set(builder: Builder) -> None:
+    primitive(builder)["attributes"]["TEXCOORD_8"] = builder.array(np.zeros((54, 2)))  # type: ignore[index]
+
+
+def with_one_side_of_two(builder: Builder) -> None:
+    other = builder.add("materials", {"name": "inside"})
+    primitives = builder.root["meshes"][0]["primitives"]
+    primitives.append({**primitives[0], "material": other})
+
+
 def with_tinted_material(builder: Builder) -> None:
     builder.root["materials"][0]["pbrMetallicRoughness"] = {"baseColorFactor": [0.5, 1, 1, 1]}
     primitive(builder)["attributes"]["COLOR_0"] = builder.array(np.full((54, 3), 0.5))  # type: ignore[index]
@@ -83,6 +93,8 @@ def with_mean_normals(builder: Builder) -> None:
         (without_names, ["its 3 morph targets have no names"]),
         (with_an_empty_name, ["1 of 3 names are empty"]),
         (with_own_attribute, ["the attribute '_MASK' is left out"]),
+        (with_a_ninth_uv_set, ["the attribute 'TEXCOORD_8' is left out"]),
+        (with_one_side_of_two, ["only some of its materials are double-sided"]),
         (with_tinted_material, ["vertex colours tint a material"]),
         (with_mean_normals, ["normal offsets differ at seams"]),
     ],

@@ -72,8 +72,10 @@ class Assembly:
         slots = None if skin < 0 else self.joints.skins[skin].slots
         mesh = gltf_meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.own)
         used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
-        sides = any(gltf_materials.is_double_sided(document, number) for number in used)
-        return replace(mesh, double_sided=sides), geometry
+        sides = [gltf_materials.is_double_sided(document, number) for number in used]
+        if len(set(sides)) > 1 and not self.own:
+            document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
+        return replace(mesh, double_sided=any(sides)), geometry
 
     def _unskinned(self, node: int, mesh: Mesh) -> Mesh:
         """A mesh without skin: carried by the joint it hangs on, or placed once and for all."""

@@ -19,6 +19,8 @@ from facepipe.importers.gltf_json import Value, members
 from facepipe.parts import FloatArray, IntArray
 
 _MAX_SETS = 8
+_SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
+_KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +58,7 @@ def read_vertices(document: Document, primitive: Value, skinned: bool) -> Vertic
     if not skinned and attributes.get("JOINTS_0") is not None:
         document.warn(primitive, "has skin weights, but its node has no skin: they are left out")
     for name in attributes.member_names():
-        if name.startswith("_") and name != "_FACEPIPE_POINT":
+        if name not in _KNOWN:
             document.warn(primitive, f"the attribute {ascii(name)[:40]} is left out")
     return Vertices(
         positions=positions,
