@@ -107,7 +107,7 @@ def test_of_what_is_straight_nothing_is_learned(
 def test_controls_beyond_their_limits_are_held_there(trained: TrainedNeuralRig) -> None:
     rig = trained.rig
     assert np.array_equal(rig.points(rig.values({"open": 5.0})), rig.points(rig.values({"open": 1.0})))
-    with pytest.raises(InputError, match="no control 'shut', expected some of open, look"):
+    with pytest.raises(InputError, match="no control 'shut', expected one of open, look"):
         rig.values({"shut": 1.0})
     with pytest.raises(InputError, match="neural rig -> open: value nan"):
         rig.values({"open": float("nan")})

@@ -315,7 +315,7 @@ def behind(fit: PhotoFit) -> PhotoFit:
 
 
 REFUSED: dict[str, tuple[Callable[[PhotoFit], PhotoFit], str]] = {
-    "unknown slider": (lambda fit: replace(fit, sliders={"beard": 0.5}), "slider beard: unknown"),
+    "unknown slider": (lambda fit: replace(fit, sliders={"beard": 0.5}), "no slider 'beard'"),
     "slider out of range": (lambda fit: replace(fit, sliders={"noseWidth": 1.5}), "slider noseWidth: value 1.5"),
     "NaN of a slider": (lambda fit: replace(fit, sliders={"noseWidth": NAN}), "noseWidth: NaN"),
     "fewer views": (lambda fit: replace(fit, views=fit.views[:2]), "3 photos of 2 views"),

@@ -99,7 +99,7 @@ def test_shapes_of_composites_are_found_however_their_sides_are_written() -> Non
         "browInnerUp": 0.5,
     }
     assert resolved({"smileLeft": 1.0}, ("smile_L",), "x") == {"smile_L": 1.0}
-    with pytest.raises(InputError, match="x -> jawOpen: no such shape, expected some of smile_L"):
+    with pytest.raises(InputError, match="x -> jawOpen: no such shape, expected one of smile_L"):
         resolved({"jawOpen": 1.0}, ("smile_L",), "x")
 
 

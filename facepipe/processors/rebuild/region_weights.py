@@ -13,7 +13,7 @@ from facepipe.parts import FaceParts, all_regions
 
 FloatArray = npt.NDArray[np.floating]
 
-_NO_REGIONS = "none: the face has no regions (facepipe regions)"
+_NO_REGIONS = ", expected a face with regions (facepipe regions)"
 
 
 def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
@@ -27,7 +27,8 @@ def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatA
     for name in names:
         if name not in regions:
             raise InputError(
-                f"{where} -> region {name[:60]}", f"no such region{suggestion(name, regions, _NO_REGIONS)}"
+                f"{where} -> region {name[:60]}",
+                f"no such region{suggestion(name, regions) if regions else _NO_REGIONS}",
             )
     masks = np.stack([regions[name] for name in dict.fromkeys(names)]).astype(np.float64)
     if not (np.isfinite(masks).all() and masks.max(initial=0.0) > 0.0):
