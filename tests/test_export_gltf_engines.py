@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import engines
 import numpy as np
 import pytest
-from facepipe_gltf.engines import ENGINES
+from facepipe_gltf.engines import ENGINES, renamed
 from faces import replace_mesh, tiny_face
 from gltf_export import (
     TOLERANCE,
@@ -206,11 +208,57 @@ def test_three_calls_joints_what_the_report_says(writing: Writing) -> None:
     coefficients = random_coefficients(parts, np.random.default_rng(3), 0.1)
     moves = motion(parts, file, coefficients)
     own = {one["name"]: local_matrix(one) for one in file.list("nodes")}
-    renamed = {"root": "root", "rig:jaw open": "rigjaw_open", "lip.L[1]": "lipL1"}
-    joints = {renamed[name]: (own[name] @ move).T.ravel().tolist() for name, move in moves.items()}
+    there = {"root": "root", "rig:jaw open": "rigjaw_open", "lip.L[1]": "lipL1"}
+    joints = {there[name]: (own[name] @ move).T.ravel().tolist() for name, move in moves.items()}
     head = three_load(report.path, {}, joints)["meshes"][0]
     expected = file.evaluate(motion=moves)["Head"][np.array(head["points"], int)]
     assert np.abs(np.array(head["positions"]) - expected).max() < TOLERANCE * head_height(parts)
+
+
+JOINTS = [  # names as tools and people write them
+    "browInnerLeft",
+    "DEF-spine.001",
+    "mixamorig:Hips",
+    "jaw_Main02B",
+    "CC_Base_JawRoot",
+    "L.Eye00",
+    "x007",
+    "ABCdef",
+    "A1b2C3",
+    "FACIAL_C_Jaw",
+    "tooth[1]",
+    "name%20",
+    "2nd",
+    'k"k',
+    "m{n}",
+    "a-b",
+    "def:jaw",
+    "x:y:z",
+    "spine.100",
+    "トai",
+]
+
+
+def with_joints(names: Sequence[str]) -> FaceParts:
+    """A face with further joints, all children of its root."""
+    face = tiny_face()
+    paths = ("root", *(f"root/{name}" for name in names))
+    rest = np.tile(np.eye(4), (len(paths), 1, 1))
+    return replace(face, skeleton=replace(face.skeleton, joints=paths, bind_transforms=rest, rest_transforms=rest))
+
+
+@pytest.mark.slow
+def test_godot_calls_joints_what_the_report_says(writing: Writing, tmp_path: Path) -> None:
+    _, report = writing(with_joints([*JOINTS, "Bip01 L UpperArm"]), engine="godot")
+    project = engines.godot_project(tmp_path / "godot", [report.path.read_bytes()])
+    ((held, _),) = engines.run_godot(project, [{"path": "0.glb", "out": "0.bin", "poses": []}])
+    said = [renamed(ENGINES["godot"], name, True) for name in ["root", *JOINTS, "Bip01 L UpperArm"]]
+    assert held["bones"] == said
+
+
+def test_joints_that_godot_cannot_have_are_named(writing: Writing) -> None:
+    _, report = writing(with_joints(["\u3042\u3054", "jaw", "---"]), engine="godot")
+    assert any("does not load the file for 2 names: '\u3042\u3054', '---'" in line for line in report.warnings)
 
 
 def test_quantised_real_head_stays_within_its_error(writing: Writing) -> None:

@@ -25,8 +25,8 @@ _WORDS_IN_GODOT = (  # where its String::camelcase_to_underscore puts one
 def _in_godot(joint: str) -> str:
     """Words apart, lower case, letters and digits of ASCII alone, numbers without leading zeros (Godot 3.2)."""
     words = re.sub(_WORDS_IN_GODOT, "_", joint).lower()
-    kept = re.sub(r"[^a-z0-9_]", "", re.sub(r"[: ]", "_", words))
-    return re.sub(r"0+(\d+)", r"\1", re.sub(r"_+", "_", kept))
+    kept = re.sub(r"[ _]+", "_", re.sub(r"[^a-z0-9_ ]", "", words))
+    return re.sub(r"0+(\d+)", r"\1", kept)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,15 +89,21 @@ def _refused(flag: str, engine: Engine, why: str) -> InputError:
 def engine_warnings(
     engine: Engine, nodes: Sequence[Mapping[str, Any]], skins: Sequence[Mapping[str, Any]]
 ) -> list[str]:
-    """A line about the names of nodes that the engine changes."""
+    """Lines about the names of nodes that the engine changes, and of joints that it can't take."""
     joints = {joint for skin in skins for joint in skin["joints"]}
     names = {str(node["name"]): renamed(engine, str(node["name"]), i in joints) for i, node in enumerate(nodes)}
-    changed = {old: new for old, new in names.items() if new != old}
-    if not changed:
-        return []
-    few = ", ".join(f"'{old}' is '{new}' there" for old, new in list(changed.items())[:_LISTED])
-    more = ", ..." if len(changed) > _LISTED else ""
-    return [f"{engine.title} changes {len(changed)} name{'s' * (len(changed) > 1)}: {few}{more}"]
+    nameless = [f"'{nodes[i]['name']}'" for i in sorted(joints) if not names[str(nodes[i]["name"])]]
+    changed = [f"'{old}' is '{new}' there" for old, new in names.items() if new != old and f"'{old}'" not in nameless]
+    lines = [f"{engine.title} changes {_listed(changed)}"] if changed else []
+    if nameless:
+        why = "joints need an ASCII letter or digit (--rename gives others)"
+        lines.append(f"{engine.title} does not load the file for {_listed(nameless)}: {why}")
+    return lines
+
+
+def _listed(names: Sequence[str]) -> str:
+    few = ", ".join(names[:_LISTED])
+    return f"{len(names)} name{'s' * (len(names) > 1)}: {few}{', ...' if len(names) > _LISTED else ''}"
 
 
 def renamed(engine: Engine, name: str, joint: bool = False) -> str:
