@@ -185,6 +185,22 @@ def test_sliders_called_as_arkit_shapes_become_expressions(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+def test_shapes_look_where_a_face_has_no_eye_joints(tmp_path: Path) -> None:
+    """As far as the angle is of the one where the shapes are fully on."""
+    parts, _ = face("ict")
+    exported(parts, tmp_path / "head.vrm", morph_normals=False)
+    answer, _ = seen(tmp_path / "head.vrm", parts, [])
+    assert answer["lookAt"]["type"] == "expression"
+    eyes = np.add(answer["bones"]["head"], answer["lookAt"]["offset"])
+    angle = np.radians(14)  # of 28
+    left = np.add(eyes, [np.sin(angle), 0, np.cos(angle)])
+    _, (rest, found) = seen(tmp_path / "head.vrm", parts, [{}, {"lookAt": left.tolist()}])
+    moved = evaluated(parts, {"eyeLookOutLeft": 0.5, "eyeLookInRight": 0.5}) - evaluated(parts, {})
+    assert off(found, rest + moved, parts) < TOLERANCE
+    assert np.abs(moved).max() > 1e-3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sample", "ict", "makehuman"])
 def test_three_vrm_moves_whole_faces_as_their_rigs_do(kind: str, tmp_path: Path) -> None:
     parts, joint = face(kind)

@@ -199,6 +199,16 @@ def test_a_bone_that_alone_is_missing_is_put_between_the_others(without: str, tm
     assert np.linalg.norm(np.subtract(answer["bones"][whole], apart[0]) - dict(place_of())[without]) < 0.1
 
 
+def test_scales_that_vrm_does_not_have_are_named(tmp_path: Path) -> None:
+    parts = standing()
+    rest = np.array(parts.skeleton.rest_transforms)
+    rest[parts.skeleton.names.index("mixamorig:LeftHand"), 1, 1] = 1.5
+    report = exported(replace(parts, skeleton=replace(parts.skeleton, rest_transforms=rest)), tmp_path / "head.vrm")
+    assert [line for line in report.warnings if line.startswith("mixamorig:LeftHand: scaled unevenly")]
+    findings = vrm.validate(tmp_path / "head.vrm", khronos=False)
+    assert [one.check for one in findings if one.severity != "info"] == ["facepipe:VrmScales"]
+
+
 @pytest.mark.parametrize("without", ["Head", "LeftForeArm"])
 def test_a_bone_that_cannot_be_made_up_is_asked_for(without: str, tmp_path: Path) -> None:
     """Where joints of the face's own would hang wrong."""

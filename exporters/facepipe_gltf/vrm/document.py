@@ -23,6 +23,7 @@ from facepipe_gltf.vrm.slider_shapes import with_slider_shapes
 
 Json = dict[str, Any]
 EXTENSION = "VRMC_vrm"
+_UNIFORM = 1e-4
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def write_vrm(parts: FaceParts, options: Options, name: str) -> VrmDocument:
     document.json.setdefault("extensions", {})[EXTENSION] = extension
     document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
     counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
-    warnings = (*document.warnings, *humanoid.unfit)
+    warnings = (*document.warnings, *humanoid.unfit, *_scale_warnings(tree))
     finished = replace(document, counts=document.counts | counts, warnings=warnings, dropped=tuple(lost))
     return VrmDocument(finished, (*added, *said))
 
@@ -129,6 +130,14 @@ def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Lit
 def _first_person(tree: NodeTree) -> Json:
     shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
     return {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]}
+
+
+def _scale_warnings(tree: NodeTree) -> list[str]:
+    """A line on nodes with scales that VRM has not (tpose.md): others than one positive number."""
+    scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
+    odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
+    some = ", ".join(odd[:3]) + (" ..." if len(odd) > 3 else "")
+    return [f"{some}: scaled unevenly or mirrored; VRM's runtimes may not keep that"] if odd else []
 
 
 def _check(parts: FaceParts, bones: dict[str, int], tree: NodeTree) -> None:
