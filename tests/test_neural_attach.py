@@ -167,6 +167,19 @@ def test_shapes_and_clips_of_the_face_play_as_before(kind: str) -> None:
     assert attached.clips_mm < 0.1
 
 
+def test_clips_that_bones_play_need_no_further_shapes() -> None:
+    parts = face()
+    bones = parts.skeleton.joints
+    still = Animation(name="Rest", joints=bones, coefficients=rest_coefficients(len(bones))[None])
+    parts = replace(parts, animations=(still,))
+    rig = neural_rig(parts, bones=True)
+    assert rig.bones is not None
+    found = AttachNeuralRig()(parts, replace(rig, bones=with_influences(rig.bones, 2)), "face")
+    assert not any(shape.name.startswith("clip_") for mesh in found.parts.meshes for shape in mesh.blendshapes)
+    assert np.abs(found.parts.animations[0].shape_weights).max() < 1e-6
+    assert found.clips_mm < 1e-4
+
+
 def test_smaller_files_are_asked_for_and_what_goes_is_named() -> None:
     parts = bent(face())
     options = AttachOptions(keep_shapes=False)

@@ -117,7 +117,7 @@ class AttachNeuralRig:
             shapes=len(names),
             offsets=int(moved.sum()),
             clips_mm=clips.error_mm,
-            warnings=_dropped(parts, attached),
+            warnings=_dropped(parts, attached, rig),
         )
 
 
@@ -279,8 +279,10 @@ def _fewer(skin: Skin, most: int) -> Skin:
     return replace(skin, joint_indices=joints.astype(np.int32), joint_weights=weights)
 
 
-def _dropped(parts: FaceParts, attached: FaceParts) -> tuple[str, ...]:
-    lines = []
+def _dropped(parts: FaceParts, attached: FaceParts, rig: NeuralRig) -> tuple[str, ...]:
+    lines, network, controls = [], parts.slider_network, {one.name for one in rig.controls}
+    if network is not None and network.info.get("kind") != "neural rig" and set(network.sliders) - controls:
+        lines.append("left out: the learned network of the sliders, which takes others than the rig's controls")
     for what, before, after in (
         ("clips that play shapes which are not kept", parts.animations, attached.animations),
         ("sliders of joints or shapes that no longer move the face", parts.sliders, attached.sliders),

@@ -96,16 +96,15 @@ def baked_clips(
     :param tolerance: millimetres that weights and further shapes may leave, RMS
     """
     frames = np.stack([moved for one in animations for moved in _beyond_joints(parts, attached, spaces, one)])
-    flat = frames.reshape(len(frames), -1)
-    own = np.array(list(shapes.values())).reshape(len(shapes), flat.shape[1])
-    weights = np.linalg.lstsq(own @ own.T, own @ flat.T, rcond=1e-9)[0].T
-    left = flat - weights @ own
-    chosen = left[:: max(1, -(-len(left) // _MOST_FRAMES))].reshape(-1, *frames.shape[1:])
-    further = motion_basis(chosen, tolerance, _MOST_SHAPES)[0]
-    amounts = left @ further.reshape(len(further), -1).T
-    sizes = np.maximum(np.abs(amounts).max(axis=0), np.finfo(np.float32).eps)
+    left = frames.reshape(len(frames), -1)  # in place: frames may be many
+    own = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
+    weights = np.linalg.lstsq(own @ own.T, own.astype(np.float32) @ left.T, rcond=1e-9)[0].T
+    left -= weights.astype(np.float32) @ own.astype(np.float32)
+    further = _further(frames, tolerance)
+    amounts = left @ further.reshape(len(further), left.shape[1]).T.astype(np.float32)
+    sizes = np.maximum(np.abs(amounts).max(axis=0, initial=0.0), np.finfo(np.float32).eps)
     further, amounts = further * sizes[:, None, None], amounts / sizes
-    left -= amounts @ further.reshape(len(further), -1)
+    left -= amounts @ further.reshape(len(further), left.shape[1]).astype(np.float32)
     every = (*shapes, *map(clip_shape_name, range(len(further))))
     rows = np.concatenate([weights, amounts], axis=1)
     ends = np.cumsum([_samples(one) for one in animations])
@@ -115,8 +114,16 @@ def baked_clips(
             for one, own_rows in zip(animations, np.split(rows, ends[:-1]), strict=True)
         ),
         shapes=further,
-        error_mm=float(np.linalg.norm(left.reshape(frames.shape), axis=2).max()),
+        error_mm=float(max(np.linalg.norm(one, axis=1).max() for one in frames)),
     )
+
+
+def _further(frames: FloatArray, tolerance: float) -> FloatArray:
+    """(k, n, 3) orthonormal shapes that leave `tolerance` of frames (f, n, 3), RMS; none where that is all there is."""
+    squares = sum(float(np.square(one, dtype=np.float64).sum()) for one in frames)
+    if squares <= tolerance**2 * len(frames) * frames.shape[1]:
+        return np.zeros((0, *frames.shape[1:]))
+    return motion_basis(frames[:: max(1, -(-len(frames) // _MOST_FRAMES))], tolerance, _MOST_SHAPES)[0]
 
 
 def _samples(animation: Animation) -> int:
