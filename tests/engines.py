@@ -125,16 +125,16 @@ def in_blender(files: Sequence[File], folder: Path) -> list[list[Piece]]:
 
 def godot(files: Sequence[File], folder: Path) -> list[list[Piece]]:
     """Godot 3 imports the files into a project, without its lossy compression of meshes, and poses its skeletons."""
-    project = godot_project(folder / "godot", [file.path.read_bytes() for file in files])
+    project = godot_project(folder / "godot", {f"{i}.glb": file.path.read_bytes() for i, file in enumerate(files)})
     asked = [file.request("godot") | {"path": f"{i}.glb", "out": f"{i}.bin"} for i, file in enumerate(files)]
     return [_of_godot(file, *found) for file, found in zip(files, run_godot(project, asked), strict=True)]
 
 
-def godot_project(folder: Path, glbs: Sequence[bytes]) -> Path:
-    """A copy of tests/godot that has imported GLBs: 0.glb, 1.glb ..."""
+def godot_project(folder: Path, glbs: Mapping[str, bytes]) -> Path:
+    """A copy of tests/godot that has imported GLBs."""
     shutil.copytree(HERE / "godot", folder)
-    for i, glb in enumerate(glbs):
-        (folder / f"{i}.glb").write_bytes(glb)
+    for name, glb in glbs.items():
+        (folder / name).write_bytes(glb)
     import_in_godot(folder, len(glbs))
     return folder
 

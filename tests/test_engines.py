@@ -95,6 +95,6 @@ def test_godot_calls_joints_as_the_export_says(tmp_path: Path) -> None:
     model.add("skins", {"joints": [*range(len(NAMES))]})
     model.add("nodes", {"mesh": 0, "skin": 0, "name": "mesh"})
     model.add("scenes", {"nodes": [0, len(NAMES)]})
-    project = godot_project(tmp_path / "godot", [model.glb()])
+    project = godot_project(tmp_path / "godot", {"0.glb": model.glb()})
     head, _ = run_godot(project, [{"path": "0.glb", "out": "0.bin", "poses": []}])[0]
     assert head["bones"] == [renamed(ENGINES["godot"], name, joint=True) for name in NAMES]

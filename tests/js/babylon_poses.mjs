@@ -1,10 +1,10 @@
 // Poses GLBs in Babylon.js. usage: node babylon_poses.mjs < request; request and answer as poses.mjs has them
 import { NullEngine } from "@babylonjs/core/Engines/nullEngine.js";
 import { LoadAssetContainerAsync } from "@babylonjs/core/Loading/sceneLoader.js";
-import { Matrix, Vector3 } from "@babylonjs/core/Maths/math.vector.js";
 import { Logger } from "@babylonjs/core/Misc/logger.js";
 import { Scene } from "@babylonjs/core/scene.js";
 import "@babylonjs/loaders/glTF/2.0/index.js";
+import { points } from "./babylon_points.mjs";
 import { answer, bytesOf } from "./poses.mjs";
 
 Logger.LogLevels = Logger.ErrorLogLevel; // stdout is the answer's
@@ -13,7 +13,6 @@ await answer(async (path) => {
   const container = await LoadAssetContainerAsync(new Uint8Array(bytesOf(path)), scene, { pluginExtension: ".glb" });
   container.addAllToScene();
   const meshes = container.meshes.filter((one) => one.getTotalVertices());
-  const toFile = Matrix.Invert(container.rootNodes[0].computeWorldMatrix(true)); // its world is left-handed
   const bones = Object.fromEntries(container.skeletons.flatMap((one) => one.bones).map((one) => [one.name, one]));
   return {
     points: meshes.map(() => null), // unknown attributes are not kept
@@ -24,17 +23,11 @@ await answer(async (path) => {
         node.rotationQuaternion.fromArray(trs, 3);
         node.scaling.fromArray(trs, 7);
       }
-      scene.transformNodes.forEach((one) => one.computeWorldMatrix(true));
-      container.skeletons.forEach((one) => one.prepare(true));
-      return meshes.map((mesh) => {
+      meshes.forEach((mesh) => {
         for (const [name, weight] of Object.entries(weights[nameOf(mesh)]))
           mesh.morphTargetManager.getTargetByName(name).influence = weight;
-        const positions = new Float32Array(mesh.getPositionData(true, true));
-        const matrix = mesh.computeWorldMatrix(true).multiply(toFile);
-        for (let i = 0; i < positions.length; i += 3)
-          Vector3.TransformCoordinates(Vector3.FromArray(positions, i), matrix).toArray(positions, i);
-        return positions;
       });
+      return points(container);
     },
   };
 });

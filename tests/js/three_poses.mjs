@@ -1,7 +1,7 @@
 // Poses GLBs in three.js. usage: node three_poses.mjs < request; request and answer as poses.mjs has them
-import { Vector3 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { answer, bytesOf } from "./poses.mjs";
+import { points } from "./three_points.mjs";
 
 // node decodes no images; geometry and motion, which this program is for, need none
 globalThis.self = globalThis;
@@ -20,18 +20,11 @@ await answer(async (path) => {
         bone.quaternion.fromArray(trs, 3);
         bone.scale.fromArray(trs, 7);
       }
-      scene.updateMatrixWorld(true);
-      return meshes.map((mesh) => {
-        mesh.skeleton?.update();
+      meshes.forEach((mesh) => {
         for (const [name, weight] of Object.entries(weights[nameOf(mesh)]))
           mesh.morphTargetInfluences[mesh.morphTargetDictionary[name]] = weight;
-        const { count } = mesh.geometry.attributes.position;
-        const positions = new Float32Array(3 * count);
-        const point = new Vector3();
-        for (let i = 0; i < count; i++)
-          mesh.getVertexPosition(i, point).applyMatrix4(mesh.matrixWorld).toArray(positions, 3 * i);
-        return positions;
       });
+      return points(scene);
     },
   };
 });
