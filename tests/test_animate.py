@@ -20,6 +20,7 @@ from test_cli import run
 import facepipe
 from facepipe.cli import main
 from facepipe.importers import load
+from facepipe.importers.gltf import Options as GltfOptions
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
 from facepipe.pipeline.animate import AnimateJob, make
@@ -516,3 +517,20 @@ def test_a_minute_plays_in_three_js(name: str, head: Path, tmp_path: Path) -> No
     assert (report.frames, report.end) == (3600, 3599 / 60)
     assert len(report.shapes) == (53 if name == "ict" else 52)
     assert three_agrees(out, [*range(0, 3600, 97), 3599], tmp_path) < 1e-5
+
+
+def test_a_long_clip_in_our_glb_comes_back_exactly(head: Path, tmp_path: Path) -> None:
+    """Inbetweens put keys of their own beside those of frames; far from 0 these are near in float32."""
+    clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(240)), tmp_path / "out.usda"
+    make(AnimateJob(face=head, clip=clip, out=out, options=AnimateOptions(offset=60.0)))
+    assert main(["export", str(out), "-o", str(tmp_path / "take.glb"), "--animations"]) == 0
+    imported = load("gltf", tmp_path / "take.glb", GltfOptions())
+    assert not any("differently" in line for line in imported.warnings)
+    assert imported.parts.played == "take"
+    before = next(one for one in facepipe.open(out).animations if one.name == "take")
+    after = next(one for one in imported.parts.animations if one.name == "take")
+    assert after.times is not None
+    assert after.shape_weights is not None
+    assert before.times is not None
+    np.testing.assert_allclose(after.times, before.times, atol=1e-9)
+    assert np.array_equal(after.shape_weights, before.shape_weights)

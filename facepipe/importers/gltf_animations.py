@@ -32,6 +32,7 @@ from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.resample import TICK
 
+_ALIKE = 1e-3  # weights of two meshes at one time: keys between those of the other are float32 too
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
 
 
@@ -239,7 +240,7 @@ def _shape_motion(
         for role, column in zip(shapes[channel.node], values.T, strict=True):
             own[role.shape] = own.get(role.shape, 0.0) + role.weight * column
         for shape, weights in own.items():
-            if shape in found and np.abs(found[shape] - weights).max() > 1e-6:
+            if shape in found and np.abs(found[shape] - weights).max() > _ALIKE:
                 document.warn(value, f"the meshes move the shape {shape} differently: the first is kept")
             found.setdefault(shape, weights)
     if not found:

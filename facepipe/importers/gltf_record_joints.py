@@ -16,7 +16,7 @@ from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficient
 from facepipe.rig.trs import decompose
 
 _SAME = 1e-4  # of the skeleton's size: what float32 and a warning tool's digits may cost
-_EARLIER = 2e-4  # seconds: what is nearer is one key
+_NEAR = 2e-4  # seconds: what is nearer is one key
 _NOISE = 5e-7  # what float32 leaves of a coefficient at rest
 
 
@@ -85,8 +85,10 @@ def _rows(husk: Animation, read: Animation) -> IntArray:
     times = np.asarray(husk.times, np.float64)
     times = times - min(float(times.min(initial=0.0)), 0.0)
     found = np.zeros(1) if read.times is None else np.asarray(read.times, np.float64)
-    rows = np.minimum(np.searchsorted(found, times - _EARLIER), len(found) - 1)
-    if np.abs(found[rows] - times).max(initial=0.0) > _EARLIER:
+    after = np.minimum(np.searchsorted(found, times), len(found) - 1)
+    before = np.maximum(after - 1, 0)
+    rows = np.where(np.abs(found[before] - times) < np.abs(found[after] - times), before, after)
+    if np.abs(found[rows] - times).max(initial=0.0) > _NEAR:
         raise InputError(f"facepipe -> {husk.name}", "other key times than facepipe wrote")
     return rows
 

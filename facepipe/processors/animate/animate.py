@@ -72,8 +72,8 @@ class AnimateFace:
 
         :param recipe: authored with the result; None leaves what the face has
         :param done: called after every frame that sliders move
-        :raises InputError: nothing of the performance has a target, two of its names have the same, no such joint, no
-            frame is left, or the animation's name is taken
+        :raises InputError: nothing of the performance has a target, no such joint or one for two parts, no frame is
+            left, or the animation's name is taken
         """
         parts = face.parts()
         if any(one.name == self.name for one in parts.animations):
