@@ -43,6 +43,7 @@ from facepipe.parts import (
     Slider,
     SliderNetwork,
 )
+from facepipe.records.gltf import content_digest
 from facepipe.rig import build, rest_coefficients
 from facepipe.stage import save_parts
 
@@ -240,10 +241,12 @@ def test_units_axes_transforms_and_loose_points_come_back(tmp_path: Path) -> Non
     assert (tmp_path / "once.glb").read_bytes() == (tmp_path / "twice.glb").read_bytes()
 
 
-def edited(path: Path, edit: Callable[[dict[str, Any]], object]) -> Imported:
-    """What the importer makes of a .gltf that another program has edited."""
+def edited(path: Path, edit: Callable[[dict[str, Any]], object], *, hidden: bool = False) -> Imported:
+    """What the importer makes of a .gltf that another program has edited; `hidden`: and made the digest again."""
     document = json.loads(path.read_text())
     edit(document)
+    if hidden:
+        document["extras"]["facepipe"]["digest"] = content_digest(document)
     path.write_text(json.dumps(document))
     return gltf.read(path, gltf.Options())
 
@@ -272,7 +275,7 @@ def test_an_edited_file_is_read_as_plain_gltf(
     edit: Callable[[dict[str, Any]], object], what: str, tmp_path: Path
 ) -> None:
     save(write(tiny_face(), Options(influences=8)), tmp_path / "face.gltf")
-    imported = edited(tmp_path / "face.gltf", edit)
+    imported = edited(tmp_path / "face.gltf", edit, hidden=True)
     (line,) = [line for line in imported.warnings if "what glTF has no place for is left out" in line]
     assert what in line
     assert imported.parts.meters_per_unit == 1.0
@@ -319,6 +322,31 @@ def places(value: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     for key, inner in pairs:
         yield (*way, key)
         yield from places(inner, (*way, key))
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda file: file["meshes"][0]["extras"]["targetNames"].reverse(),
+        lambda file: file["nodes"][0].update(name="face"),
+        lambda file: file["nodes"][3].update(translation=[0, 0, 1e-3]),
+        lambda file: file["materials"][0]["pbrMetallicRoughness"].update(baseColorFactor=[1, 0, 0, 1]),
+    ],
+)
+def test_edits_of_another_program_win_over_the_record(edit: Callable[[dict[str, Any]], object], tmp_path: Path) -> None:
+    path = tmp_path / "face.gltf"
+    save(write(tiny_face(), Options(influences=8)), path)
+    text = path.read_text()
+    path.write_text(json.dumps(json.loads(text, parse_float=whole), indent=2))  # as JavaScript writes numbers
+    assert edited(path, lambda file: None).parts.meters_per_unit == tiny_face().meters_per_unit
+    assert path.write_text(text)
+    imported = edited(path, edit)
+    assert imported.parts.meters_per_unit == 1.0
+    assert any("another program has changed the file since facepipe wrote it" in line for line in imported.warnings)
+
+
+def whole(text: str) -> float | int:
+    return int(float(text)) if float(text).is_integer() else float(text)
 
 
 def real_face(name: str) -> FaceParts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from facepipe.records.gltf import content_digest
 from facepipe_gltf.buffers import Chunk
 from facepipe_gltf.document import Document
 from facepipe_gltf.files import sidecar_name
@@ -30,7 +31,7 @@ def embedded(document: Document) -> tuple[Json, list[Chunk]]:
         result |= {"images": images, "bufferViews": views}
     if size:
         result["buffers"] = [{"byteLength": size}, *result.get("buffers", [])[1:]]
-    return result, binary
+    return _sealed(result), binary
 
 
 def separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
@@ -49,4 +50,12 @@ def separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
         images.append({"name": entry["name"], "uri": name})
     if images:
         result["images"] = images
-    return result, sidecars
+    return _sealed(result), sidecars
+
+
+def _sealed(document: Json) -> Json:
+    """The document, its record with a digest of what it goes along with."""
+    record = document.get("extras", {}).get("facepipe")
+    if record is None:
+        return document
+    return document | {"extras": {"facepipe": record | {"digest": content_digest(document)}}}

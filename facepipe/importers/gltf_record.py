@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,23 +13,22 @@ from facepipe.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_record_joints import filled_animations, joints_as_recorded
+from facepipe.importers.gltf_record_materials import with_images
 from facepipe.parts import (
     Blendshape,
     FaceParts,
     FloatArray,
     Inbetween,
     IntArray,
-    Material,
     Mesh,
     Skin,
-    Texture,
-    TextureInput,
     UvSet,
 )
 from facepipe.records.gltf import (
     VERSION,
     MeshRecord,
     Record,
+    content_digest,
     material_groups,
     points_back,
     shape_names,
@@ -51,6 +49,8 @@ def read_record(document: Document) -> Record | None:
         version = ours.require("version").integer()
         if version != VERSION:
             raise ours.error(f"version {version}, expected {VERSION}")
+        if not isinstance(document.root.data, dict) or ours.data.get("digest") != content_digest(document.root.data):
+            raise ours.error("another program has changed the file since facepipe wrote it")
         data, start, length = document.view(ours.require("bufferView"))
         size = ours.require("inflated").integer(4)
         document.budget.spend(4 * size, ours)
@@ -87,7 +87,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
         face,
         meshes=meshes,
         animations=filled_animations(record, read, renamed, shape_names(face.meshes)),
-        materials=_materials(document, face.materials, read),
+        materials=with_images(document, face.materials, read.materials),
     )
 
 
@@ -310,33 +310,3 @@ def _check_points(mesh: Mesh) -> None:
     if np.shape(mesh.transform) != (4, 4) or (mesh.skin and np.shape(mesh.skin.geom_bind_transform) != (4, 4)):
         raise _misfit(f"a transform of {mesh.name} that is no matrix")
     material_groups(mesh)
-
-
-def _materials(document: Document, own: Sequence[Material], read: FaceParts) -> tuple[Material, ...]:
-    """The materials with images of the file; one whose images are not in it is as it was read."""
-    images = {hashlib.sha256(one.texture.data).digest(): one.texture for one in _inputs(read.materials)}
-    by_name = {one.name: one for one in read.materials}
-    result = []
-    for material in own:
-        missing = [one for one in _inputs([material]) if one.texture.data not in images]
-        if not missing:
-            result.append(_with_images(material, images))
-            continue
-        document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")
-        result.append(replace(by_name.get(material.name, Material(name=material.name)), name=material.name))
-    return tuple(result)
-
-
-def _inputs(materials: Sequence[Material]) -> list[TextureInput]:
-    values = [getattr(one, field.name) for one in materials for field in fields(one)]
-    return [value for value in values if isinstance(value, TextureInput)]
-
-
-def _with_images(material: Material, images: Mapping[bytes, Texture]) -> Material:
-    values = {one.name: getattr(material, one.name) for one in fields(material)}
-    whole: dict[str, Any] = {
-        name: replace(value, texture=replace(value.texture, data=images[value.texture.data].data))
-        for name, value in values.items()
-        if isinstance(value, TextureInput)
-    }
-    return replace(material, **whole)

@@ -6,6 +6,7 @@ took each mesh to glTF space. ``extras.facepipe`` of the document names the buff
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 import zlib
@@ -23,6 +24,8 @@ from facepipe.records.fields import from_json, to_json
 Json = dict[str, Any]
 
 VERSION = 1
+_SHOWN = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "samplers")
+_WHOLE = 2**53
 _FLAT = 1e-30  # of a determinant
 NONE: Any = np.zeros(0)  # stands for an array that the file holds, of any kind
 PER_POINT = np.zeros((0, 3))  # normals one a point; those of face corners are `NONE`
@@ -50,6 +53,24 @@ class Record:
     shapes: tuple[IntArray, ...] = ()  # of each animation, numbers among the names of the face's shapes
     axes: FloatArray  # (4, 4): a joint's local matrix L is ``axes L inverse(axes)`` in the file
     placement: FloatArray  # (4, 4): and a root's has it in front
+
+
+def content_digest(document: Json) -> str:
+    """A digest of what a document shows and calls it, whoever formatted its JSON: other data, other digest.
+
+    Accessors, buffers and images are not in it.
+    """
+    shown = {kind: _floats(document.get(kind)) for kind in _SHOWN}
+    return hashlib.sha256(json.dumps(shown, sort_keys=True).encode()).hexdigest()
+
+
+def _floats(value: object) -> object:
+    """`value` with whole numbers as floats: JSON makes no difference."""
+    if isinstance(value, dict):
+        return {key: _floats(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_floats(inner) for inner in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < _WHOLE else value
 
 
 def packed(record: Record) -> tuple[Json, bytes]:
