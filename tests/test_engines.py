@@ -80,6 +80,7 @@ NAMES = (
         "Éyé",
         "J_Bip_C_Head",
     ),
+    *("def:jaw", "p:q:r", "L.Eye00", 'k"k', "m{n}", "u-v", "tooth[1]", "name%20", "x100"),
     *("XYzw", "XYz", "x1yz", "12ab34CD", "k日本", "neck_01_L"),
 )
 

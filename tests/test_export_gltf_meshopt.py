@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from facepipe_gltf import validate as check
 from faces import tiny_face
 from gltf_export import Parts, random_weights
 from import_data import shared
-from node import HERE, node_packages, three_load, validate
+from node import HERE, node_packages, run_node, three_load, validate
 
 from facepipe.cli import main
 from facepipe.errors import ExportError
@@ -46,6 +47,19 @@ def test_three_reads_what_it_reads_of_the_plain_file(quantize: bool, tmp_path: P
     plain, small = pair(tiny_face(), tmp_path, quantize=quantize)
     same_in_three(tiny_face(), plain.path, small.path)
     assert small.error_mm == plain.error_mm
+
+
+@pytest.mark.slow
+def test_babylon_reads_what_it_reads_of_the_plain_file(tmp_path: Path) -> None:
+    weights = [{"Head": {"jawOpen": one, "mouthSmileLeft": 1.0}, "Teeth": {"jawOpen": one}} for one in (0.0, 0.7)]
+    poses = [{"weights": one, "joints": {}} for one in weights]
+    reports = pair(tiny_face(), tmp_path, quantize=True)
+    outs = [one.path.with_suffix(".bin") for one in reports]
+    asked = [{"path": str(one.path), "out": str(out), "poses": poses} for one, out in zip(reports, outs, strict=True)]
+    run_node("babylon_poses.mjs", [], json.dumps(asked))
+    plain, small = (np.fromfile(out, "<f4").reshape(2, -1) for out in outs)
+    assert np.array_equal(plain, small)
+    assert np.abs(plain[1] - plain[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
