@@ -129,12 +129,12 @@ def _case(posed: Posed, layout: str, folder: Path) -> Case:
     path = folder / f"{posed.parts.name} {layout}.glb"
     report = facepipe_gltf.export(Parts(posed.parts), path, Options(**LAYOUTS[layout]))
     document = read(path)
-    poses = [_pose(posed.parts, document, *one) for one in posed.poses]
+    poses = [pose_in(posed.parts, document, *one) for one in posed.poses]
     height = posed.face.head_height * posed.face.meters_per_unit
     return Case(File(path, poses), posed.points, height, (report.error_mm or 0.0) / 1000 / height)
 
 
-def _pose(parts: FaceParts, document: Gltf, weights: dict[str, float], coefficients: np.ndarray) -> Pose:
+def pose_in(parts: FaceParts, document: Gltf, weights: dict[str, float], coefficients: np.ndarray) -> Pose:
     nodes = {node["name"]: node for node in document.list("nodes")}
     moves = motion(parts, document, coefficients)
     local = np.array([local_matrix(nodes[name]) @ matrix for name, matrix in moves.items()]).reshape(-1, 4, 4)
