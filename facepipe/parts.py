@@ -8,7 +8,7 @@ into USD values and back.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -146,6 +146,11 @@ class Skeleton:
     def names(self) -> tuple[str, ...]:
         """What each joint is called: the source's names, else the last parts of the paths."""
         return self.joint_names or tuple(joint.rpartition("/")[2] for joint in self.joints)
+
+    def called(self, names: Sequence[str]) -> Skeleton:
+        """The same skeleton, its joints called `names`."""
+        bare = replace(self, joint_names=())
+        return bare if tuple(names) == bare.names else replace(self, joint_names=tuple(names))
 
     @property
     def parents(self) -> IntArray:

@@ -181,6 +181,7 @@ def test_a_face_made_in_blender(tmp_path: Path, options: dict[str, object], up: 
     face = facepipe.open(tmp_path / "out.usda")
     assert (face.up_axis, face.meters_per_unit) == (up, pytest.approx(unit))
     assert face.skeleton.joints == ("root", "root/jaw_L")
+    assert face.skeleton.names == ("root", "jaw.L")
     (mesh,) = face.meshes
     assert {*mesh.regions} == {"mouth", "chin"}
     np.testing.assert_allclose(sum(mesh.regions.values()), 1.0, atol=1e-6)

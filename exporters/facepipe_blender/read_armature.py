@@ -46,7 +46,8 @@ def read_skeleton(armature: Any) -> Skeleton:
         armature.update_from_editmode()
     matrices = bone_matrices(armature)
     name = identifier(armature.name, "Skeleton")
-    return skeleton_at_rest(name, tuple(matrices), np.array(list(matrices.values())).reshape(-1, 4, 4))
+    made = skeleton_at_rest(name, tuple(matrices), np.array(list(matrices.values())).reshape(-1, 4, 4))
+    return made.called(tuple(joint_paths(armature)))
 
 
 def skeleton_at_rest(name: str, joints: tuple[str, ...], world: FloatArray) -> Skeleton:

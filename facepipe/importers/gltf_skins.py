@@ -8,6 +8,7 @@ section 7): where the nodes stand in bind pose that product is the same matrix f
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +72,10 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     paths = _paths(document, nodes, order, joint_parents)
     skeleton = Skeleton(
         joints=paths,
-        joint_names=_names(nodes, order, paths),
         bind_transforms=np.array([binds[joint] for joint in range(len(order))]).reshape(-1, 4, 4),
         rest_transforms=rest,
     )
+    skeleton = skeleton.called(_names(nodes, order, skeleton.names))
     return Joints(skeleton, of_node, above, tuple(skins))
 
 
@@ -126,12 +127,10 @@ def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int
     return tuple(paths)
 
 
-def _names(nodes: Nodes, order: list[int], paths: tuple[str, ...]) -> tuple[str, ...]:
-    """The nodes' own names, where some are not the last parts of the paths."""
-    leaves = Skeleton(joints=paths).names
+def _names(nodes: Nodes, order: list[int], leaves: Sequence[str]) -> list[str]:
+    """The nodes' own names; of those without the last parts of the paths."""
     given = (given_name(nodes.values[node]) for node in order)
-    names = tuple(leaf if name is None else name for name, leaf in zip(given, leaves, strict=True))
-    return names if names != leaves else ()
+    return [leaf if name is None else name for name, leaf in zip(given, leaves, strict=True)]
 
 
 def _inverse_binds(document: Document, value: Value, count: int) -> FloatArray:

@@ -161,9 +161,7 @@ def _renamed(skeleton: Skeleton, warnings: list[str]) -> tuple[Skeleton, dict[st
     if changed:
         old, new = changed[0]
         warnings.append(f"{len(changed)} joint paths made identifiers, like '{new}' of '{old}'; the names are kept")
-    renamed = Skeleton(joints=tuple(paths.values()))
-    names = skeleton.names if skeleton.names != renamed.names else ()
-    return replace(skeleton, joints=renamed.joints, joint_names=names), paths
+    return replace(skeleton, joints=tuple(paths.values())).called(skeleton.names), paths
 
 
 def _kept(animation: Animation, new_names: Mapping[str, str], shapes: set[str]) -> Animation | None:

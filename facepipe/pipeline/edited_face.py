@@ -110,7 +110,9 @@ def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray],
 
 def _other_joints(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray]) -> Skeleton:
     """The skeleton with the joints of `made`, each where it stands from itself or the next above it that was there."""
-    fresh = replace(made, name=before.name, transform=before.transform)
+    known = dict(zip(before.joints, before.names, strict=True))
+    names = [known.get(joint, name) for joint, name in zip(made.joints, made.names, strict=True)]
+    fresh = replace(made, name=before.name, transform=before.transform).called(names)
     old = {joint: i for i, joint in enumerate(before.joints)}
     shared = [joint for joint in made.joints if joint in old]
     if not shared:

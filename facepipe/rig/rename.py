@@ -54,12 +54,11 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         names.get(joint, names.get(path, joint)) for joint, path in zip(skeleton.names, skeleton.joints, strict=True)
     ]
     _check(where, "joints", skeleton.names, called)
-    changed = tuple(called) != skeleton.names
     network = parts.slider_network
     return replace(
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
-        skeleton=replace(skeleton, joint_names=tuple(called)) if changed else skeleton,
+        skeleton=skeleton.called(called),
         animations=tuple(_animation(one, names) for one in parts.animations),
         sliders=tuple(_slider(one, names) for one in parts.sliders),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),

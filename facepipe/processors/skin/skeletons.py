@@ -30,15 +30,9 @@ def with_binds(old: Skeleton, paths: tuple[str, ...], bind: FloatArray) -> Skele
     Joints of the paths that are there keep their names.
     """
     plain, known = Skeleton(joints=paths), dict(zip(old.joints, old.names, strict=True))
-    names = tuple(known.get(path, leaf) for path, leaf in zip(paths, plain.names, strict=True))
+    names = [known.get(path, leaf) for path, leaf in zip(paths, plain.names, strict=True)]
     parents = plain.parents
     inverse = np.linalg.inv(bind)
     rest = np.array([bind[i] if p < 0 else inverse[p] @ bind[i] for i, p in enumerate(parents)]).reshape(-1, 4, 4)
-    return Skeleton(
-        name=old.name,
-        joints=paths,
-        joint_names=names if names != plain.names else (),
-        bind_transforms=bind,
-        rest_transforms=rest,
-        transform=old.transform,
-    )
+    made = Skeleton(name=old.name, joints=paths, bind_transforms=bind, rest_transforms=rest, transform=old.transform)
+    return made.called(names)
