@@ -1,8 +1,8 @@
-"""What assimp 5 holds of glTF files, read from its C structures. usage: assimp_scene.py OUT.npz FILE...
+"""What assimp 5 holds of a glTF file, read from its C structures. usage: assimp_scene.py FILE OUT.npz
 
-A process of its own: a reader that runs past its buffers takes no test along. The arrays are named by the number of the
-file and, in its meshes, of the mesh: `0 nodes`, `0 parents`, `0 local`; `0 2 node`, `0 2 positions`, `0 2 names` and
-`0 2 targets` (positions, not offsets), `0 2 bones`, `0 2 weights` (vertices, bones) and `0 2 binds` (inverse).
+A process of its own: a reader that runs past its buffers takes no test along. The arrays are `nodes`, `parents` and
+`local` of the node tree, and, for each mesh by its number, `2 node`, `2 positions`, `2 names` and `2 targets`
+(positions, not offsets), `2 bones`, `2 weights` (vertices, bones) and `2 binds` (inverse).
 """
 
 from __future__ import annotations
@@ -134,5 +134,4 @@ def _text(string: _String) -> str:
 
 
 if __name__ == "__main__":
-    out, *files = sys.argv[1:]
-    np.savez(out, **{f"{i} {key}": value for i, path in enumerate(files) for key, value in read(path).items()})
+    np.savez(sys.argv[2], **read(sys.argv[1]))
