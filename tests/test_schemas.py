@@ -61,3 +61,13 @@ def test_tokens_are_the_schemas_attributes() -> None:
     own = [value for value in vars(tokens).values() if isinstance(value, str) and re.match(r"facepipe:.*[a-z]$", value)]
     assert len(own) >= 10
     assert set(own) - {tokens.SEAM_RESIDUAL, tokens.SCANNED} <= names  # plain primvars, of results only
+
+
+def test_one_module_applies_and_finds_our_schemas() -> None:
+    """USD's own calls do nothing where its registry was built before (test_late_schemas)."""
+    calls = re.compile(
+        r"GetAppliedSchemas\(|\.(Apply|Remove|Has)API\((tokens\.|[\"']Facepipe)|IsAllowedAPISchemaInstance"
+    )
+    files = [file for folder in ("facepipe", "exporters") for file in (ROOT / folder).rglob("*.py")]
+    assert len(files) > 300
+    assert [file.name for file in files if calls.search(file.read_text(encoding="utf-8"))] == []

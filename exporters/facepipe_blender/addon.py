@@ -11,6 +11,7 @@ import tomllib
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
+from typing import NamedTuple
 
 from facepipe import __version__
 from facepipe.errors import InputError
@@ -19,7 +20,20 @@ from facepipe.reports import ExportReport
 from .own_wheel import write_own_wheel
 from .plain_zip import write_zip
 
-_PYTHON, _NUMPY = "3.11", "1.26.4"  # of Blender 5.0
+
+class _Host(NamedTuple):
+    """What a range of Blender versions brings."""
+
+    python: str
+    numpy: str
+    first: str
+    beyond: str  # the first version after them
+
+
+_HOSTS = {
+    "5.0": _Host("3.11", "1.26.4", "4.2.0", "5.1.0"),
+    "5.2": _Host("3.13", "2.3.5", "5.1.0", "5.3.0"),
+}
 _BLENDERS_OWN = ("usd-core", "numpy")
 _TAGS = {
     "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 26, 24, 17)] + ["manylinux2014_x86_64"],
@@ -42,6 +56,10 @@ class Options:
         default_factory=this_platform,
         metadata={"help": "the machine that Blender runs on", "choices": tuple(_TAGS)},
     )
+    blender: str = field(
+        default="5.0",
+        metadata={"help": "5.0 for Blender 4.2 to 5.0, 5.2 for 5.1 and 5.2", "choices": tuple(_HOSTS)},
+    )
     wheels: Path | None = field(
         default=None,
         metadata={"help": "folder of wheels to take the libraries from, in place of the network"},
@@ -60,19 +78,22 @@ def build(path: Path, options: Options) -> ExportReport:
         _download(wheels, options)
         write_own_wheel(wheels)
         names = sorted(one.name for one in wheels.glob("*.whl") if not _is_blenders(one.name))
-        manifest = _manifest((source / _MANIFEST).read_text(encoding="utf-8"), names, options.platform)
+        manifest = _manifest((source / _MANIFEST).read_text(encoding="utf-8"), names, options)
         files = {_MANIFEST: manifest.encode(), **files}
         files |= {f"wheels/{name}": (wheels / name).read_bytes() for name in names}
     write_zip(path, files)
     return ExportReport(path=path, files=(path,), counts={"wheels": len(names)}, bytes=path.stat().st_size)
 
 
-def _manifest(text: str, wheels: list[str], target: str) -> str:
+def _manifest(text: str, wheels: list[str], options: Options) -> str:
     """The manifest with what is known only now."""
+    host = _HOSTS[options.blender]
     lines = "".join(f'    "./wheels/{name}",\n' for name in wheels)
     text = re.sub(r'(?m)^version = ".*"$', f'version = "{__version__}"', text, count=1)
+    text = re.sub(r'(?m)^blender_version_min = ".*"$', f'blender_version_min = "{host.first}"', text, count=1)
+    text = re.sub(r'(?m)^blender_version_max = ".*"$', f'blender_version_max = "{host.beyond}"', text, count=1)
     head, permissions, rest = text.partition("[permissions]")
-    result = f'{head}platforms = ["{target}"]\nwheels = [\n{lines}]\n\n{permissions}{rest}'
+    result = f'{head}platforms = ["{options.platform}"]\nwheels = [\n{lines}]\n\n{permissions}{rest}'
     tomllib.loads(result)
     return result
 
@@ -82,12 +103,13 @@ def _download(folder: Path, options: Options) -> None:
 
     :raises InputError: no pip, or wheels that it can't get
     """
+    host = _HOSTS[options.blender]
     words = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(folder)]
-    words += ["--only-binary=:all:", "--implementation", "cp", "--python-version", _PYTHON]
+    words += ["--only-binary=:all:", "--implementation", "cp", "--python-version", host.python]
     words += [word for tag in _TAGS[options.platform] for word in ("--platform", tag)]
     if options.wheels is not None:
         words += ["--no-index", "--find-links", str(options.wheels)]
-    done = subprocess.run([*words, f"numpy=={_NUMPY}", *_libraries()], capture_output=True, text=True)
+    done = subprocess.run([*words, f"numpy=={host.numpy}", *_libraries()], capture_output=True, text=True)
     if done.returncode:
         told = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
         reason = (told or done.stderr.splitlines() or ["no reason given"])[-1].removeprefix("ERROR: ")

@@ -9,7 +9,7 @@ import bpy
 from facepipe.errors import FacepipeError
 
 from .export_stage import export_faces
-from .import_stage import import_faces
+from .import_stage import import_faces, objects_by_name
 from .messages import tell
 
 
@@ -44,7 +44,9 @@ class FaceHook(bpy.types.USDHook):
     def on_import(import_context: Any) -> bool:
         """Bring back what Blender drops of faces."""
         try:
-            tell(import_faces(import_context.get_stage(), import_context.get_prim_map()))
+            stage = import_context.get_stage()
+            known = hasattr(import_context, "get_prim_map")  # from Blender 4.4 on
+            tell(import_faces(stage, import_context.get_prim_map() if known else objects_by_name(stage)))
         except FacepipeError as error:
             tell([str(error)], error=True)
             return False

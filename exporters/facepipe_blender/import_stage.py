@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
-from pxr import Usd, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.parts import FloatArray, Mesh
 from facepipe.pipeline.host_face import Face, faces_on, neural_rig_of
 
 from .read_armature import bone_matrices
-from .record import MESH, RECORD, Kept, keep
+from .record import MESH, RECORD, Kept, keep, record_of
 from .write_mesh import write_mesh
 
 
@@ -59,6 +60,23 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
         )
         mark(found, text)
     return tuple(warnings)
+
+
+def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
+    """Prim path -> what Blender made of it, as far as names say: the newest object called so that is of no face yet."""
+    free: dict[str, list[Any]] = {}
+    for obj in sorted(bpy.data.objects, key=lambda one: str(one.name), reverse=True):
+        if record_of(obj) is None and obj.type in ("ARMATURE", "MESH"):
+            free.setdefault(re.sub(r"\.\d{3,}$", "", str(obj.name)), []).append(obj)
+    kinds = (("ARMATURE", UsdSkel.Skeleton), ("MESH", UsdGeom.Mesh))
+    made: dict[str, list[Any]] = {}
+    for prim in stage.Traverse():
+        named = free.get(str(prim.GetName()), [])
+        own = [obj for obj in named for kind, schema in kinds if obj.type == kind and prim.IsA(schema)]
+        if own:
+            named.remove(own[0])
+            made[str(prim.GetPath())] = own[:1]
+    return made
 
 
 def mark(found: Found, text: Any) -> None:

@@ -1,9 +1,11 @@
-"""Build the Blender add-on: an extension for Blender 5.0 with all that Blender lacks.
+"""Build the Blender add-on: an extension for Blender 4.2 to 5.2 with all that Blender lacks.
 
 Libraries come by pip, from the network or from a folder of wheels. In Blender: Preferences, Get Extensions, Install
 from Disk.
 
-example: facepipe blender-addon -o facepipe.zip --platform windows-x64
+examples:
+  facepipe blender-addon -o facepipe.zip
+  facepipe blender-addon -o facepipe.zip --blender 5.2 --platform windows-x64
 """
 
 from __future__ import annotations
