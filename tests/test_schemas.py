@@ -60,7 +60,8 @@ def test_tokens_are_the_schemas_attributes() -> None:
     names = {attribute.name for prim in layer.rootPrims for attribute in prim.properties}
     own = [value for value in vars(tokens).values() if isinstance(value, str) and re.match(r"facepipe:.*[a-z]$", value)]
     assert len(own) >= 10
-    assert set(own) - {tokens.SEAM_RESIDUAL, tokens.SCANNED} <= names  # plain primvars, of results only
+    others = {tokens.SEAM_RESIDUAL, tokens.SCANNED, tokens.DATA_LABEL}  # plain primvars of results, customData
+    assert set(own) - others <= names
 
 
 def test_one_module_applies_and_finds_our_schemas() -> None:
