@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from facepipe_blender import hook
-from facepipe_blender.import_stage import _objects
 from session import ARGUMENTS, answer, bpy, np
+
+from facepipe_blender import hook  # isort: skip  (the add-on must be registered)
+from facepipe_blender.import_stage import _objects  # isort: skip
 
 import_faces = hook.import_faces
 same = []
