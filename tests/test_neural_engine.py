@@ -70,7 +70,8 @@ def skinned(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> np.ndarray:
     worlds = glb.worlds()
     if "skinning_matrices" in found:
         described, skin = outputs["skinning_matrices"], glb.list("skins")[0]
-        assert [path.rpartition("/")[2] for path in described["joints"]] == glb.joint_names()
+        assert described["joints"] == list(one.parts.skeleton.joints)
+        assert list(one.parts.skeleton.names) == glb.joint_names()
         matrices = np.array(described["gltf_from_world"]) @ found["skinning_matrices"]
         matrices = matrices @ np.array(described["skeleton_from_gltf"])
         joints = skin["joints"][: len(matrices)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import benchmark_modules  # noqa: F401
@@ -98,7 +99,8 @@ def asked(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> tuple[dict[str,
         return weights, {}
     nodes = {node["name"]: node for node in glb.list("nodes")}
     moves = motion(one.parts, glb, found["coefficients"])
-    return weights, {name: (local_matrix(nodes[name]) @ move).T.ravel().tolist() for name, move in moves.items()}
+    joints = {name: (local_matrix(nodes[name]) @ move).T.ravel().tolist() for name, move in moves.items()}
+    return weights, {re.sub(r"[\[\].:/]", "", name): matrix for name, matrix in joints.items()}  # as three.js has names
 
 
 def test_a_quantised_file_is_within_the_error_that_is_told(made: Made, writing: Writing) -> None:
