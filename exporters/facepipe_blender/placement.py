@@ -94,7 +94,7 @@ def moved_face(parts: FaceParts, matrix: FloatArray) -> FaceParts:
     return replace(
         parts,
         meshes=tuple(moved_mesh(mesh, matrix) for mesh in parts.meshes),
-        skeleton=skeleton_at_rest(parts.skeleton.name, parts.skeleton.joints, bones),
+        skeleton=skeleton_at_rest(parts.skeleton.name, parts.skeleton.joints, bones).called(parts.skeleton.names),
     )
 
 
