@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 import facepipe
 from facepipe import tokens
 from facepipe.errors import FitError, InputError, SchemaError
+from facepipe.importers import gltf
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Slider
@@ -28,6 +29,7 @@ from facepipe.processors.photo_fit import AuthorPhotoFit, Photo, photo_recipe, r
 from facepipe.processors.sliders import SetSliders
 from facepipe.sample import make
 from facepipe.stage import Face, save_parts
+from facepipe.stage.differences import same
 from facepipe.validate import validate
 
 PHOTOS = ("my photo.png", "my-photo.jpg", "2.png")
@@ -244,10 +246,12 @@ def test_a_photo_in_light_without_a_lamp(head: Path, person: Face, fit: PhotoFit
 
 
 def test_exports(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
-    """The fitted face is the rest of GLB and slider graph, each photo's expression a pose; cameras are left out."""
+    """The fitted face is the rest of GLB and slider graph, each photo's expression a pose; cameras go along."""
     report = facepipe_gltf.export(person, tmp_path / "person.glb", facepipe_gltf.Options(animations=True))
     assert facepipe_gltf.validate(tmp_path / "person.glb", khronos=False) == ()
-    assert any("cameras of photos" in line for line in report.dropped)
+    assert not any("photo" in line for line in report.dropped)
+    again = gltf.read(tmp_path / "person.glb", gltf.Options()).parts
+    assert same(again.photos, person.parts().photos)
     file = gltf_reader.read(tmp_path / "person.glb")
     assert "sliders" not in [one["name"] for one in file.list("animations")]  # the person is no expression
     poses = {own.name: view.expressions for own, view in zip(person.photos, fit.views, strict=True)}
