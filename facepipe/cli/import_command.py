@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         bar.update()
     warn(imported.warnings)
     found = convention_of(shapes_of(parts))
-    if found is not None and not found["exact"]:
+    if found is not None and (not found["exact"] or found["arkit"]):
         note(f"shapes: {convention_text(found)}")
     print(out)
     return 0

@@ -90,6 +90,7 @@ def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
         "names": count,
         "of": len(written),
         "exact": len(written.intersection(shapes)) == count,
+        "arkit": len(convention_names("arkit", shapes)),
     }
 
 
@@ -98,4 +99,6 @@ def convention_text(found: Mapping[str, Any] | None) -> str:
     if found is None:
         return "of no known convention"
     text = f"{found['title']}, {found['names']} of {found['of']}"
-    return text if found["exact"] else f"{text} in another spelling (--rename {found['convention']} gives its own)"
+    if not found["exact"]:
+        return f"{text} in another spelling (--rename {found['convention']} gives its own)"
+    return f"{text} (--rename arkit gives {found['arkit']} of them ARKit's names)" if found["arkit"] else text
