@@ -16,6 +16,7 @@ from test_cli import run
 
 import facepipe
 from facepipe import parts as p
+from facepipe.cli.rename import convention_of, convention_text
 from facepipe.importers import ict, load
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import CONVENTIONS
@@ -107,7 +108,8 @@ def test_import_gives_the_names_of_a_convention_and_says_so(
     recipe = made.parts().recipe
     assert recipe is not None
     assert recipe.options["rename"] == {"blendShape1.EyeBlink_L": "eyeBlinkLeft"}
-    assert run(capsys, "import", "gltf", "vroid.glb", "vrm.usda", "--rename", "vrm")[0] == 0
+    code, _, err = run(capsys, "import", "gltf", "vroid.glb", "vrm.usda", "--rename", "vrm")
+    assert (code, "VRM 1.0" in err) == (0, False)  # two names tell no convention
     assert facepipe.open("vrm.usda").shapes == ("aa", "blinkLeft", "Key 1")
 
 
@@ -128,7 +130,14 @@ def test_a_convention_is_recognised_with_the_way_to_its_names(
         "names": 3,
         "of": 52,
         "exact": True,
+        "arkit": 0,
     }
+
+
+def test_another_convention_is_recognised_with_what_arkit_has_of_it() -> None:
+    shapes = ("blinkLeft", "blinkRight", "aa", "happy")
+    assert convention_text(convention_of(shapes)) == "VRM 1.0, 4 of 18 (--rename arkit gives 2 of them ARKit's names)"
+    assert convention_text(convention_of(("Key 1", "jawOpen"))) == "of no known convention"
 
 
 @pytest.mark.skipif(not ICT.exists(), reason="ICT-FaceKit is not in ../shared/data")
