@@ -4,8 +4,9 @@ from collections import Counter
 
 import pytest
 
+from facepipe.cli.parser import coefficients_of
 from facepipe.errors import InputError
-from facepipe.names import did_you_mean, find
+from facepipe.names import did_you_mean, find, find_joint
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import CONVENTIONS, match_shapes, meaning, recognised, shape_key
 
@@ -91,3 +92,19 @@ def test_wrong_names_get_the_nearest_and_case_alone_is_no_error() -> None:
     with pytest.raises(InputError, match="expected one of jawOpen"):
         find("tail", known, "--set", "shape")
     assert did_you_mean("x" * 100_000, known) == ""
+
+
+def test_joints_are_found_by_path_source_name_or_last_part() -> None:
+    joints = ("root", "root/mixamorig_Jaw", "root/eye_L", "root/eye_L/tip", "root/tip")
+    names = ("root", "mixamorig:Jaw", "eye.L", "tip", "Tip.001")
+
+    def found(word: str) -> int:
+        return find_joint(word, joints, names, "--bone")
+
+    assert [found(word) for word in ("mixamorig:Jaw", "root/eye_L", "eye_L", "EYE.l", "Tip.001")] == [1, 2, 2, 2, 4]
+    assert found("tip") == 3  # the source's name of one alone
+    assert coefficients_of(["mixamorig:Jaw:rx=0.5"], joints, names)[1, 3] == 0.5
+    with pytest.raises(InputError, match="no joint 'mixamorig:Jw', did you mean 'mixamorig:Jaw'"):
+        found("mixamorig:Jw")
+    with pytest.raises(InputError, match="2 joints called 'tip', expected a path: root/eye_L/tip, root/tip"):
+        find_joint("tip", joints, ("root", "a", "b", "c", "d"), "--bone")
