@@ -17,6 +17,7 @@ from oracle import bake, played
 
 import facepipe
 from facepipe.cli import main
+from facepipe.errors import InputError
 from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
 from facepipe.rig import (
     build,
@@ -360,6 +361,17 @@ def test_a_pose_that_is_not_there_is_one_line(person_file: Path, tmp_path: Path,
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert "no pose 'nobody', expected one of set, set-joints, rest" in line
         assert not out.exists()
+
+
+@pytest.mark.parametrize("how", ["set", "set-joints"])
+def test_a_person_of_no_size_is_refused(how: str) -> None:
+    parts = with_person(tiny_face())
+    (animation,) = parts.animations
+    assert animation.coefficients is not None
+    flat = animation.coefficients.copy()
+    flat[0, 1, 7] = 0.0
+    with pytest.raises(InputError, match="root/jaw: scaled to nothing by the person"):
+        set_face(replace(parts, animations=(replace(animation, coefficients=flat),)), how)
 
 
 def test_the_report_holds_pose_and_error(person_file: Path, tmp_path: Path, capsys: Capsys) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import InputError
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.rig.build import build
 from facepipe.rig.on_person import NewRest, animations_on, limits_on, network_on, sliders_on
@@ -16,6 +17,8 @@ from facepipe.rig.set_error import SetError, set_error
 from facepipe.rig.set_mesh import set_mesh
 
 FloatArray = npt.NDArray[np.floating]
+
+_FLAT = 1e-12  # of a joint's volume: there is no way back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +48,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     leaves points, offsets and binds, and moves the rest transforms alone: exact, for engines that keep scaled joints.
 
     :param pose: ``set``, ``set-joints``, ``rest`` or an animation of the face, whose first sample is the person
-    :raises InputError: no such animation, or a person of shapes that the face lacks
+    :raises InputError: no such animation, or a person of shapes that the face lacks or who has joints of no size
     :raises TopologyError: indices and counts that don't fit
     """
     person = person_of(parts, pose)
@@ -53,6 +56,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         return SetFace(parts=parts, pose=person.description, error=None)
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
+    _refuse_flat(rig, person, parts.name)
     new = _new_rest(rig, parts.skeleton, person, in_joints=pose == "set-joints")
     moved = None if pose == "set-joints" else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     bounds = rig.mesh_offsets
@@ -74,6 +78,14 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     where = " in the joints" if pose == "set-joints" else ""
     error = set_error(rig, build(result), person, new, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error, stretch=new.stretch)
+
+
+def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
+    volumes = np.abs(np.linalg.det(rig.joint_worlds(rig.rest @ person.matrices, np.eye(4))[:, :3, :3]))
+    flat = np.flatnonzero(volumes < _FLAT)
+    if flat.size:
+        what = f"scaled to nothing by the person ({person.description}), expected scales other than 0"
+        raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
 
 
 def _new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> NewRest:
