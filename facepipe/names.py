@@ -102,11 +102,11 @@ def unknown(name: str, known: Collection[str], what: str) -> str:
     return f"no {what} '{name[:_SHOWN]}'{suggestion(name, known)}"
 
 
-def suggestion(name: str, known: Collection[str], otherwise: str = "none, there are none") -> str:
+def suggestion(name: str, known: Collection[str], otherwise: str = "") -> str:
     """The end of a message about a name that is not there: the nearest that is, else a few, or `otherwise`."""
     few = list(known)[:_FEW]
     some = ", ".join(few) + (" ..." if len(known) > len(few) else "") or otherwise
-    return did_you_mean(name, known) or f", expected one of {some}"
+    return did_you_mean(name, known) or (f", expected one of {some}" if some else "; there are none")
 
 
 def unmatched(pattern: str, known: Sequence[str], what: str) -> str:

@@ -41,7 +41,7 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
         return mesh
     turn = _normal_turn(mesh, points, linear)
     shapes = tuple(_on_top(shape, weights.get(shape.name, 0.0), linear, turn) for shape in mesh.blendshapes)
-    return replace(mesh, points=points, normals=_normals(mesh, turn), blendshapes=shapes)
+    return replace(mesh, points=points.astype(np.float32), normals=_normals(mesh, turn), blendshapes=shapes)
 
 
 def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:

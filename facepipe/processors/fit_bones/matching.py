@@ -30,7 +30,8 @@ def match_meshes(
     """Meshes by name; a single mesh of another name is the only one of as many points, or all in stage order.
 
     :param only: the mesh of the face that the single other mesh is
-    :param triangles: the other meshes are triangulated, and lack points that are in no face
+    :param triangles: the other meshes are triangulated, and lack points that are in no face, but for those of our own
+        files, which come back as they were
     :raises InputError: a mesh that can't be told, or no mesh called `only`
     :raises TopologyError: the first difference of two meshes
     """
@@ -45,8 +46,10 @@ def match_meshes(
     for number, other in pairs:
         mesh, trail = parts.meshes[number], f"{where} -> {others[other].name}"
         used = np.arange(len(mesh.points))
-        if triangles:
+        if triangles and (np.asarray(others[other].face_vertex_counts) == 3).all():
             used = np.unique(mesh.face_vertex_indices)
+            if len(others[other].points) == len(mesh.points):
+                used = np.arange(len(mesh.points))
             _check_triangles(trail, others[other], mesh, used, parts.name)
         else:
             check_same_faces(trail, others[other], mesh, parts.name)
