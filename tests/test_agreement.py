@@ -16,6 +16,7 @@ import facepipe_onnx
 import gltf_reader
 import numpy as np
 import pytest
+from facepipe_gltf.engines import ENGINES, renamed
 from facepipe_onnx.runtime import Deformer
 from faces import replace_mesh
 from node import three_load, validate
@@ -118,7 +119,7 @@ def test_glb_read_back_is_the_rig(judged: Judged) -> None:
     path = judged.folder / "face.glb"
     facepipe_gltf.export(judged.face, path, facepipe_gltf.Options(influences=INFLUENCES))
     document = gltf_reader.read(path)
-    names = [joint.rpartition("/")[2] for joint in judged.face.skeleton.joints]
+    names = list(judged.face.skeleton.names)
     assert document.joint_names() == names
     results = []
     for pose in judged.poses:
@@ -155,7 +156,7 @@ def test_three_js_is_the_rig(judged: Judged) -> None:
     local = np.array(face.skeleton.rest_transforms)
     local = local @ coefficient_matrices(coefficients)
     local[:, :3, 3] *= face.meters_per_unit
-    names = [joint.rpartition("/")[2] for joint in face.skeleton.joints]
+    names = [renamed(ENGINES["three"], name, joint=True) for name in face.skeleton.names]
     joints = {name: matrix.T.ravel().tolist() for name, matrix in zip(names, local, strict=True)}
     targets = {target.name: target for target in face.rig().targets}
     vector = face.rig().weight_vector(pose.weights)

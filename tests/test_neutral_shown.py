@@ -111,7 +111,7 @@ def test_the_picture_shows_what_the_scan_does(
 
 def test_bad_weights_are_told_in_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", tmp_path / "out.usda")
-    for word, text in (("eyeBlink=1", "no such shape, expected some of"), ("browUp=3", "above 0, up to 2"), ("x", "x")):
+    for word, text in (("eyeBlink=1", "no such shape, expected one of"), ("browUp=3", "above 0, up to 2"), ("x", "x")):
         code, out, err = run(capsys, "fit-neutral", drawer / "anna.ply", *files, "--weights", word)
         assert (code, out, err.count("\n")) == (2, "", 1), err
         assert text in err

@@ -241,7 +241,7 @@ def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys:
         (
             "jawOpen = 1",
             "jawShut = 1",
-            "expressions -> open -> weights -> jawShut: no such shape, expected some of jawOpen",
+            "expressions -> open -> weights -> jawShut: no such shape, expected one of jawOpen",
         ),
         ('unit = "cm"', 'unit = "mm"', "neutral.ply: is said to be in mm, but has the size of a face in cm"),
     ],

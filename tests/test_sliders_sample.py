@@ -102,7 +102,7 @@ def test_render_draws_slider_values(
     assert np.abs(ears - neutral).max() > 20
     assert np.abs(drawn("--slider", "earAngle=0", "--set", "jawOpen=1") - drawn("--set", "jawOpen=1")).max() == 0
     for words, message in (
-        (("--slider", "earAngle=1", "--bone", "jaw:rx=1"), "--bone: given with --slider"),
+        (("--slider", "earAngle=1", "--pose", "rest"), "--pose: given with --slider"),
         (("--slider", "earAngel=1"), "no slider 'earAngel'"),
     ):
         assert main(["render", "head.usdc", "-o", "x.png", *words]) == 2

@@ -38,15 +38,14 @@ def layer_links(path: Path) -> LayerLinks:
 
 
 def _fresh(path: Path) -> Sdf.Layer:
-    layer = Sdf.Layer.Find(str(path))
+    was_open = Sdf.Layer.Find(str(path)) is not None
+    layer = Sdf.Layer.FindOrOpen(str(path))  # holds it; what Find gives can go while another thread closes its stage
     if layer is None:
-        layer = Sdf.Layer.FindOrOpen(str(path))
-        if layer is None:
-            raise InputError(path, "can't be read as USD")
-        return layer
-    if layer.dirty:
+        raise InputError(path, "can't be read as USD")
+    if was_open and layer.dirty:
         raise InputError(path, "is open with changes that are not saved, expected them saved first")
-    layer.Reload()
+    if was_open:
+        layer.Reload()
     return layer
 
 
