@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from faces import tiny_face
 
 from facepipe.cli import main
 from facepipe.errors import InputError
+from facepipe.parts import Slider
 from facepipe.stage import save_parts
 
 SECRET = b"not for the page"
@@ -238,3 +240,22 @@ sys.exit(main(["view", "face.usda", "--no-browser"]))
     out, err = process.communicate(timeout=20)
     assert (process.returncode, out, err) == (0, "", "")
     assert not any(files.iterdir())
+
+
+def test_the_person_of_a_set_face_is_at_rest(page: Path) -> None:
+    """What the page loads is what `export` writes, of the person or of the template."""
+    slider = Slider(name="open", value=0.5, shapes=(("jawOpen", 1.0),))
+    save_parts(replace(tiny_face(), sliders=(slider,)), page / "face.usda")
+    for pose, said in (("set", ["at rest: set by sliders open=0.5"]), ("rest", [])):
+        with view([page / "face.usda"], Options(pose=pose)) as viewer:
+            thread = threading.Thread(target=viewer.serve)
+            thread.start()
+            port = int(viewer.url.rstrip("/").rpartition(":")[2])
+            details = json.loads(get(port, "/faces/0/details.json")[2])
+            glb = get(port, "/faces/0/face.glb")[2]
+            viewer.close()
+            thread.join()
+        assert [line for line in details["notes"] if line.startswith("at rest")] == said
+        assert main(["export", "face.usda", "-o", f"{pose}.glb", "--pose", pose, "--morph-normals"]) == 0
+        assert Path(f"{pose}.glb").read_bytes() == glb
+    assert Path("set.glb").read_bytes() != Path("rest.glb").read_bytes()

@@ -27,22 +27,26 @@ class HeldFace:
         return self.held
 
 
-def write_assets(parts: FaceParts, label: str, folder: Path, url: str) -> tuple[Json, dict[str, Path]]:
+def write_assets(
+    parts: FaceParts, label: str, folder: Path, url: str, pose: str = "set"
+) -> tuple[Json, dict[str, Path]]:
     """Export a face into an empty folder: its entry in viewer.json, and path on the server -> file.
 
     :param label: what the page calls it
     :param url: folder on the server, without slashes at its ends
+    :param pose: the person at rest, as the exporters take it
     :raises ExportError: a face that a format can't hold
+    :raises InputError: no such pose
     """
     folder.mkdir(parents=True)
-    notes = _export(parts, folder / "face.glb", morph_normals=True)
+    notes = _export(parts, folder / "face.glb", pose=pose, morph_normals=True)
     if parts.sliders:
-        notes += _export(parts, folder / "sliders.onnx", sliders=True)
+        notes += _export(parts, folder / "sliders.onnx", pose=pose, sliders=True)
     regions = _write_masks(parts, folder / "regions.bin")
     details: Json = {
         "joints": _joints(parts),
         "meshes": [{"name": mesh.name, "points": len(mesh.points)} for mesh in parts.meshes],
-        "notes": notes,
+        "notes": list(dict.fromkeys(notes)),
         "regions": {"names": regions, "masks": f"{url}/regions.bin"} if regions else None,
     }
     (folder / "details.json").write_text(json.dumps(details), encoding="utf-8")
@@ -69,10 +73,11 @@ def given_assets(label: str, glb: Path, onnx: Path | None, url: str) -> tuple[Js
     return entry, files
 
 
-def _export(parts: FaceParts, path: Path, **settings: bool) -> list[str]:
-    """Write one file; what the report warns of."""
+def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
+    """Write one file; who is at rest where that is set, and what the report warns of."""
     exporter = registry.exporter(path)
-    return list(exporter.export(HeldFace(parts), path, exporter.Options(**settings)).warnings)
+    report = exporter.export(HeldFace(parts), path, exporter.Options(**settings))
+    return [*([] if report.pose == "rest" else [f"at rest: {report.pose}"]), *report.warnings]
 
 
 def axes_of(parts: FaceParts) -> list[list[float]]:

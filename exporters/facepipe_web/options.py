@@ -16,6 +16,10 @@ class Options:
     port: int = field(
         default=0, metadata={"help": "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", "range": _PORTS}
     )
+    pose: str = field(
+        default="set",
+        metadata={"help": "the person at rest: set (as FACE is set), rest (the template), or an animation"},
+    )
 
     def check(self) -> None:
         """Check the values.

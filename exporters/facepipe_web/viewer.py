@@ -51,7 +51,7 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
         folder = Path(name)
         server = Server(options.port, files, {})
         try:
-            entries = [_entry(path, onnx, folder, number, server) for number, path in enumerate(faces)]
+            entries = [_entry(path, onnx, folder, number, server, options.pose) for number, path in enumerate(faces)]
             blending = blending_of(faces[0], folder, server)
             _write_content(folder, server, entries, blending)
             yield Viewer(server)
@@ -59,7 +59,7 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
             server.server_close()
 
 
-def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Server) -> Json:
+def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Server, pose: str) -> Json:
     """Make one face ready."""
     if path.suffix.lower() == ".glb":
         _check_start(path, b"glTF", "a GLB")
@@ -71,7 +71,7 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
         if onnx is not None:
             raise InputError(onnx, f"is for a GLB, expected one in place of {path.name}")
         parts = facepipe.open(path).parts()
-        entry, files = write_assets(parts, path.name, folder / str(number), f"faces/{number}")
+        entry, files = write_assets(parts, path.name, folder / str(number), f"faces/{number}", pose)
     server.files |= files
     return entry
 
