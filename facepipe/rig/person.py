@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import unknown
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig.animation import sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
@@ -88,8 +89,7 @@ def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:
 def _posed(parts: FaceParts, name: str, description: str) -> Person:
     animation = next((one for one in parts.animations if one.name == name), None)
     if animation is None:
-        known = ", ".join([*POSES, *(one.name for one in parts.animations[:6])])
-        raise InputError(parts.name, f"no pose '{name}', expected one of {known}")
+        raise InputError(parts.name, unknown(name, [*POSES, *(one.name for one in parts.animations)], "pose"))
     skeleton = parts.skeleton
     if animation.coefficients is not None:
         coefficients = rest_coefficients(len(skeleton.joints))
