@@ -135,9 +135,7 @@ def test_a_face_without_sliders_is_told_so(folder: Path, capsys: Capsys) -> None
     save_parts(tiny_face(), folder / "none.usda")
     assert done(capsys, "none.usda") == "none.usda: 0 sliders in 0 groups\n"
     assert "sliders: none, expected some" in failed(capsys, "none.usda", "--reset", "-o", "out.usda")
-    assert "no slider 'a'; there are none" in failed(
-        capsys, "none.usda", "--set", "a=1", "-o", "out.usda"
-    )
+    assert "no slider 'a'; there are none" in failed(capsys, "none.usda", "--set", "a=1", "-o", "out.usda")
 
 
 # ---- tables
