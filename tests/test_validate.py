@@ -376,6 +376,7 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "landmark names too few": (changed(HEAD + "facepipe:landmarks:corners:names", shorter), {"LandmarkNames"}),
     "landmarks of a face upside down": (upside_down, {"Plausible"}),
     "anchor out of range": (value(HEAD + "facepipe:anchor", 36), {"AnchorIndex"}),
+    "person of no pose": (value("/Tiny.facepipe:person", "nobody"), {"PersonPose"}),
     "slider lists not parallel": (value(SLIDER + "channelGains", [0.5, 0.5]), {"SliderLists"}),
     "slider default out of range": (value(SLIDER + "default", 2.0), {"SliderRange"}),
     "slider value out of range": (value(SLIDER + "value", -1.0), {"SliderValue"}),

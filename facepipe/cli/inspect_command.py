@@ -37,8 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def summarise(face: Face) -> dict[str, Any]:
     """Counts and names of everything on the face, as JSON values."""
-    from facepipe.rig import person_of
-
     parts = face.parts()
     return {
         "face": face.where,
@@ -70,7 +68,7 @@ def summarise(face: Face) -> dict[str, Any]:
         "sliders": [slider.name for slider in parts.sliders],
         "materials": [material.name for material in parts.materials],
         "photos": [photo.name for photo in parts.photos],
-        "person": person_of(parts).description,
+        "person": face.person().description,
         "attach_joint": parts.attach_joint,
         "attribution": parts.attribution,
         "recipe": parts.recipe.verb if parts.recipe else None,

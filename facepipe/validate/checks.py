@@ -111,6 +111,7 @@ CHECKS: tuple[Check, ...] = (
     Check("PhotoLight", photos.photo_light),
     Check("PhotoKeyLight", photos.photo_key),
     Check("PhotoPoses", photos.photo_poses, "warning"),
+    Check("PersonPose", control.person_pose),
     Check("RecipeOptions", control.recipe_options),
     Check("RecipeDigests", control.recipe_digests, "warning"),
 )

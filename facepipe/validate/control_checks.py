@@ -12,6 +12,7 @@ from pxr import Usd
 from facepipe import tokens
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault
+from facepipe.stage.display_names import exact_name
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array, value, words
 
@@ -23,6 +24,13 @@ def slider_names(prim: Usd.Prim | None) -> list[str]:
     prefix = tokens.SLIDER_PREFIX
     found = prim.GetAuthoredPropertiesInNamespace(prefix.rstrip(":"))
     return sorted({str(one.GetName()).removeprefix(prefix).rpartition(":")[0] for one in found} - {""})
+
+
+def person_pose(face: FaceView) -> Iterator[Problem]:
+    """The pose that is the person is an animation of the face."""
+    name = "" if face.prim is None else str(value(face.prim.GetAttribute(tokens.PERSON)) or "")
+    if name and name not in {exact_name(one.GetPrim()) for one in face.animations}:
+        yield at(f"{face.prim.GetPath()}.{tokens.PERSON}", f"'{name}' is no animation of the face")
 
 
 def slider_lists(face: FaceView) -> Iterator[Problem]:
