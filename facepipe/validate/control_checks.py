@@ -28,7 +28,9 @@ def slider_names(prim: Usd.Prim | None) -> list[str]:
 
 def person_pose(face: FaceView) -> Iterator[Problem]:
     """The pose that is the person is an animation of the face."""
-    name = "" if face.prim is None else str(value(face.prim.GetAttribute(tokens.PERSON)) or "")
+    if face.prim is None:
+        return
+    name = str(value(face.prim.GetAttribute(tokens.PERSON)) or "")
     if name and name not in {exact_name(one.GetPrim()) for one in face.animations}:
         yield at(f"{face.prim.GetPath()}.{tokens.PERSON}", f"'{name}' is no animation of the face")
 
