@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from facepipe.rig.person import POSE_HELP
 from facepipe_gltf.engines import ANY, ENGINES, Engine
 
 
@@ -12,14 +13,7 @@ from facepipe_gltf.engines import ANY, ENGINES, Engine
 class Options:
     """What goes into the file, and how compactly; None: what the engine asks for."""
 
-    pose: str = field(
-        default="set",
-        metadata={
-            "help": "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the "
-            "same in joint transforms alone: exact, for engines that keep scaled joints), rest (the template), or an "
-            "animation of the face"
-        },
-    )
+    pose: str = field(default="set", metadata={"help": POSE_HELP})
     mode: Literal["skin", "morph", "both"] = field(
         default="both",
         metadata={

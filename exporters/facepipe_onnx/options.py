@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from facepipe.errors import InputError
+from facepipe.rig.person import POSE_HELP
 
 INPUTS = ("coefficients", "matrices")
 BATCHES = (1, 256)
@@ -16,14 +17,7 @@ WEIGHTS = ("float32", "float16", "int8")
 class Options:
     """Options of the ONNX exporter."""
 
-    pose: str = field(
-        default="set",
-        metadata={
-            "help": "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the "
-            "same in joint transforms alone: exact, for engines that keep scaled joints), rest (the template), or an "
-            "animation of the face"
-        },
-    )
+    pose: str = field(default="set", metadata={"help": POSE_HELP})
     sliders: bool = field(
         default=False,
         metadata={"help": "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights"},

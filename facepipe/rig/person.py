@@ -22,6 +22,10 @@ from facepipe.rig.sliders import slide
 FloatArray = npt.NDArray[np.floating]
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
+POSE_HELP = (
+    "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the same in joint "
+    "transforms alone: exact, for engines that keep scaled joints), rest (the template), or an animation of the face"
+)
 
 _SHOWN = 3  # sliders of a description
 _SAME = 1e-6
@@ -46,6 +50,15 @@ class Person:
         """(j, 4, 4) M_j(person)."""
         return coefficient_matrices(self.coefficients)
 
+    def under(self, expression: FloatArray) -> FloatArray:
+        """(..., j, 4, 4) matrices M(person) M(expression) of (..., j, 9) bone coefficients."""
+        return np.asarray(self.matrices @ coefficient_matrices(expression))
+
+    def weights_under(self, expression: Mapping[str, float]) -> dict[str, float]:
+        """Shape weights of the person and of an expression together."""
+        names = {*self.weights, *expression}
+        return {name: self.weights.get(name, 0.0) + expression.get(name, 0.0) for name in names}
+
 
 def person_of(parts: FaceParts, pose: str = "set") -> Person:
     """Who the face is.
@@ -67,11 +80,6 @@ def person_of(parts: FaceParts, pose: str = "set") -> Person:
     some = ", ".join(f"{one.name}={one.value:g}" for one in moved[:_SHOWN])
     more = f" and {len(moved) - _SHOWN} more" if len(moved) > _SHOWN else ""
     return Person(description=f"set by sliders {some}{more}", coefficients=coefficients, weights=weights)
-
-
-def composed(person: FloatArray, expression: FloatArray) -> FloatArray:
-    """(..., j, 4, 4) matrices M(person) M(expression) of (j, 9) and (..., j, 9) bone coefficients."""
-    return np.asarray(coefficient_matrices(person) @ coefficient_matrices(expression))
 
 
 def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:

@@ -44,10 +44,9 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
     shapes = [({name: 1.0}, rest_coefficients(len(before.joints))) for name in before.shapes]
     poses = random_poses(before, parts)
     for weights, expression in [*shapes, *poses]:
-        both = {name: person.weights.get(name, 0.0) + weights.get(name, 0.0) for name in {*weights, *person.weights}}
-        matrices = coefficient_matrices(expression)
-        exact = before.evaluate(both, joint_transforms=before.rest @ person.matrices @ matrices)
-        own = after.evaluate(weights, joint_transforms=after.rest @ new.carried(matrices))
+        together = person.weights_under(weights)
+        exact = before.evaluate(together, joint_transforms=before.rest @ person.under(expression))
+        own = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
         np.maximum(largest, np.linalg.norm(own - exact, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
     return SetError(

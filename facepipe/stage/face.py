@@ -32,7 +32,6 @@ from facepipe.rig import (
     Person,
     Rig,
     build,
-    coefficient_matrices,
     person_of,
     sample_transforms,
     sample_weights,
@@ -262,24 +261,20 @@ class Face:
             raise InputError(self.where, "a person and joint transforms, expected only one of them")
         if sliders is not None and pose != "rest":
             raise InputError(self.where, f"sliders and pose '{pose}', expected only one of them")
+        person = self.person(pose) if sliders is None and pose != "rest" else None
         if sliders is not None:
             own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
-        elif pose != "rest":
-            person = self.person(pose)
-            own, driven = person.coefficients, dict(person.weights)
-        else:
-            own, driven = None, {}
-        if own is not None and coefficients is not None:
-            matrices = self._rig.local_transforms(own) @ coefficient_matrices(
-                self._rig.checked_coefficients(coefficients)
-            )
-            joint_transforms, coefficients = matrices, None
-        elif own is not None:
-            coefficients = own
-        given = weights or {}
-        added = {name: driven.get(name, 0.0) + given.get(name, 0.0) for name in {*driven, *given}}
+            person = Person(description="sliders", coefficients=own, weights=driven)
+        if person is not None and coefficients is not None:
+            joint_transforms = self._rig.rest @ person.under(self._rig.checked_coefficients(coefficients))
+            coefficients = None
+        elif person is not None:
+            coefficients = person.coefficients
         return self._rig.evaluate(
-            added, coefficients=coefficients, joint_transforms=joint_transforms, parent_world=parent_world
+            weights if person is None else person.weights_under(weights or {}),
+            coefficients=coefficients,
+            joint_transforms=joint_transforms,
+            parent_world=parent_world,
         )
 
     def person(self, pose: str = "set") -> Person:
