@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from facepipe.errors import InputError
+from facepipe.reading import check_regular
 
 
 def digest(files: Iterable[Path]) -> str:
@@ -22,6 +23,7 @@ def digest(files: Iterable[Path]) -> str:
 
 
 def _sha256(path: Path) -> str:
+    check_regular(path)
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

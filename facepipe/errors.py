@@ -9,8 +9,8 @@ class FacepipeError(Exception):
     """
 
     def __init__(self, where: object, what: str) -> None:
-        self.where = _printable(str(where))
-        self.what = _printable(" ".join(what.split()))
+        self.where = printable(str(where))
+        self.what = printable(" ".join(what.split()))
         super().__init__(f"{self.where}: {self.what}")
 
     def under(self, outer: object) -> "FacepipeError":
@@ -18,9 +18,9 @@ class FacepipeError(Exception):
         return type(self)(f"{outer} -> {self.where}", self.what)
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """One line whatever names a file or prim brings: control characters as their codes."""
-    return "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    return text if text.isprintable() else "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
 
 
 class InputError(FacepipeError):

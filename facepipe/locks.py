@@ -12,6 +12,7 @@ from pathlib import Path
 from facepipe.errors import InputError
 
 _PAUSE = 0.05  # seconds between two tries
+_FLAGS = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a link or pipe is no lock
 
 
 @contextlib.contextmanager
@@ -30,15 +31,35 @@ def locked(
     target = Path(path)
     if not target.parent.is_dir():
         raise InputError(target, "the folder does not exist")
-    file = target.with_name(f".{target.name}.lock")
+    file = _file(target)
     descriptor = _acquired(target, file, time.monotonic() + patience, waiting)
     try:
         yield
     finally:
-        if sys.platform != "win32":  # there, who waits has it open, and it can't be removed
-            with contextlib.suppress(OSError):
-                file.unlink()
+        _release(file, descriptor)
+
+
+def discard_lock(path: Path) -> None:
+    """Remove the lock file of `path` that a killed holder left, where there is one."""
+    file = _file(path)
+    with contextlib.suppress(OSError):
+        _release(file, try_lock(file, create=False))
+
+
+def try_lock(file: Path, *, create: bool = True) -> int:
+    """A descriptor of `file`, locked until it is closed or its process ends.
+
+    :raises BlockingIOError: another holds it, or has removed it since it was opened
+    :raises OSError: it can't be opened, or its storage has no locks
+    """
+    descriptor = os.open(file, _FLAGS | os.O_CREAT if create else _FLAGS, 0o666)
+    try:
+        if _lock(descriptor) and _is(file, descriptor):
+            return descriptor
+        raise BlockingIOError
+    except BaseException:
         os.close(descriptor)
+        raise
 
 
 def _acquired(target: Path, file: Path, until: float, waiting: Callable[[], object]) -> int:
@@ -46,22 +67,28 @@ def _acquired(target: Path, file: Path, until: float, waiting: Callable[[], obje
     told = False
     while True:
         try:
-            descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+            return try_lock(file)
+        except BlockingIOError:
+            pass
         except OSError as error:
             raise InputError(target, f"can't be locked: {error.strerror or error}") from error
-        try:
-            if _lock(descriptor) and _is(file, descriptor):
-                return descriptor
-        except OSError as error:
-            os.close(descriptor)
-            raise InputError(target, f"can't be locked: {error.strerror or error}") from error
-        os.close(descriptor)
         if time.monotonic() > until:
             raise InputError(target, "is being changed by another process, expected one at a time")
         if not told:
             waiting()
             told = True
         time.sleep(_PAUSE)
+
+
+def _file(target: Path) -> Path:
+    return target.with_name(f".{target.name}.lock")
+
+
+def _release(file: Path, descriptor: int) -> None:
+    if sys.platform != "win32":  # there, who waits has it open, and it can't be removed
+        with contextlib.suppress(OSError):
+            file.unlink()
+    os.close(descriptor)
 
 
 def _is(file: Path, descriptor: int) -> bool:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from pathlib import PurePosixPath
 
 from facepipe.errors import InputError
 
-_LONGEST = 200  # characters of an identifier
+_LONGEST = 200  # characters of an identifier, bytes of a file's name without its suffix
+_LONGEST_SUFFIX = 12
+_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[\d¹²³])\s*(\..*)?", re.IGNORECASE)  # of Windows
 _FEW = 6  # right names in a message
 _SHOWN = 60  # characters of a wrong name in a message
 _LONGEST_LIKE = 200  # characters of a wrong name that are compared
@@ -25,6 +29,19 @@ def identifier(text: str, fallback: str = "unnamed") -> str:
     if not safe:
         return fallback
     return safe if safe.isidentifier() else f"_{safe}"
+
+
+def file_name(text: str, fallback: str = "unnamed") -> str:
+    """`text`, a name or path that a file brought along, as a name that files have on any system, in one folder.
+
+    >>> file_name("textures/skin 1.png"), file_name("C:\\\\x\\\\a:b.png"), file_name("con.png"), file_name("..")
+    ('skin 1.png', 'a_b.png', '_con.png', 'unnamed')
+    """
+    name = re.split(r"[/\\]", text)[-1]
+    plain = "".join("_" if one in '<>:"|?*' or not one.isprintable() else one for one in name).strip(" .")
+    path = PurePosixPath(plain)
+    stem = path.stem.encode()[:_LONGEST].decode(errors="ignore") or fallback
+    return f"{'_' if _DEVICE.fullmatch(stem) else ''}{stem}{path.suffix[:_LONGEST_SUFFIX]}".rstrip(" .")
 
 
 def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple[str, ...]:

@@ -33,7 +33,7 @@ def check_ranges(options: DataclassInstance) -> None:
         if "range" not in field.metadata or value is None:
             continue
         low, high = field.metadata["range"]
-        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+        if not (isinstance(value, int | float) and low <= value <= high and abs(value) < math.inf):
             raise InputError(f"option {field.name}", f"is {value!r}, expected a number from {low:g} to {high:g}")
 
 
@@ -56,7 +56,7 @@ def json_value(value: object) -> Any:
 def from_json(kind: type[Options], values: object, where: str) -> Options:
     """Options of texts, numbers, booleans and choices from what `to_json` gave; fields left out keep their defaults.
 
-    :raises InputError: no object, a field that `kind` has not, or a value of another type or out of range
+    :raises InputError: no object, an unknown field, one without default left out, or a value of another type or range
     """
     hints = typing.get_type_hints(kind)
     if not isinstance(values, Mapping):
@@ -66,6 +66,10 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
             raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(hints)}")
         if not _fits(value, hints[name]):
             raise InputError(f"{where} -> {name}", f"{repr(value)[:40]}, expected {_expected(hints[name])}")
+    for field in dataclasses.fields(kind):
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and field.name not in values:
+            raise InputError(where, f"no '{field.name}', expected one")
     try:
         options = kind(**values)
         check_ranges(options)

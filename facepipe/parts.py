@@ -14,6 +14,8 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import InputError
+
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
@@ -243,6 +245,16 @@ class Texture:
 
     name: str
     data: bytes
+    refusal: InputError | None = None  # why there are no bytes: the image may not be copied
+
+    def image(self) -> bytes:
+        """The bytes, to be drawn or copied.
+
+        :raises InputError: the refusal
+        """
+        if self.refusal is not None:
+            raise self.refusal
+        return self.data
 
 
 @dataclass(frozen=True, kw_only=True)

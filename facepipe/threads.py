@@ -1,4 +1,7 @@
-"""Small dense algebra on one thread: on matrices of some hundred rows, more BLAS threads only cost."""
+"""Dense algebra on one thread: the same sums in the same order, so the same bytes, however many threads BLAS has.
+
+On matrices of some hundred rows, more of them only cost.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,9 +13,11 @@ from blend_line import made
 from rebuild_stages import Files, put_scans
 from threadpoolctl import threadpool_limits
 
+from facepipe.render import PictureOptions
 from facepipe.stage import save_parts
 
-threadpool_limits(limits=1)  # tests run side by side, one on each core
+threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
 
 
 @pytest.fixture(scope="session")
@@ -32,6 +36,15 @@ def folder(drawer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def one_sample_a_pixel() -> Iterator[None]:
+    """Pictures that are drawn on the way are rough, and quick: what antialiasing does is told by its own tests."""
+    defaults = PictureOptions.__init__.__kwdefaults__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(defaults, "samples", 1)
+        yield
 
 
 @pytest.fixture(scope="session")

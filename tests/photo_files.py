@@ -58,12 +58,18 @@ def oriented(upright: Array, orientation: int, kind: str, **options: Any) -> byt
 
 def png(width: int, height: int, bits: int, color: int, rows: bytes) -> bytes:
     """A PNG from its header and filtered rows, however true they are."""
+    return packed_png(width, height, bits, color, zlib.compress(rows))
 
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
+def packed_png(width: int, height: int, bits: int, color: int, rows: bytes) -> bytes:
+    """A PNG from its header and compressed rows."""
     header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def chunk(name: bytes, data: bytes) -> bytes:
+    """A chunk of a PNG."""
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def png16(values: Array) -> bytes:

@@ -25,6 +25,8 @@ from facepipe.processors.blend.weights_json import weights_to_json
 from facepipe.stage import save_parts
 from facepipe.validate import validate
 
+pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
+
 # --- blending
 
 
@@ -365,5 +367,5 @@ def test_every_group_of_the_help_has_a_title_of_its_own() -> None:
     parser = Parser(prog="facepipe blend")
     blend_command.configure(parser, [])
     titles = [group.title for group in parser._action_groups if group._group_actions]
-    assert len(set(titles)) == len(titles) == 3
+    assert len(set(titles)) == len(titles) == 4
     assert all(action.help for action in parser._actions if not isinstance(action, argparse._HelpAction))

@@ -364,8 +364,8 @@ def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) 
 
 def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:
     page = (Path(__file__).parents[1] / "docs" / "cook.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     assert main(["blend", "a.usda", "b.usda", "-o", "child.usda"]) == 0
     capsys.readouterr()
-    exec(block, {})
+    exec("".join(blocks), {})
     assert capsys.readouterr().out == "child.usda blend up to date ()\n"

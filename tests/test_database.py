@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -365,6 +364,15 @@ def test_files_with_sound_sums_and_wrong_content_are_refused_or_read(small: Path
         read.deltas(read.entries[0].name)
 
 
+@pytest.mark.parametrize("lost", ["rms_mm", "p95_mm", "max_mm"])
+def test_a_stored_error_that_lacks_a_field_is_refused(small: Path, tmp_path: Path, lost: str) -> None:
+    arrays, content = read_arrays(small, FORMAT)
+    del content["entries"][1]["stored_error"][lost]
+    write_arrays(tmp_path / "a.fpdb", FORMAT, content, arrays)
+    with pytest.raises(InputError, match=rf"a.fpdb -> entries -> 1 -> stored_error: no '{lost}'"):
+        load_database(tmp_path / "a.fpdb")
+
+
 def test_other_files_are_refused(tmp_path: Path) -> None:
     for name, data in (("a.fpdb", b""), ("b.fpdb", b"PK\x03\x04" * 50), ("c.fpdb", b"\x02" + b"\0" * 7 + b"{}")):
         (tmp_path / name).write_bytes(data)
@@ -377,28 +385,21 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         load_database(tmp_path / "d.fpdb")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 def test_an_update_killed_while_it_writes_leaves_the_file_as_it_was(small: Path, tmp_path: Path) -> None:
     path = tmp_path / "faces.fpdb"
     path.write_bytes(small.read_bytes())
     script = f"""
-import sys, time
+import os, signal, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from pathlib import Path
 from database_faces import sources
-import facepipe.atomic as atomic
 from facepipe.processors.database import add_faces, load_database, save_database
-def stop(temporary):
-    print(temporary, flush=True)
-    time.sleep(600)
-atomic._flush = stop  # all is written, nothing renamed yet
+os.fsync = lambda file: os.kill(os.getpid(), signal.SIGKILL)  # all is written, nothing renamed yet
 save_database(add_faces(load_database({str(path)!r}), sources(1, 5)).database, {str(path)!r})
 """
-    child = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    temporary = Path(child.stdout.readline().strip())
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -signal.SIGKILL
+    (temporary,) = tmp_path.glob(".facepipe-*/faces.fpdb")
     assert temporary.stat().st_size > 0
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
     assert path.read_bytes() == small.read_bytes()
     load_database(path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from facepipe.errors import InputError
 from facepipe.learn.features.crops import TEMPLATE, arcface_crop, face_crop
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
+from facepipe.trust import Trust, trusting
 
 MEAN, STD = (0.4, 0.5, 0.6), (0.2, 0.25, 0.3)
 
@@ -349,6 +351,21 @@ def exported(
     return network, path
 
 
+@pytest.fixture
+def trusted() -> Iterator[None]:
+    with trusting(Trust(models=True)):
+        yield
+
+
+def test_exported_program_is_not_loaded_unless_it_is_trusted(tmp_path: Path) -> None:
+    _, path = exported(tmp_path / "net.pt2")
+    with pytest.raises(
+        InputError, match=r"net\.pt2: can run code as it is loaded, expected .onnx \(or --trust-models\)"
+    ):
+        load_extractor(beside(path, kinds={"identity": [1]}), "identity")
+
+
+@pytest.mark.usefixtures("trusted")
 @pytest.mark.parametrize("dynamic", [False, True])
 def test_exported_program_gives_what_the_network_gives(dynamic: bool, tmp_path: Path) -> None:
     network, path = exported(tmp_path / "net.pt2", dynamic=dynamic)
@@ -361,6 +378,7 @@ def test_exported_program_gives_what_the_network_gives(dynamic: bool, tmp_path: 
     assert not any(one.requires_grad for one in extractor.parameters())
 
 
+@pytest.mark.usefixtures("trusted")
 def test_exported_programs_that_cannot_be_used_are_told(tmp_path: Path) -> None:
     _, path = exported(tmp_path / "net.pt2")
     with pytest.raises(InputError, match="2 outputs for identity"):
@@ -377,6 +395,7 @@ def test_exported_programs_that_cannot_be_used_are_told(tmp_path: Path) -> None:
         load_extractor(tmp_path / "net.pth", "identity")
 
 
+@pytest.mark.usefixtures("trusted")
 def test_exported_program_in_training_mode_is_refused(tmp_path: Path) -> None:
     _, path = exported(tmp_path / "net.pt2", training=True)
     with pytest.raises(InputError, match="expected a program exported in eval mode"):

@@ -201,3 +201,30 @@ def test_constants_follow_the_precision_of_the_module() -> None:
     model = faulty(node("Constant", [], ["w"], value=weight), node("MatMul", ["x", "w"], ["y"]))
     (found,) = OnnxModule(model).double()(torch.ones(1, 2, 4, 4, dtype=torch.float64))
     torch.testing.assert_close(found[0, 0, 0], torch.tensor([4.5, 2.0], dtype=torch.float64))
+
+
+_UNFOLDING = {
+    "doubled": [helper.make_node("Concat", [f"v{i}", f"v{i}"], [f"v{i + 1}"], axis=0) for i in range(30)],
+    "broadcast": [
+        helper.make_node("Reshape", ["v0", "column"], ["a"]),
+        helper.make_node("Reshape", ["v0", "row"], ["b"]),
+        helper.make_node("Add", ["a", "b"], ["c"]),
+        helper.make_node("Reshape", ["c", "row"], ["d"]),
+        helper.make_node("Add", ["d", "a"], ["v30"]),
+    ],
+    "a shape of a shape": [
+        helper.make_node("Shape", ["v0"], ["s"]),
+        helper.make_node("Mul", ["s", "s"], ["s2"]),
+        helper.make_node("Expand", ["one", "s2"], ["e"]),
+        helper.make_node("Exp", ["e"], ["v30"]),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", _UNFOLDING)
+def test_graphs_that_unfold_are_refused_before_they_run(name: str) -> None:
+    """Counted on shapes alone: of a few megabytes more than memory holds, which no run gets to."""
+    weights = {"column": np.array([-1, 1]), "row": np.array([1, -1]), "one": np.ones((1, 1, 1, 1), np.float32)}
+    model = make_model(_UNFOLDING[name], {"v0": (1, 3, 256, 256)}, {"v30": TensorProto.FLOAT}, weights)
+    with pytest.raises(InputError, match=r"numbers by then, expected at most|a value of \d+ numbers"):
+        OnnxModule(model)(torch.zeros(1, 3, 256, 256))

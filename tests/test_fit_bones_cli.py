@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,13 @@ from fit_line import Capsys, failed, run, save_sources
 from PIL import Image
 
 import facepipe
+from facepipe import atomic
 from facepipe.cli import main
 from facepipe.parts import BoneLimits
 from facepipe.processors.fit_bones import FitBones, fit_bones_recipe, read_limits, read_targets
 from facepipe.rig import build
+
+pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 
 
 @pytest.fixture
@@ -198,8 +202,17 @@ def test_limits_of_the_rig_that_cross_are_named(folder: Path, capsys: Capsys) ->
 
 
 @pytest.mark.parametrize(("option", "suffix"), [("--coefficients", ".fpb"), ("--heatmap", ".png")])
-def test_where_one_file_cannot_be_written_none_is(folder: Path, capsys: Capsys, option: str, suffix: str) -> None:
-    before, name = sorted(folder.rglob("*")), 250 * "a" + suffix  # a name that is too long shows late
+def test_where_one_file_cannot_be_written_none_is(
+    folder: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch, option: str, suffix: str
+) -> None:
+    before, name, finish = sorted(folder.rglob("*")), f"b{suffix}", atomic._finish_file
+
+    def full(temporary: Path, target: Path) -> None:
+        if target.name == name:
+            raise OSError(errno.ENOSPC, "no space left")
+        finish(temporary, target)
+
+    monkeypatch.setattr(atomic, "_finish_file", full)
     message = failed(capsys, "rig.usda", "--target", "goal.usda", "-o", "a.usda", option, name)
     assert message.startswith(f"{name}: can't be written")
     assert sorted(folder.rglob("*")) == before

@@ -35,6 +35,8 @@ from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 from facepipe.validate import validate
 
+pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
+
 PERSON = 9  # none of the database's
 
 

@@ -15,6 +15,8 @@ from facepipe.processors.database.whole_face import whole_parts, whole_points
 from facepipe.render.fit_sheet import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
 
+pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
+
 HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
 SIZE = 64
 

@@ -707,3 +707,14 @@ def test_deep_chain_of_nodes_is_read(tmp_path: Path) -> None:
     chain = [{"children": [i + 1], "translation": [0.0, 1.0, 0.0]} for i in range(count)]
     builder.root["nodes"] = [*chain, {"mesh": 0}]
     assert read(tmp_path, builder).parts.meshes[0].transform[1, 3] == count
+
+
+def test_the_least_of_a_normalised_integer_is_minus_one(tmp_path: Path) -> None:
+    """Two bytes stand for it: -127 and -128."""
+    builder = Builder()
+    corners = np.array([[-128, 0, 0], [-127, 127, 0], [127, 0, 0]])
+    position = builder.array(corners, "i1", normalized=True, stride=4)
+    builder.add("meshes", {"primitives": [{"attributes": {"POSITION": position}}]})
+    builder.add("nodes", {"mesh": 0})
+    points = read(tmp_path, builder).parts.meshes[0].points
+    np.testing.assert_allclose(points[:, 0] / points[2, 0], [-1.0, -1.0, 1.0])

@@ -146,7 +146,7 @@ def test_nothing_outside_of_the_folder_is_read(folder: Path, name: str, keyword:
     library = name if keyword == "mtllib" else "face.mtl"
     (inner / "neutral.obj").write_text(NEUTRAL.replace("face.mtl", library))
     (inner / "face.mtl").write_text(f"newmtl skin\nmap_Kd {name}\n")
-    with pytest.raises(InputError, match="outside of the source folder"):
+    with pytest.raises(InputError, match="outside the roots"):
         load("obj", inner)
 
 

@@ -22,6 +22,7 @@ from facepipe.importers.usd import Options
 from facepipe.rig import coefficient_matrices
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author import author
+from facepipe.stage.traversal import prims_below
 from facepipe.stage.values import floats, ints, to_floats, to_ints, to_matrices, to_vec3f
 from facepipe.validate import validate
 
@@ -447,7 +448,7 @@ def test_a_skeleton_that_no_mesh_uses_is_left_out(tmp_path: Path) -> None:
     warned(imported, "</Rich/Other>: Skeleton that no mesh is bound to")
 
 
-def test_root_option(tmp_path: Path) -> None:
+def test_prim_option(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     UsdGeom.Mesh.Define(stage, "/Else/Thing").CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     thing = UsdGeom.Mesh(stage.GetPrimAtPath("/Else/Thing"))
@@ -456,13 +457,13 @@ def test_root_option(tmp_path: Path) -> None:
     thing.CreateSubdivisionSchemeAttr("none")
     path = written(stage, tmp_path / "face.usda")
     assert [mesh.name for mesh in read(path).parts.meshes] == ["Head", "Teeth"]
-    assert [mesh.name for mesh in read(path, root="/Else").parts.meshes] == ["Thing"]
-    assert [mesh.name for mesh in read(path, root=TEETH).parts.meshes] == ["Teeth"]
+    assert [mesh.name for mesh in read(path, prim="/Else").parts.meshes] == ["Thing"]
+    assert [mesh.name for mesh in read(path, prim=TEETH).parts.meshes] == ["Teeth"]
     stage.ClearDefaultPrim()
     assert len(read(written(stage, tmp_path / "nodefault.usda")).parts.meshes) == 3
     for wrong in ("/Gone", "Rich", "", "/", "/Rich.x"):
         with pytest.raises(InputError, match="no prim at root"):
-            read(path, root=wrong)
+            read(path, prim=wrong)
 
 
 def test_what_is_not_a_shown_mesh_is_left_out_and_named(tmp_path: Path) -> None:
@@ -735,8 +736,11 @@ def test_instances_of_instances_without_end_are_refused(tmp_path: Path) -> None:
     lines.append('def Xform "L7" {\ndef Mesh "M" {}\n}')
     (tmp_path / "bomb.usda").write_text("\n".join(lines))
     for reader in (read, validate):
-        with pytest.raises(InputError, match="more than 200000 prims"):
+        with pytest.raises(InputError, match="composes to"):
             reader(tmp_path / "bomb.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "bomb.usda"))  # as a host may have it
+    with pytest.raises(InputError, match="more than 200000 prims"):
+        list(prims_below(stage.GetPseudoRoot(), "bomb"))
 
 
 # ---- faces of facepipe itself
@@ -767,7 +771,7 @@ def own_face() -> p.FaceParts:
 @pytest.mark.parametrize("root", [None, HEAD])
 def test_what_only_a_face_holds_comes_along(root: str | None, tmp_path: Path) -> None:
     parts = own_face()
-    options = {} if root is None else {"root": root, "skeleton": SKELETON}
+    options = {} if root is None else {"prim": root, "skeleton": SKELETON}
     found = read(written(author(parts), tmp_path / "face.usda"), **options).parts
     assert found.sliders == parts.sliders
     assert found.attach_joint == "body/neck"

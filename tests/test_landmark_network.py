@@ -181,7 +181,7 @@ def test_arrays_that_are_no_photo_are_refused(image: FloatArray, message: str) -
 def test_other_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.onnx"
     path.write_bytes(b"no model")
-    with pytest.raises(InputError, match="expected an ONNX landmark network"):
+    with pytest.raises(InputError, match="is damaged or no ONNX file"):
         find_landmarks(np.zeros((32, 32, 3)), path)
 
 

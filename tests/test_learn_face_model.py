@@ -153,7 +153,7 @@ def test_see_through_surfaces_are_left_out() -> None:
 
 def test_broken_textures_and_unknown_materials_are_refused() -> None:
     broken = TextureInput(texture=Texture(name="skin.png", data=b"no image"))
-    with pytest.raises(InputError, match=r"texture skin.png: can't be read as an image"):
+    with pytest.raises(InputError, match=r"texture skin.png: is not a picture"):
         FaceModel(textured(False, diffuse_color=broken))
     with pytest.raises(TopologyError, match="material 'Paint' is not among"):
         FaceModel(replace(textured(False), materials=()))

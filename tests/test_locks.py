@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
@@ -10,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from facepipe import locks
 from facepipe.errors import InputError
-from facepipe.locks import locked
+from facepipe.locks import discard_lock, locked
 
 _HOLDER = """
 import sys, time
@@ -77,3 +79,47 @@ def test_an_error_within_gives_the_lock_back(tmp_path: Path) -> None:
 def test_a_missing_folder_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the folder does not exist"), locked(tmp_path / "none" / "faces.fpdb"):
         pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="lock files are never removed there")
+def test_a_lock_file_that_is_removed_between_opening_and_locking_holds_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who waits opens the file; its holder ends and removes it; a third makes it anew: only the third is in."""
+    path, real, third = tmp_path / "faces.fpdb", locks._lock, contextlib.ExitStack()
+
+    def slow(descriptor: int) -> bool:
+        monkeypatch.setattr(locks, "_lock", real)
+        (tmp_path / ".faces.fpdb.lock").unlink()
+        third.enter_context(locked(path, patience=0.0))
+        return real(descriptor)
+
+    monkeypatch.setattr(locks, "_lock", slow)
+    with third, pytest.raises(InputError, match="another process"), locked(path, patience=0.0):
+        pass
+    with locked(path, patience=0.0):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="lock files are never removed there")
+def test_a_dead_holders_lock_file_is_removed_and_a_living_ones_stays(tmp_path: Path) -> None:
+    path, file = tmp_path / "faces.fpdb", tmp_path / ".faces.fpdb.lock"
+    holder = _holder(path)
+    try:
+        discard_lock(path)
+        assert file.exists()
+    finally:
+        holder.kill()
+        holder.wait()
+    assert file.exists()
+    discard_lock(path)
+    assert not file.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_link_is_no_lock(tmp_path: Path) -> None:
+    (tmp_path / ".faces.fpdb.lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="can't be locked"), locked(tmp_path / "faces.fpdb", patience=0.0):
+        pass
+    assert not (tmp_path / "elsewhere").exists()

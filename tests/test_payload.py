@@ -222,6 +222,16 @@ def test_payloads_that_are_sound_but_wrong_are_refused(data: bytes, message: str
     assert message in refusal(data)
 
 
+def test_a_payload_that_unfolds_to_more_than_a_reader_allocates_is_refused() -> None:
+    """One joint of many moves: what is stored is small, what comes of it is not."""
+    frames, joints = 1 << 14, 1 << 10
+    header = struct.pack("<4sHHIIIf8s", b"FPBC", 1, 2 + 8, joints, frames, 1, 1.0, b"")
+    data = signed(header + bytes(18 * frames) + b"\1" + bytes(joints // 8 - 1))
+    assert 9 * frames * joints > MAX_VALUES
+    with pytest.raises(InputError, match=r"frames of 1024 joints, expected 13107200 numbers at most"):
+        read_header(data, "there.fpb")
+
+
 def test_other_joints_are_told_apart() -> None:
     assert "made for other joints (11, hash" in refusal(SMALL, JOINTS[:-1])
     assert "made for other joints" in refusal(SMALL, (JOINTS[1], JOINTS[0], *JOINTS[2:]))

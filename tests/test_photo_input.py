@@ -272,7 +272,7 @@ def test_small_and_narrow_pictures_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("side", [12_000, 30_000, 2**31 - 1])
 def test_decompression_bombs_are_refused_by_their_header(tmp_path: Path, side: int) -> None:
     what = error(tmp_path, png(side, side, 8, 2, bytes(1000)))
-    assert "too large" in what or "expected at most 128,000,000" in what
+    assert "too large" in what or "x 12000 pixels in " in what
 
 
 KINDS = {kind: encoded(Image.fromarray(picture(64, 64)), kind) for kind in ("JPEG", "PNG", "TIFF", "WEBP", "GIF")}

@@ -27,6 +27,7 @@ def blocks(kind: str, text: str = README) -> list[str]:
     return re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_tour_runs(tmp_path: Path) -> None:
     """Every console line in order, then the Python of README, blend.md and bones.md, in one folder beside ../shared."""
     folder = tmp_path / "project"

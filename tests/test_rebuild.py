@@ -17,6 +17,8 @@ import facepipe
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import save_database, whole_face
+from facepipe.processors.database.array_file import read_arrays, write_arrays
+from facepipe.processors.rebuild.work_folder import KIND
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import file_recipe
@@ -44,6 +46,12 @@ weight_spread = 0
 @pytest.fixture(scope="session")
 def drawer_of_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("project")
+    put_drawer(folder)
+    return folder
+
+
+def put_drawer(folder: Path) -> None:
+    """A project with its scans, template and database."""
     save_parts(scan_domes.face(), folder / "head.usda")
     save_database(scan_domes.database(), folder / "faces.fpdb")
     scan, landmarks = scan_domes.scan(PERSON)
@@ -53,7 +61,6 @@ def drawer_of_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     marks = scan_domes.POSE.scale * motion(own) @ scan_domes.POSE.rotation.T
     put(folder, "open", replace(scan, points=scan.points + opened), ScanLandmarks(points=landmarks.points + marks))
     (folder / "anna.toml").write_text(PROJECT)
-    return folder
 
 
 @pytest.fixture
@@ -121,6 +128,22 @@ def test_expressions_follow_the_place_of_a_corrected_neutral(project: Path, caps
     rebuilt(capsys, project)
     project.write_text(PROJECT.replace('unit = "cm"', 'unit = "auto"'))
     assert rebuilt(capsys, project)["reused"] == ["template"]
+
+
+@pytest.mark.parametrize("lost", ["place", "report", "points"])
+def test_results_that_someone_else_wrote_are_made_anew(
+    project: Path, capsys: pytest.CaptureFixture[str], lost: str
+) -> None:
+    """Of the right key and with a sound sum, yet not what the stage keeps."""
+    text = project.read_text()
+    project.write_text(text[: text.index("[expressions.open")] + text[text.index("[options") :])
+    rebuilt(capsys, project)
+    made, path = (project.parent / "anna.usda").read_bytes(), project.parent / "anna" / "neutral.fpstage"
+    arrays, content = read_arrays(path, KIND)
+    content["content"].pop(lost, None)
+    write_arrays(path, KIND, content, {name: one for name, one in arrays.items() if name != lost})
+    assert "neutral" not in rebuilt(capsys, project)["reused"]
+    assert (project.parent / "anna.usda").read_bytes() == made
 
 
 def test_layers_below_the_template_count(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

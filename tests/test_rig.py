@@ -27,7 +27,7 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.rig.activation import curves
-from facepipe.rig.trs import compose, decompose
+from facepipe.rig.trs import compose, decompose, quaternions
 from facepipe.stage import Face
 
 
@@ -170,6 +170,14 @@ def test_transforms_split_and_join_again() -> None:
     matrices = coefficient_matrices(random_coefficients(rng, 40, 3.0, 3.0))
     matrices[::2, :3, 0] *= -1
     np.testing.assert_allclose(compose(*decompose(matrices)[:3]), matrices, atol=1e-12)
+
+
+def test_a_rotation_has_one_quaternion() -> None:
+    """The one with w of at least 0, so that equal rotations are equal bytes in files."""
+    rotations = Rotation.random(200, random_state=3)
+    turned = quaternions(rotations.as_matrix())
+    assert (turned[:, 3] >= 0).all()
+    np.testing.assert_allclose(turned, rotations.as_quat(canonical=True), atol=1e-12)
 
 
 def test_coefficients_of_a_sample_win_and_other_joints_rest() -> None:

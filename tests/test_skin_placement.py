@@ -62,12 +62,12 @@ def test_joints_keep_the_order_that_the_face_has_and_animations_what_they_do() -
     pose = Animation(name="nod", joints=("root/neck/head",), coefficients=nod[None])
     sample = replace(head("sample"), animations=(*head("sample").animations, pose))
     face = Face.from_parts(sample)
-    old = face.skeleton
-    shift = np.array([0.0, 0.3, 0.1])
-    places = (sample.skeleton.bind_transforms[:, :3, 3] + shift) * face.mm_per_unit
+    old, rng = face.skeleton, np.random.default_rng(0)
+    shifts = np.array([0.0, 0.3, 0.1]) + rng.normal(0, 0.05, (len(old.joints), 3))
+    places = (sample.skeleton.bind_transforms[:, :3, 3] + shifts) * face.mm_per_unit
     joints = tuple(
-        JointSpec(path=joint, position=tuple(map(float, at)))
-        for joint, at in zip(sample.skeleton.joints, places, strict=True)
+        JointSpec(path=joint, position=tuple(map(float, at)), rotation=tuple(map(float, turn / np.linalg.norm(turn))))
+        for joint, at, turn in zip(old.joints, places, rng.normal(size=(len(old.joints), 4)), strict=True)
     )
     order = [joint.path for joint in JointSet(joints=joints).joints]
     assert order != list(sample.skeleton.joints)  # depth first there, parents of all before children here
@@ -82,6 +82,18 @@ def test_joints_keep_the_order_that_the_face_has_and_animations_what_they_do() -
         for animation in (one, replace(one, coefficients=None)):  # what USD plays, too
             now = _relative(again.skeleton, animation)
             np.testing.assert_allclose(now, _relative(old, before[one.name]), atol=2e-3)  # scales of half precision
+
+
+def test_weights_go_with_their_joints_where_the_face_has_another_order() -> None:
+    specs = {spec.path: spec for spec in (*TWO.joints, JointSpec(path="a/c", position=(0, 40, 60)))}
+    one, other = (
+        JointSet(joints=tuple(map(specs.get, order)), unit="mm") for order in (("a", "a/b", "a/c"), ("a", "a/c", "a/b"))
+    )
+    first, expected, _ = skinned(bare(), SkinFace(joints=one))
+    again, weights, _ = skinned(first.parts(), SkinFace(joints=other))
+    assert again.skeleton.joints == ("a", "a/b", "a/c")
+    assert np.abs(expected[:, 1] - expected[:, 2]).max() > 0.5
+    np.testing.assert_array_equal(weights, expected)
 
 
 def _relative(skeleton: Skeleton, animation: Animation) -> Array:

@@ -14,6 +14,7 @@ from network_faces import CHANNELS, SLIDERS, network, networked
 from slider_faces import jointless, random_values
 
 from facepipe.errors import ExportError, InputError
+from facepipe.importers.slider_network import read_network
 from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS as NAMES
 from facepipe.rig import build, slide
@@ -149,3 +150,12 @@ def test_an_unknown_shape_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="no shape 'sneer'"):
         export_parts(networked(odd), tmp_path / "s.onnx", Options(sliders=True))
     assert network_fault(odd) is None  # by itself it is whole
+
+
+@pytest.mark.parametrize("code", [0xD800, 0xDFFF, 0x110000, 0x7FFFFFFF, 0xFFFFFFFF])
+def test_names_that_are_no_text_are_refused(code: int, tmp_path: Path) -> None:
+    """numpy stores any number as a character; strings made of these end in a SystemError, or can't be written."""
+    arrays = {"outputs": np.array(["root:rx"]), "layer0.weight": np.ones((1, 1)), "layer0.bias": np.zeros(1)}
+    np.savez(tmp_path / "n.npz", sliders=np.array([code], np.uint32).view("U1"), **arrays)
+    with pytest.raises(InputError, match=r"n.npz -> sliders: array holds code points that are no text"):
+        read_network(tmp_path / "n.npz", ("root",), ())

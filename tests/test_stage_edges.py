@@ -222,3 +222,19 @@ def test_a_clip_with_nan_is_refused_when_it_is_sampled(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("[0.625]", "[nan]"))
     with pytest.raises(SchemaError, match="clip -> shape_weights: NaN"):
         facepipe.open(file).sample("clip")
+
+
+@pytest.mark.parametrize("rate", [0.0, -24.0, np.nan, np.inf])
+@pytest.mark.parametrize("above", [True, False])
+def test_clocks_that_stand_still_are_refused_between_layers(tmp_path: Path, rate: float, *, above: bool) -> None:
+    """USD (seen in 26.11) looks for time samples without end below a layer of 0 time codes per second."""
+    save_parts(full_face(), tmp_path / "face.usda")
+    top = Sdf.Layer.CreateNew(str(tmp_path / "top.usda"))
+    top.subLayerPaths = ["./face.usda"]
+    below = Sdf.Layer.FindOrOpen(str(tmp_path / "face.usda"))
+    (top if above else below).timeCodesPerSecond = rate
+    top.defaultPrim = below.defaultPrim
+    assert top.Save()
+    assert below.Save()
+    with pytest.raises(InputError, match=r"top.usda.*timeCodesPerSecond is .*, expected a finite number above 0"):
+        facepipe.open(tmp_path / "top.usda")

@@ -268,7 +268,7 @@ def test_numbers_that_are_none_are_refused(
 ) -> None:
     model = onnx.load(network_file)
     bias = next(one for one in model.graph.initializer if one.name == "last_bias")
-    bias.CopyFrom(onnx.numpy_helper.from_array(np.full(bias.dims, np.nan, np.float32), "last_bias"))
+    bias.CopyFrom(onnx.numpy_helper.from_array(np.full(bias.dims, np.inf, np.float32), "last_bias"))
     path = tmp_path / "nan.onnx"
     path.write_bytes(model.SerializeToString())
     guess: Guess = load_start(path, subject)

@@ -10,19 +10,21 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from facepipe_web import Options, build, view
-from facepipe_web.server import Server
+from facepipe_web.server import MOST_CONNECTIONS, Server
 from faces import tiny_face
 
 from facepipe.cli import main
 from facepipe.errors import InputError
 from facepipe.parts import Slider
 from facepipe.stage import save_parts
+from facepipe.trust import Trust, trust, trusting
 
 SECRET = b"not for the page"
 
@@ -45,6 +47,22 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def face(page: Path) -> Path:
     save_parts(tiny_face(), page / "face.usda")
     return page / "face.usda"
+
+
+def test_the_policy_towards_files_is_that_of_who_made_the_server() -> None:
+    with trusting(Trust(models=True)):
+        server = Server(0, {}, {"/trust": lambda sent: ("text/plain", str(trust().models).encode())})
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=60)
+        connection.request("POST", "/trust", b"{}", {"Content-Type": "application/json"})
+        assert connection.getresponse().read() == b"True"
+        connection.close()
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
 
 
 @pytest.fixture
@@ -259,3 +277,106 @@ def test_the_person_of_a_set_face_is_at_rest(page: Path) -> None:
         assert main(["export", "face.usda", "-o", f"{pose}.glb", "--pose", pose, "--morph-normals"]) == 0
         assert Path(f"{pose}.glb").read_bytes() == glb
     assert Path("set.glb").read_bytes() != Path("rest.glb").read_bytes()
+
+
+def raw(port: int, sent: bytes) -> bytes:
+    """The start of the answer to what is sent."""
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
+        connection.sendall(sent)
+        return connection.recv(12)
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ("Host: HERE", b"200"),
+        ("", b"400"),
+        ("Host: HERE\r\nHost: evil.example", b"400"),
+        ("Host: evil.example\r\nHost: HERE", b"400"),
+        ("Host: HERE\r\nHost: HERE", b"400"),
+        ("Host: HERE\r\nOrigin: http://HERE\r\nOrigin: http://evil.example", b"400"),
+        ("Host: HERE\r\nTransfer-Encoding: chunked", b"400"),
+        ("Host: HERE.", b"403"),
+        ("Host: HERE, evil.example", b"403"),
+        ("Host: HERE\r\n evil.example", b"403"),
+        ("Host: user@HERE", b"403"),
+        ("Host: 127.0.0.1", b"403"),
+        ("Host: HERE\r\nX: " + "x" * 70_000, b"431"),
+        ("Host: HERE" + f"\r\nX: {'x' * 30_000}" * 3, b"431"),
+        ("Host: HERE" + "\r\nX: x" * 200, b"431"),
+    ],
+)
+def test_host_is_one_and_exact_and_headers_are_short(server: int, headers: str, status: bytes) -> None:
+    sent = f"GET /viewer.json HTTP/1.1\r\n{headers}".rstrip().replace("HERE", f"127.0.0.1:{server}")
+    assert raw(server, sent.encode() + b"\r\n\r\n").split()[1] == status
+
+
+@pytest.mark.parametrize("length", ["9" * 5000, "-1", "1\r\nContent-Length: 2", "x"])
+def test_bodies_of_no_sound_length_are_refused(server: int, length: str) -> None:
+    sent = f"POST /blend HTTP/1.1\r\nHost: 127.0.0.1:{server}\r\nContent-Length: {length}\r\n\r\n{{}}"
+    assert raw(server, sent.encode()).split()[1] in (b"400", b"404", b"413")
+
+
+def closed(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+@pytest.mark.parametrize(
+    "stalled",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: 127",
+        b"POST /do HTTP/1.1\r\nHost: 127.0.0.1:PORT\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{",
+    ],
+)
+def test_stalled_connections_hold_up_nobody_and_few_threads(face: Path, stalled: bytes) -> None:
+    server = Server(0, {"/": face}, {"/do": lambda sent: ("text/plain", sent)})
+    thread = threading.Thread(target=server.serve_forever)
+    before = threading.active_count()
+    thread.start()
+    connections = []
+    try:
+        for _ in range(200):
+            connections.append(socket.create_connection(("127.0.0.1", server.server_port), timeout=10))
+            connections[-1].sendall(stalled.replace(b"PORT", str(server.server_port).encode()))
+        assert get(server.server_port, "/")[0] == 200
+        for one in connections[:100]:
+            assert closed(one)  # the oldest made room
+        deadline = time.monotonic() + 60
+        while threading.active_count() - before > 1 + MOST_CONNECTIONS and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert threading.active_count() - before <= 1 + MOST_CONNECTIONS
+    finally:
+        server.shutdown()
+        thread.join()
+        for one in connections:
+            one.close()
+        server.server_close()
+
+
+def ends(connection: socket.socket) -> bool:
+    """Whether a request of a byte at a time is given up; each byte comes well within what a silent one may take."""
+    try:
+        for _ in range(1000):
+            connection.sendall(b"G")
+            time.sleep(0.05)
+    except OSError:
+        return True
+    return False
+
+
+def test_requests_that_never_end_are_given_up(face: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("facepipe_web.server.PATIENCE", 0.5)
+    server = Server(0, {"/": face}, {})
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        with socket.create_connection(("127.0.0.1", server.server_port), timeout=60) as slow:
+            assert ends(slow)
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()

@@ -24,17 +24,22 @@ class Channel(NamedTuple):
 
 def merged(channels: Sequence[Channel], textures: Textures) -> Pixels | None:
     """(h, w, channels) pixels, as large as the largest texture; None where a texture can't be read."""
-    loaded = [None if one.source is None else textures.pixels(one.source.texture) for one in channels]
-    present = [pixels for pixels in loaded if pixels is not None]
+    loaded = [None if one.source is None else _plane(textures, one.source, one.channel) for one in channels]
+    present = [plane for plane in loaded if plane is not None]
     if len(present) < sum(one.source is not None for one in channels):
         return None
-    height, width = max((pixels.shape[:2] for pixels in present), key=lambda size: size[0] * size[1])
+    height, width = max((plane.shape for plane in present), key=lambda size: size[0] * size[1])
     planes = []
-    for one, pixels in zip(channels, loaded, strict=True):
+    for one, found in zip(channels, loaded, strict=True):
         white = np.full((height, width), 255, np.uint8)
-        plane = white if pixels is None else _resized(pixels[..., one.channel], height, width)
+        plane = white if found is None else _resized(found, height, width)
         planes.append(255 - plane if one.inverted else plane)
     return np.stack(planes, axis=-1)
+
+
+def _plane(textures: Textures, source: TextureInput, channel: int) -> Pixels | None:
+    pixels = textures.pixels(source.texture)
+    return None if pixels is None else pixels[..., channel].copy()  # the others are let go
 
 
 def _resized(plane: Pixels, height: int, width: int) -> Pixels:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from facepipe.atomic import replacing, write_bytes
+from facepipe.atomic import discard_stale, replacing, together, write_bytes
 from facepipe.errors import ExportError
 from facepipe_gltf.buffers import Chunk
 
@@ -53,8 +52,7 @@ def write_glb(target: Path, document: Json, binary: Sequence[Chunk]) -> list[Pat
 def sidecar_name(target: Path, data: bytes, label: str, extension: str) -> str:
     """A name made of URI-safe characters and the content's digest.
 
-    New content gets a new name, so the files that an older .gltf needs stay whole until the new one is in place:
-    replacing the .gltf is the one step that switches over.
+    New content gets a new name, so the files that an older .gltf needs stay whole until the new one is in place.
     """
     parts = [re.sub(r"[^A-Za-z0-9_-]+", "_", part) for part in (target.stem, label) if part]
     return ".".join([*parts, hashlib.sha256(data).hexdigest()[:8]]) + extension
@@ -62,31 +60,16 @@ def sidecar_name(target: Path, data: bytes, label: str, extension: str) -> str:
 
 def write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> list[Path]:
     """Write .gltf and sidecars, all or none, then remove the sidecars of the file that was there before."""
-    stale = _own_sidecars(target) - set(sidecars)
-    with _discarding() as created:
+    with together(target):
+        stale = _own_sidecars(target) - set(sidecars)
         for name, data in sidecars.items():
             path = target.with_name(name)
             if not (path.is_file() and path.read_bytes() == data):
-                if not path.exists():
-                    created.append(path)
                 write_bytes(path, data)
-        with replacing(target) as temporary:
-            temporary.write_bytes(json_bytes(document))
-    for name in stale:
-        target.with_name(name).unlink(missing_ok=True)
+        write_bytes(target, json_bytes(document))
+        for name in sorted(stale):
+            discard_stale(target.with_name(name))
     return [target, *(target.with_name(name) for name in sidecars)]
-
-
-@contextlib.contextmanager
-def _discarding() -> Iterator[list[Path]]:
-    """Removes the paths put into the list when the block fails."""
-    created: list[Path] = []
-    try:
-        yield created
-    except BaseException:
-        for path in created:
-            path.unlink(missing_ok=True)
-        raise
 
 
 def _own_sidecars(target: Path) -> set[str]:

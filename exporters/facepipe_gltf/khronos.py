@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
 from facepipe.reports import Finding
+from facepipe_gltf.node import find_node
 
 # Modules beside the file or in the working folder are left alone: a downloaded folder must not bring code along.
 _PROGRAM = """
@@ -19,10 +19,12 @@ const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modu
 let validator;
 try { validator = require(require.resolve("gltf-validator", { paths: roots })); }
 catch (error) { console.log("null"); process.exit(0); }
-const file = process.argv[1], folder = path.dirname(file);
+const file = process.argv[1], folder = fs.realpathSync(path.dirname(file));
 const below = (uri) => {
-  const target = path.resolve(folder, decodeURIComponent(uri));
-  if (path.relative(folder, target).startsWith("..")) throw new Error("outside of the folder");
+  const target = fs.realpathSync(path.resolve(folder, decodeURIComponent(uri)));
+  const inside = path.relative(folder, target);
+  if (inside.startsWith("..") || path.isAbsolute(inside)) throw new Error("outside of the folder");
+  if (!fs.statSync(target).isFile()) throw new Error("no regular file");
   return new Uint8Array(fs.readFileSync(target));
 };
 validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {
@@ -35,7 +37,7 @@ _SEVERITIES: tuple[Literal["error", "warning", "info"], ...] = ("error", "warnin
 
 def check_khronos(path: Path) -> list[Finding]:
     """Its errors, warnings and notes; one note where it is not installed or gave no report."""
-    node = shutil.which("node")
+    node = find_node()
     report = _report(node, path) if node else None
     if isinstance(report, str):
         return [Finding(check="khronos:Report", severity="info", where=path.name, message=report)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 import struct
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from facepipe.errors import ExportError, InputError
 from facepipe.meshopt import EXTENSION
+from facepipe_gltf.node import find_node
 
 if TYPE_CHECKING:
     from facepipe_gltf.document import Document
@@ -126,7 +126,7 @@ def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
 
 
 def _run(request: bytes) -> bytes:
-    node = shutil.which("node")
+    node = find_node()
     if node is None:
         raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
     try:

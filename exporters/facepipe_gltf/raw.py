@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.meshopt import EXTENSION, decode
+from facepipe.reading import check_values, read_bytes
 
 FloatArray = npt.NDArray[np.floating]
 Json = dict[str, Any]
@@ -22,7 +23,9 @@ Json = dict[str, Any]
 _GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_MOST_ZEROS = 1 << 25
+_MOST_BYTES = 1 << 32  # of a file
+_MOST_ZEROS = 1 << 23  # numbers of an accessor without data
+_FREE_BYTES, _PER_BYTE = 1 << 26, 32  # of decoded views together: these, and as many for each byte of the buffers
 
 
 class Broken(Exception):  # noqa: N818  (what a check reports, not what a user sees)
@@ -38,11 +41,9 @@ class RawDocument:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.binary: bytes | None = None
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise InputError(path, f"can't be read: {error.strerror or error}") from error
+        data = read_bytes(path, _MOST_BYTES)
         text = self._container(data) if path.suffix.lower() in (".glb", ".vrm") else data
+        check_values(path, text)
         try:
             parsed = json.loads(text.decode("utf-8-sig"))
         except (ValueError, RecursionError):
@@ -52,6 +53,7 @@ class RawDocument:
         self.json: Json = parsed
         self._buffers: dict[int, bytes] = {}
         self._decoded: dict[int, bytes] = {}  # of compressed buffer views
+        self._left = _FREE_BYTES
 
     def _container(self, data: bytes) -> bytes:
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
@@ -154,6 +156,9 @@ class RawDocument:
             count, size = own.get("count"), own.get("byteStride")
             if not (is_index(start) and is_index(length) and is_index(count) and is_index(size)):
                 raise Broken(f"byteOffset, byteLength, count or byteStride of {EXTENSION} is wrong")
+            self._left -= count * size
+            if self._left < 0:
+                raise Broken(f"bufferView {index} asks for far more data than the file holds")
             try:
                 data = bytes(buffer[start : start + length])
                 self._decoded[index] = decode(data, count, size, str(own.get("mode")), str(own.get("filter", "NONE")))
@@ -168,6 +173,7 @@ class RawDocument:
         number = index if is_index(index) else 0
         if number not in self._buffers:
             self._buffers[number] = self._load(buffer, number)
+            self._left += _PER_BYTE * len(self._buffers[number])
         return self._buffers[number]
 
     def _load(self, buffer: Json, number: int) -> bytes:
@@ -186,8 +192,8 @@ class RawDocument:
         if "://" in text or file.is_absolute() or ".." in file.parts:
             raise Broken(f"buffer {number} names '{text[:60]}', expected a file below the folder of the glTF file")
         try:
-            return _regular(self.path.parent / file).read_bytes()
-        except (OSError, ValueError):
+            return read_bytes(self.path.parent / file, _MOST_BYTES)
+        except InputError:
             raise Broken(f"buffer {number} names '{text[:60]}', which can't be read") from None
 
 
@@ -206,10 +212,3 @@ def normalised(values: FloatArray, dtype: Any) -> FloatArray:
     if np.dtype(dtype).kind == "f":
         return values
     return np.asarray(np.maximum(values / np.iinfo(dtype).max, -1.0))
-
-
-def _regular(path: Path) -> Path:
-    """`path`, which reading can't hang on: no pipe or device."""
-    if path.exists() and not path.is_file():
-        raise OSError(f"{path.name} is no regular file")
-    return path

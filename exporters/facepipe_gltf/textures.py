@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.errors import InputError
+from facepipe.images import open_image
+from facepipe.images import pixels as decoded
 from facepipe.parts import Texture, TextureInput
 from facepipe_gltf.png import without_ignored_chunks
 
@@ -46,8 +49,11 @@ class Textures:
         self._number: dict[bytes, int] = {}
 
     def whole(self, texture: Texture) -> int | None:
-        """The image of a texture: PNG and JPEG as they are, others as PNG; None (and a warning) where unreadable."""
-        if self._open(texture) is None:
+        """The image of a texture: PNG and JPEG as they are, others as PNG; None (and a warning) where unreadable.
+
+        :raises InputError: one that may not be copied
+        """
+        if self._open(texture, decode=False) is None:
             return None
         if texture.data.startswith(_PNG):
             return self._image(Image(_stem(texture), "image/png", without_ignored_chunks(texture.data)))
@@ -70,8 +76,8 @@ class Textures:
         if opened is None:
             return None
         try:
-            return np.asarray(opened.convert("RGBA"))
-        except (OSError, ValueError, SyntaxError) as error:
+            return decoded(opened, "RGBA", texture.name)
+        except InputError as error:
             self._unreadable(texture, error)
             return None
 
@@ -91,17 +97,16 @@ class Textures:
         if line not in self.warnings:
             self.warnings.append(line)
 
-    def _open(self, texture: Texture) -> Any | None:
-        from PIL import Image as Pillow
-
+    def _open(self, texture: Texture, *, decode: bool = True) -> Any | None:
+        data = texture.image()
         try:
-            return Pillow.open(io.BytesIO(texture.data))
-        except (OSError, ValueError, SyntaxError, Pillow.DecompressionBombError) as error:
+            return open_image(data, texture.name, decode=decode)
+        except InputError as error:
             self._unreadable(texture, error)
             return None
 
-    def _unreadable(self, texture: Texture, error: Exception) -> None:
-        self.warn(f"{texture.name}: texture left out, it can't be read as an image ({type(error).__name__})")
+    def _unreadable(self, texture: Texture, error: InputError) -> None:
+        self.warn(f"{texture.name}: texture left out, it {error.what}")
 
     def _image(self, image: Image) -> int:
         digest = hashlib.sha256(image.data).digest()

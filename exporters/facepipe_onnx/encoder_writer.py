@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Mapping
 
-from facepipe.atomic import replacing
+from facepipe.atomic import together, write_bytes
 from facepipe.errors import TopologyError
 from facepipe.reports import ExportReport
 from facepipe.rig.neural_encoder import NeuralEncoder
@@ -36,9 +36,9 @@ def export_encoder(
     model = encoder_graph.build(encoder, name)
     metadata = describe(encoder, operators(model), meshes, name)
     data = serialised(model, metadata, name)
-    with replacing(target) as graph_file, replacing(beside) as text_file:
-        graph_file.write_bytes(data)
-        text_file.write_text(sidecar.to_text(metadata), encoding="utf-8", newline="\n")
+    with together(target):
+        write_bytes(target, data)
+        write_bytes(beside, sidecar.to_text(metadata).encode())
     return ExportReport(
         path=target,
         files=(target, beside),

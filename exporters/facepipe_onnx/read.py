@@ -18,8 +18,11 @@ from facepipe.reading import read_bytes
 from facepipe_onnx.metadata_checks import TYPES, metadata_faults, shape_of
 from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
 
-MAX_ELEMENTS = 1 << 30  # of all values that one evaluation makes
+FREE_ELEMENTS, PER_BYTE = 1 << 26, 32  # that one evaluation may make: these, and as many for each byte of the weights
+_MAX_WHOLE = 1 << 16  # of these, whole numbers: they are shapes, of which readers keep each size as an object
+_MAX_NODES = 10_000
 
+_INT64 = 7  # TensorProto.INT64
 _PLAIN_ATTRIBUTES = {1, 2, 6, 7}  # AttributeProto.FLOAT, INT, FLOATS, INTS
 
 
@@ -118,6 +121,9 @@ def _tensor_problem(tensor: Any) -> str | None:
 
 
 def _operators(model: Any) -> Iterator[tuple[str, str]]:
+    if len(model.graph.node) > _MAX_NODES:
+        yield "graph", f"{len(model.graph.node)} nodes, expected at most {_MAX_NODES}"
+        return
     for number, node in enumerate(model.graph.node):
         where = f"node {node.name or number}"
         if node.domain not in ("", "ai.onnx"):
@@ -147,19 +153,22 @@ def _checker(model: Any) -> Iterator[tuple[str, str]]:
 def _sizes(model: Any) -> Iterator[tuple[str, str]]:
     from onnx import shape_inference
 
-    inferred = shape_inference.infer_shapes(model, strict_mode=True, data_prop=True).graph
-    shapes = {
-        one.name: shape_of(one) for side in (inferred.input, inferred.output, inferred.value_info) for one in side
-    }
-    total = 0
+    # without data_prop, which keeps each number of a shape as an object
+    inferred = shape_inference.infer_shapes(model, strict_mode=True).graph
+    values = {one.name: one for side in (inferred.input, inferred.output, inferred.value_info) for one in side}
+    total = whole = 0
     for name in [one.name for one in model.graph.input] + [name for node in model.graph.node for name in node.output]:
-        shape = shapes.get(name)
+        shape = shape_of(values[name]) if name in values else None
         if shape is None:
             yield f"value {name}", "its size is not fixed by the graph"
             return
         total += math.prod(shape)
-    if total > MAX_ELEMENTS:
-        yield "graph", f"{total} numbers in an evaluation, expected at most {MAX_ELEMENTS}"
+        whole += math.prod(shape) * (values[name].type.tensor_type.elem_type == _INT64)
+    most = FREE_ELEMENTS + PER_BYTE * sum(len(tensor.raw_data) for tensor in model.graph.initializer)
+    if total > most:
+        yield "graph", f"{total} numbers in an evaluation, expected at most {most}"
+    if whole > _MAX_WHOLE:
+        yield "graph", f"{whole} whole numbers in an evaluation, expected at most {_MAX_WHOLE}"
 
 
 def _first_line(error: Exception) -> str:

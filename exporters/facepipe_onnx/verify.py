@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from facepipe.errors import InputError
+from facepipe.reading import read_bytes
 from facepipe.reports import Finding
 from facepipe_onnx import sidecar
 from facepipe_onnx.metadata_checks import properties
+from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.read import Problem, problems, read
 
 
@@ -36,12 +38,11 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
 def _sidecar(file: Path, stored: dict[str, str]) -> Iterator[Problem]:
     beside = sidecar.path_of(file)
-    try:
-        text = beside.read_bytes()
-    except OSError:
+    if not beside.exists():
         yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
         return
     try:
+        text = read_bytes(beside, MAX_BYTES)
         same = sidecar.parse(text, beside.name) == sidecar.from_properties(stored)
     except InputError as error:
         yield Problem("OnnxSidecar", error.where, error.what)

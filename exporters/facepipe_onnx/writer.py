@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from facepipe.atomic import replacing
+from facepipe.atomic import together, write_bytes
 from facepipe.errors import ExportError, InputError
 from facepipe.finite import require_finite
 from facepipe.geometry.polygons import point_triangles
@@ -80,9 +80,9 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         packed = _packed_error(model, whole, rig, parts, options)
         metadata["packed_weights"] = {"type": options.weights, **packed}
     data = serialised(model, metadata, parts.name)
-    with replacing(target) as graph_file, replacing(beside) as text_file:
-        graph_file.write_bytes(data)
-        text_file.write_text(sidecar.to_text(metadata), encoding="utf-8", newline="\n")
+    with together(target):
+        write_bytes(target, data)
+        write_bytes(beside, sidecar.to_text(metadata).encode())
     return ExportReport(
         path=target,
         files=(target, beside),

@@ -11,6 +11,7 @@ from typing import Any
 
 import facepipe
 from facepipe.errors import InputError
+from facepipe.reading import check_regular
 from facepipe_web.assets import given_assets, write_assets
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.options import Options
@@ -77,6 +78,7 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
 
 
 def _check_start(path: Path, start: bytes, what: str) -> None:
+    check_regular(path)
     try:
         with path.open("rb") as file:
             found = file.read(4)

@@ -5,14 +5,23 @@ Exit 0: done. 1: done, but a check or threshold was missed. 2: bad input or usag
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import dataclasses
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 from facepipe import __version__
 from facepipe.cli.parser import Parser
+from facepipe.cli.quiet import quiet_libraries
 from facepipe.errors import FacepipeError
+from facepipe.reading import check_input
+from facepipe.trust import Trust, trust, trusting
 
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {
@@ -56,10 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        return _run(words)
+        with _ending(), quiet_libraries():
+            return _run(words)
     except FacepipeError as error:
         print(f"facepipe: {error}", file=sys.stderr)
         return 2
+    except _Terminated:
+        print("facepipe: terminated", file=sys.stderr)
+        return 143
     except KeyboardInterrupt:
         print("facepipe: interrupted", file=sys.stderr)
         return 130
@@ -70,6 +83,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # what the machine or the terminal refuses is no fault of the code: one line, as for bad input
         print(f"facepipe: {_refusal(error)}", file=sys.stderr)
         return 2
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM; what ends well on Ctrl-C does on this too."""
+
+
+@contextlib.contextmanager
+def _ending() -> Iterator[None]:
+    """SIGTERM ends the block as Ctrl-C does: passing files are removed."""
+
+    def end(*_: object) -> None:
+        raise _Terminated
+
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if ours:  # else it is ignored, or a host's
+        signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _refusal(error: Exception) -> str:
@@ -90,13 +124,34 @@ def _run(words: list[str]) -> int:
     module.configure(parser, rest)
     # argparse takes positionals in one run, unless told that they may stand between flags
     parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
-    return int(module.run(parse(rest)))
+    parsed = parse(rest)
+    for path in _paths(list(vars(parsed).values())):
+        check_input(path)
+    with trusting(_trust_of(parsed)):
+        return int(module.run(parsed))
+
+
+def _paths(values: Iterable[object]) -> Iterator[Path]:
+    """All paths among what was parsed."""
+    for value in values:
+        if isinstance(value, Path):
+            yield value
+        elif isinstance(value, list | tuple):
+            yield from _paths(value)
+
+
+def _trust_of(parsed: argparse.Namespace) -> Trust:
+    """The policy in force with what the line says; a host that calls `main` may have set one."""
+    old = trust()
+    roots = tuple(getattr(parsed, "root", old.roots))
+    return dataclasses.replace(old, roots=roots, models=old.models or "trust_models" in parsed)
 
 
 def _help(words: list[str], command: str | None) -> int:
     width = max(map(len, COMMANDS))
     listing = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
     parser = Parser(
+        trust=False,
         prog="facepipe",
         usage="facepipe COMMAND ...",
         description="Face assets from a DCC to a game engine.",

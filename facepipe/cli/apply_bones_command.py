@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.payload import Header, PayloadContent
@@ -52,8 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     inputs = [arguments.face, arguments.coefficients]
     if arguments.info:
         _refuse_flags(arguments, "--info", ("output", "name", "clamp"))
-        for one in inputs:
-            check_input(one)
         return _info(facepipe.open(arguments.face), arguments)
     out = output_of(arguments, inputs)
     data = payload_bytes(arguments.coefficients)

@@ -114,6 +114,7 @@ def _match(session: BlendSession, target: Face, request: Request) -> MatchReport
 
 def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendReport:
     """Blend, author, save; the picture is drawn before anything is saved."""
+    from facepipe.atomic import together
     from facepipe.pipeline.blend import make
     from facepipe.render import save_png
 
@@ -123,9 +124,10 @@ def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendRe
         if request.picture is not None:
             images.append(_draw(face))
 
-    report = make(session, request.sources, weights, request.out, progress, flatten=request.flatten, seen=seen)
-    if images and request.picture is not None:
-        save_png(images[0], request.picture)
+    with together(request.out):
+        report = make(session, request.sources, weights, request.out, progress, flatten=request.flatten, seen=seen)
+        if images and request.picture is not None:
+            save_png(images[0], request.picture)
     return report
 
 

@@ -9,7 +9,12 @@ depends on it up to date. Killed at any moment, it is just begun again.
 What was edited by hand in a result is lost when that is cooked. Own edits go into a layer above it, which cook never
 writes: only files with recipes are.
 
-Exit code 1: done, but a threshold was missed, --dry-run found something to cook, or --validate found errors.
+Only what lies below the roots of the STAGE that led to it is written: its folder, the nearest around it with a
+facepipe.toml, or what --root gives. Other results that are stale are listed as `outside the roots`, and taken as they
+are.
+
+Exit code 1: done, but a threshold was missed, results outside the roots are stale, --dry-run found something to cook,
+or --validate found errors.
 
 examples:
   facepipe cook shot.usda
@@ -95,4 +100,9 @@ def _summary(report: CookReport) -> str:
     return f"{len(report.nodes)} file(s) with recipes{f': {told}' if told else ''}"
 
 
-_ACTIONS = {"cooked": "cooked", "stale": "to be cooked", "up to date": "up to date"}
+_ACTIONS = {
+    "cooked": "cooked",
+    "stale": "to be cooked",
+    "outside the roots": "outside the roots",
+    "up to date": "up to date",
+}

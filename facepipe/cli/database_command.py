@@ -30,7 +30,6 @@ from facepipe.cli.parser import Parser, add_options, add_output, options_from, o
 from facepipe.cli.show import emit, progress, warn
 from facepipe.errors import InputError
 from facepipe.locks import locked
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.processors.database import AddOptions, FaceDatabase, Quality
@@ -135,8 +134,10 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _output(arguments: argparse.Namespace) -> Path:
     """Where to write: in place, unless said otherwise."""
+    from facepipe.atomic import collect
+
     if arguments.output is None:
-        check_input(arguments.database)
+        collect(arguments.database.parent)
         return Path(arguments.database)
     return output_of(arguments, [arguments.database, *getattr(arguments, "faces", [])])
 
@@ -149,8 +150,6 @@ def _alone(path: Path) -> AbstractContextManager[None]:
 def _sources(arguments: argparse.Namespace, database: FaceDatabase | None) -> list[StageSource]:
     from facepipe.processors.database.stage_sources import stage_sources
 
-    for path in arguments.faces:
-        check_input(path)
     names = [name.strip() for name in arguments.names.split(",")] if arguments.names else []
     return stage_sources(arguments.faces, names, database, str(getattr(arguments, "database", "")))
 

@@ -45,25 +45,39 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make everything, saying what was made."""
+    from facepipe.atomic import hidden_folder, replacing, together
+
     start = time.perf_counter()
     folder = _folder(arguments)
+    with hidden_folder(folder) as inner:
+        errors = _made(inner, arguments.seed)
+        with together(folder / FILES[0]):
+            for name in FILES:
+                with replacing(folder / name) as temporary:
+                    (inner / name).replace(temporary)
+    print(f"\n{folder}: {', '.join(FILES)}\ndone in {time.perf_counter() - start:.1f} s")
+    return 1 if errors else 0
+
+
+def _made(folder: Path, seed: int) -> int:
+    """Make the files in `folder`; the number of errors found in them."""
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
-        make_sample(path["head.usda"], arguments.seed)
+        make_sample(path["head.usda"], seed)
         bar.update()
         face = _inspected(path["head.usda"])
         for name in ("head.glb", "head.onnx"):
             exporter = registry.exporter(path[name])
             report = exporter.export(face, path[name], exporter.Options())
-            bar.write(f"\n{path[name]}: {report.bytes:,} bytes in {report.seconds:.2f} s")
+            bar.write(f"\n{name}: {report.bytes:,} bytes in {report.seconds:.2f} s")
             bar.update()
         errors = _validated([path[name] for name in ("head.usda", "head.glb", "head.onnx")])
         bar.update()
         _evaluated(face, path["head.onnx"], path["points.npz"])
         _sheet(face, path["sheet.png"])
         bar.update()
-    print(f"\n{path['sheet.png']}: the face and its shapes\ndone in {time.perf_counter() - start:.1f} s")
-    return 1 if errors else 0
+    print("\nsheet.png: the face and its shapes")
+    return errors
 
 
 def _folder(arguments: argparse.Namespace) -> Path:
@@ -93,7 +107,7 @@ def _validated(paths: list[Path]) -> int:
         findings = [one for one in validate(path) if one.severity != "info" or "NotInstalled" in one.check]
         errors += sum(one.severity == "error" for one in findings)
         good = all(one.severity == "info" for one in findings)
-        print(f"{path}: {'no errors, no warnings' if good else ''}")
+        print(f"{path.name}: {'no errors, no warnings' if good else ''}")
         for one in findings:
             print(f"  {one.severity}: {one.check}: {one.where}: {one.message}")
     return errors
@@ -111,7 +125,7 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
     np.savez(buffer, **outputs)
     write_bytes(out, buffer.getvalue())
     apart = np.linalg.norm(outputs["points"].reshape(-1, 3) - face.evaluate(POSE), axis=1).max()
-    print(f"{out}: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")
+    print(f"{out.name}: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")
 
 
 def _sheet(face: Face, out: Path) -> None:

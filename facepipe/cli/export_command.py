@@ -51,7 +51,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     add_output(parser, "file to write: .glb .gltf .onnx .vrm")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    finder = Parser(add_help=False)
+    finder = Parser(add_help=False, trust=False)
     finder.add_argument("-o", "--output")
     suffix = "" if {"-h", "--help"} & set(words) else Path(finder.parse_known_args(words)[0].output or "").suffix
     known = suffix.lower().removeprefix(".") in registry.suffixes()

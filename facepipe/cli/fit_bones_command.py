@@ -33,7 +33,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from facepipe.atomic import replacing
+from facepipe.atomic import replacing, together
 from facepipe.cli.fit_bones_request import Request, request_of
 from facepipe.cli.fit_bones_text import as_text
 from facepipe.cli.parser import add_options
@@ -120,7 +120,7 @@ def _make(face: Face, targets: Sequence[Target], request: Request, precision: Pr
     from facepipe.pipeline.fit_bones import make
 
     payloads: list[dict[str, Any]] = []
-    with ExitStack() as files:
+    with together(request.job.out), ExitStack() as files:
         picture, coefficients = (
             None if path is None else files.enter_context(replacing(path))
             for path in (request.picture, request.payload)

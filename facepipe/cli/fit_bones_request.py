@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import given_options, output_of, output_or_edited, pairs, picture_of
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.pipeline.fit_bones import FitJob
@@ -70,7 +69,6 @@ def _recipe(arguments: argparse.Namespace) -> FitBonesRecipe | None:
 
     if arguments.edit is None:
         return None
-    check_input(arguments.edit)
     replaced: list[Part] = ["rig"] if arguments.rig is not None else []
     replaced += ["targets"] if arguments.target else []
     replaced += ["initial"] if hasattr(arguments, "initial") else []

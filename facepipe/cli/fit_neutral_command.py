@@ -27,7 +27,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing
+from facepipe.atomic import replacing, together
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
@@ -94,7 +94,7 @@ def _make(job: NeutralJob, picture: Path | None) -> Made[NeutralReport]:
     """Write the stage and the picture, or neither."""
     from facepipe.pipeline.fit_neutral import make
 
-    with ExitStack() as files:
+    with together(job.out), ExitStack() as files:
         image = None if picture is None else files.enter_context(replacing(picture))
 
         def seen(template: Template, scan: Scan, fit: NeutralFit) -> None:

@@ -36,7 +36,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing_folder
+from facepipe.atomic import replacing_folder, together
 from facepipe.cli.fit_photo_request import Request, request_of
 from facepipe.cli.fit_photo_text import as_text
 from facepipe.cli.parser import add_options
@@ -112,7 +112,7 @@ def _make(face: Face, inputs: PhotoInputs, request: Request) -> PhotoFitReport:
     def whole(report: PhotoFitReport) -> PhotoFitReport:
         return replace(report, warnings=(*request.warnings, *report.warnings))
 
-    with ExitStack() as files:
+    with together(request.job.out), ExitStack() as files:
         folder = None if request.report is None else files.enter_context(replacing_folder(request.report))
 
         def seen(fitted: Fitted) -> None:

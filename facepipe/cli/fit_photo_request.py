@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from facepipe.cli.fit_photo_folder import check_folder
 from facepipe.cli.parser import given_options, output_or_edited
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.pipeline.photo_job import PhotoJob, PhotoSettings
@@ -72,7 +71,6 @@ def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
 
     if arguments.edit is None:
         return None
-    check_input(arguments.edit)
     others = len(arguments.files) > 1
     replaced = ["FACE"] if arguments.files else []
     replaced += ["PHOTO"] if others else []

@@ -81,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace) -> int:
+    from facepipe.atomic import together
     from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions, save_neural_rig
     from facepipe.processors.neural_rig.neural_rig_file import SUFFIX
 
@@ -96,8 +97,9 @@ def _train(arguments: argparse.Namespace) -> int:
     encoded = _encoder(arguments, motion)
     report = json.loads(trained.report.to_json())
     report["encoder"] = json.loads(encoded.report.to_json()) if encoded else None
-    _draw(arguments.plot, trained)  # now, so that a killed command finds no picture in its way
-    save_neural_rig(trained.rig, out, report, encoded.encoder if encoded else None)
+    with together(out):
+        save_neural_rig(trained.rig, out, report, encoded.encoder if encoded else None)
+        _draw(arguments.plot, trained)
     if arguments.checkpoint is not None:
         arguments.checkpoint.unlink(missing_ok=True)
     text = [_text(out, trained.report), *([_encoder_text(encoded.report)] if encoded else [])]

@@ -13,14 +13,26 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse with errors of one line and texts kept as written."""
+    """argparse with errors of one line, texts kept as written, and what every command says of files of others."""
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, *, trust: bool = True, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
+        if trust:
+            self._add_trust()
+
+    def _add_trust(self) -> None:
+        group = self.add_argument_group("files of others")
+        roots = (
+            "where files that are read may write to and copy from; may be given again (default FACEPIPE_ROOTS, else "
+            "the nearest folder with a facepipe.toml, else the folder of the file)"
+        )
+        # nothing where none is given: an action's parser would hide what stands before the action
+        given: Any = {"default": argparse.SUPPRESS}
+        group.add_argument("--root", action="append", type=Path, metavar="DIR", help=roots, **given)
+        group.add_argument("--trust-models", action="store_true", help="load models that can run code (.pt2)", **given)
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""
@@ -118,20 +130,21 @@ def add_output(parser: argparse.ArgumentParser, what: str, *, positional: bool =
 
 
 def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Path:
-    """The output path, checked before any work.
+    """The output path, checked before any work; what a killed run left beside it is settled first.
 
     :raises InputError: none given, an existing file without --force, a missing folder, or an input
     """
+    from facepipe.atomic import collect
+
     path = arguments.output or getattr(arguments, "out", None)
     if path is None:
         raise InputError("OUT", "no output file, expected one as OUT or -o OUT")
     output = Path(path)
     if not output.parent.is_dir():
         raise InputError(output, "the folder does not exist")
+    collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
-    for one in inputs:
-        check_input(one)
     if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not arguments.force:

@@ -41,7 +41,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.atomic import replacing_folder
+from facepipe.atomic import replacing_folder, together
 from facepipe.cli.parser import add_output, output_of
 from facepipe.cli.rebuild_report import RebuildPictures, check_folder, refined_line
 from facepipe.cli.show import emit, progress, table, warn
@@ -90,7 +90,7 @@ def _make(project: Project, out: Path, arguments: argparse.Namespace) -> tuple[R
         found = {"path": str(out), **json.loads(report.to_json())}
         return found if arguments.report is None else {**found, "report": str(arguments.report)}
 
-    with ExitStack() as files:
+    with together(out), ExitStack() as files:
         folder = None if arguments.report is None else files.enter_context(replacing_folder(arguments.report))
 
         def seen(actor: Actor) -> None:

@@ -26,7 +26,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing
+from facepipe.atomic import replacing, together
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
@@ -83,7 +83,7 @@ def _make(job: RefineJob, picture: Path | None) -> Made[RefineReport]:
     """Write the stage and the picture, or neither."""
     from facepipe.pipeline.refine_neutral import make
 
-    with ExitStack() as files:
+    with together(job.out), ExitStack() as files:
         image = None if picture is None else files.enter_context(replacing(picture))
 
         def seen(refined: Refined) -> None:

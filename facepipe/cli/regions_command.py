@@ -86,6 +86,7 @@ def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> in
 
 
 def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> int:
+    from facepipe.atomic import together
     from facepipe.geometry.region_map import MapSampling
     from facepipe.pipeline.regions import RegionJob, RegionPlace, make
 
@@ -104,9 +105,10 @@ def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> i
         if picture is not None:
             images.append(_draw(face))
 
-    report = make(job, seen)
-    if images and picture is not None:
-        _save(images[0], picture)
+    with together(out):
+        report = make(job, seen)
+        if images and picture is not None:
+            _save(images[0], picture)
     warn(report.warnings)
     result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
     emit(result, _text(out, picture, report), as_json=arguments.json)

@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing
+from facepipe.atomic import replacing, together
 from facepipe.cli.parser import add_options, add_output
 from facepipe.cli.register_scan_request import Request, request_of
 from facepipe.cli.scan_picture import draw_fit
@@ -79,7 +79,7 @@ def _make(request: Request) -> Made[CompositeReport]:
     """Write the stage and the picture, or neither."""
     from facepipe.pipeline.register_scan import make
 
-    with ExitStack() as files:
+    with together(request.job.out), ExitStack() as files:
         image = None if request.picture is None else files.enter_context(replacing(request.picture))
 
         def seen(template: Template, scan: Scan, composite: RegisteredComposite) -> None:

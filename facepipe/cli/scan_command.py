@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Any
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.processors.scan_photos import PhotoScan, ScanPhotosReport
@@ -54,6 +53,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, scan, write, report."""
+    from facepipe.atomic import discard_stale, together
     from facepipe.importers.scan_landmarks import write_scan_landmarks
     from facepipe.importers.scan_ply import write_ply
     from facepipe.processors.scan_photos import write_cameras
@@ -65,13 +65,16 @@ def run(arguments: argparse.Namespace) -> int:
     with _bars() as step:
         made = _processor(arguments)(arguments.photos, step)
     written = [out]
-    write_ply(made.scan, out)
-    if made.landmarks.known.any() or made.landmarks.markers:
-        write_scan_landmarks(made.landmarks, landmark_file)
-        written.append(landmark_file)
-    if cameras is not None:
-        write_cameras(cameras, made.cameras)
-        written.append(cameras)
+    with together(out):
+        write_ply(made.scan, out)
+        if made.landmarks.known.any() or made.landmarks.markers:
+            write_scan_landmarks(made.landmarks, landmark_file)
+            written.append(landmark_file)
+        else:
+            discard_stale(landmark_file)
+        if cameras is not None:
+            write_cameras(cameras, made.cameras)
+            written.append(cameras)
     warn(made.report.warnings)
     emit(made.report, _text(made, written), as_json=arguments.json)
     return 0
@@ -98,8 +101,6 @@ def _beside(path: Path | None, arguments: argparse.Namespace) -> Path | None:
 def _processor(arguments: argparse.Namespace) -> Any:
     from facepipe.processors.scan_photos import ScanPhotos, ScanPhotosOptions, read_cameras, read_markers
 
-    for one in _inputs(arguments):
-        check_input(one)
     return ScanPhotos(
         options=options_from(arguments, ScanPhotosOptions),
         cameras=None if arguments.cameras is None else read_cameras(arguments.cameras),

@@ -36,6 +36,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, search, write."""
+    from facepipe.atomic import together
     from facepipe.importers.scan_file import read_scan
     from facepipe.importers.scan_landmarks import write_scan_landmarks
     from facepipe.processors.scan_landmarks import FindScanLandmarks
@@ -50,9 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
         bar.update()
         found = FindScanLandmarks(draw=draw_surface)(scan)
         bar.update()
-    write_scan_landmarks(found.landmarks, out)
-    if picture is not None:
-        _draw(found, picture)
+    with together(out):
+        write_scan_landmarks(found.landmarks, out)
+        if picture is not None:
+            _draw(found, picture)
     report = found.report
     warn([*scan.warnings, *report.warnings])
     text = f"{out}: {report.found} landmarks, presence {report.presence:.3f}, spread {report.spread:.1%} of the eyes'"

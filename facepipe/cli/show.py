@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from facepipe.errors import printable
 from facepipe.reports import Report
 
 
@@ -33,18 +34,18 @@ def emit(value: Report | dict[str, Any], text: str, *, as_json: bool) -> None:
             value.to_json() if isinstance(value, Report) else json.dumps(value, sort_keys=True, indent=2, default=str)
         )
     else:
-        print(text)
+        print("\n".join(map(printable, text.split("\n"))))
 
 
 def warn(lines: Iterable[str]) -> None:
     """Print warnings to stderr, a line each."""
     for line in lines:
-        print(f"facepipe: warning: {line}", file=sys.stderr)
+        note(f"warning: {line}")
 
 
 def note(line: str) -> None:
     """Print a fact to stderr."""
-    print(f"facepipe: {line}", file=sys.stderr)
+    print(f"facepipe: {printable(line)}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -61,6 +61,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, skin, author the layer."""
+    from facepipe.atomic import together
     from facepipe.pipeline.skin import SkinJob, make
     from facepipe.processors.skin import SkinOptions
     from facepipe.stage.files import check_suffix
@@ -85,11 +86,12 @@ def run(arguments: argparse.Namespace) -> int:
         if picture is not None:
             images.append(_draw(face))
 
-    report = make(job, progress, seen)
-    if images and picture is not None:
-        from facepipe.render import save_png
+    with together(out):
+        report = make(job, progress, seen)
+        if images and picture is not None:
+            from facepipe.render import save_png
 
-        save_png(images[0], picture)
+            save_png(images[0], picture)
     warn(report.warnings)
     result = {"path": str(out), "picture": str(picture) if picture else None, **dataclasses.asdict(report)}
     emit(result, _text(out, picture, report), as_json=arguments.json)

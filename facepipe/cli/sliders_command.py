@@ -36,7 +36,6 @@ from facepipe.cli.show import emit, progress, table, warn
 from facepipe.cli.sliders_from_network import listed, network_json, network_text
 from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, maker_of, shape_flags
 from facepipe.errors import InputError
-from facepipe.reading import check_input
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Recipe, Slider
@@ -121,7 +120,6 @@ def _make(arguments: argparse.Namespace) -> int:
 def _list(arguments: argparse.Namespace) -> int:
     import facepipe
 
-    check_input(arguments.face)
     face = facepipe.open(arguments.face)
     sliders = face.sliders
     groups: dict[str, list[Slider]] = {}

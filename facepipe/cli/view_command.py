@@ -13,13 +13,11 @@ examples:
 from __future__ import annotations
 
 import argparse
-import signal
 from pathlib import Path
 
 from facepipe import registry
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import progress
-from facepipe.reading import check_input
 
 _HOST = "view"
 
@@ -37,9 +35,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Make the files, serve, open."""
     host = registry.host(_HOST)
     faces = [arguments.face, *([arguments.other] if arguments.other else [])]
-    for path in (*faces, *([arguments.onnx] if arguments.onnx else [])):
-        check_input(path)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its files are removed then too
     try:
         options = options_from(arguments, host.Options)
         with progress("view", 1) as bar, host.view(faces, options, arguments.onnx) as page:

@@ -21,7 +21,6 @@ from facepipe.geometry.registration.membrane import pairs_of
 from facepipe.geometry.registration.robust import means_around
 from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -76,8 +75,7 @@ def refine_locally(
     :raises FitError: hardly a point that may move finds a place on the scan
     """
     state = _State(surface, view, np.asarray(follow, np.float64), options or RefinementOptions())
-    with one_thread():
-        return state.run(progress)
+    return state.run(progress)
 
 
 class _State:

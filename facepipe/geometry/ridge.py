@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.threads import one_thread
-
 FloatArray = npt.NDArray[np.floating]
 
 
@@ -24,6 +22,5 @@ def ridge(seen: FloatArray, told: FloatArray, noise: float | FloatArray) -> tupl
     from_middle = np.asarray(seen - middle, np.float64)
     normal = from_middle.T @ from_middle
     normal[np.diag_indices_from(normal)] += len(seen) * noise**2
-    with one_thread():
-        found = np.linalg.solve(normal, from_middle.T @ told)  # of whose mean nothing is left
+    found = np.linalg.solve(normal, from_middle.T @ told)  # of whose mean nothing is left
     return found, mean - middle @ found

@@ -21,7 +21,6 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.warp import nearest_rotations
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -54,7 +53,6 @@ class DecompositionOptions:
     evenness: float = 0.3  # pull towards the neighbours' mean, of the mean square motion of points over all examples
 
 
-@one_thread()
 def decompose(
     rest: FloatArray,
     shapes: FloatArray,

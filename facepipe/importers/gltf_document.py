@@ -60,7 +60,7 @@ class Document:
     """A parsed document. `warnings` grows while it is read."""
 
     root: Value
-    folder: Path
+    path: Path
     binary: bytes | None = None
     budget: Budget = field(default_factory=Budget)
     warnings: list[str] = field(default_factory=list)
@@ -135,7 +135,7 @@ class Document:
         length = value.require("byteLength").integer(1)
         uri = value.get("uri")
         if uri is not None:
-            data = gltf_files.read_uri(uri, self.folder, self.files)
+            data = gltf_files.read_uri(uri, self.path, self.files)
         elif number == 0 and self.binary is not None:
             data = self.binary
         else:
@@ -173,7 +173,7 @@ def open_document(source: Path) -> Document:
     elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
     root = gltf_json.parse(text, trail)
-    document = Document(root=root, folder=source.parent, binary=binary, files=[source])
+    document = Document(root=root, path=source, binary=binary, files=[source])
     _check_version(document)
     _check_extensions(document)
     return document

@@ -1,4 +1,4 @@
-"""The bytes that a glTF document refers to: data URIs and files of its own folder, nothing else."""
+"""The bytes that a glTF document refers to: data URIs and files of its folder or its roots, nothing else."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from urllib.parse import unquote
 
 from facepipe.errors import InputError
 from facepipe.importers.gltf_json import Value, quote
+from facepipe.reading import read_bytes
+from facepipe.trust import check_copied
 
 MAX_FILE_BYTES = 2**32
 """Largest file read; a GLB can't be longer, as its header counts in 32 bits."""
@@ -24,26 +26,20 @@ def read_whole(path: Path, where: str) -> bytes:
     :raises InputError: absent, no regular file, too large, or not readable
     """
     try:
-        if not path.is_file():
-            raise InputError(where, "no such file" if not path.exists() else "is not a regular file")
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise InputError(where, f"{size} bytes, expected at most {MAX_FILE_BYTES}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise InputError(where, f"can't be read: {reason or error}") from None
+        return read_bytes(path, MAX_FILE_BYTES)
+    except InputError as error:
+        raise InputError(where, error.what) from None
 
 
-def read_uri(uri: Value, folder: Path, files: list[Path]) -> bytes:
-    """The bytes behind a URI of the document: base64 data, or a file in `folder` or below, which joins `files`.
+def read_uri(uri: Value, document: Path, files: list[Path]) -> bytes:
+    """The bytes behind a URI of the document: base64 data, or a file beside it or in its roots, which joins `files`.
 
-    :raises InputError: other schemes, paths that leave the folder (by ``..``, root, drive or link), bad base64
+    :raises InputError: other schemes, absolute paths, paths out of the roots (by ``..`` or link), bad base64
     """
     text = uri.text()
     if text[:5].lower() == "data:":
         return _data(uri, text)
-    path = _inside(uri, text, folder)
+    path = _beside(uri, text, document)
     data = read_whole(path, f"{uri.trail} -> {quote(text)}")
     if path not in files:
         files.append(path)
@@ -65,19 +61,13 @@ def _data(uri: Value, text: str) -> bytes:
         raise uri.error(f"data URI with bad base64: {error}") from None
 
 
-def _inside(uri: Value, text: str, folder: Path) -> Path:
+def _beside(uri: Value, text: str, document: Path) -> Path:
     if _SCHEME.match(text):
         raise uri.error(f"{quote(text)}, expected a data URI or a file beside the document")
     decoded = unquote(text)
-    relative = PurePosixPath(decoded)
-    outside = relative.is_absolute() or ".." in relative.parts or _SCHEME.match(decoded)
-    if not decoded or "\0" in decoded or "\\" in decoded or outside:
-        raise uri.error(f"{quote(text)}, expected a path inside the document's folder")
-    try:
-        home = folder.resolve()
-        path = (home / relative).resolve()
-    except (OSError, RuntimeError, ValueError):
-        raise uri.error(f"{quote(text)} is no usable path") from None
-    if not path.is_relative_to(home):
-        raise uri.error(f"{quote(text)} leads out of the document's folder")
-    return path
+    absolute = PurePosixPath(decoded).is_absolute() or _SCHEME.match(decoded)
+    if not decoded or "\0" in decoded or "\\" in decoded or absolute:
+        raise uri.error(f"{quote(text)}, expected a path as seen from the document's folder")
+    path = document.parent / decoded
+    check_copied(f"{uri.trail} -> {quote(text)}", path, document)
+    return path.resolve()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from facepipe.errors import InputError
+from facepipe.reading import check_values
 
 LARGEST = 1e18
 """Largest number believed: products of two still fit in float32, which is what files and engines hold."""
@@ -132,6 +133,7 @@ def parse(text: bytes, trail: str) -> Value:
 
     :raises InputError: not UTF-8, not JSON (NaN and Infinity are no JSON), nested too deeply, or not an object
     """
+    check_values(trail, text)
     try:
         data = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse)
     except RecursionError:

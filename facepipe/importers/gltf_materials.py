@@ -111,7 +111,7 @@ class _Textures:
     def _bytes(self, value: Value) -> bytes:
         uri, view = value.get("uri"), value.get("bufferView")
         if uri is not None:
-            return gltf_files.read_uri(uri, self._document.folder, self._document.files)
+            return gltf_files.read_uri(uri, self._document.path, self._document.files)
         if view is None:
             raise value.error("neither uri nor bufferView, expected one")
         data, start, length = self._document.view(view)

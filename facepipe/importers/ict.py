@@ -6,7 +6,6 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,13 +27,14 @@ from facepipe.importers.mesh_pieces import (
     sparse_shape,
     whole_region,
 )
-from facepipe.importers.wavefront import read_text
 from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
+from facepipe.reading import read_json
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_MOST_BYTES = 1 << 20  # of a file of weights
 _LARGEST_WEIGHT = 1e3  # standard deviations; far beyond any face, small enough for sums
 
 
@@ -127,10 +127,7 @@ def _mode(number: int) -> str:
 
 
 def _weights_of_file(path: Path) -> dict[str, float]:
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, f"is not JSON ({error})") from error
+    content = read_json(path, _MOST_BYTES)
     if isinstance(content, list):
         content = {_mode(i): value for i, value in enumerate(content)}
     if not isinstance(content, Mapping):

@@ -6,17 +6,17 @@ One scheme: a list of points, an object ``{"name": point}``, or ``{"scheme": "mu
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from facepipe.errors import InputError
-from facepipe.importers.wavefront import read_text
 from facepipe.parts import Landmarks
+from facepipe.reading import read_json
 
 _DEFAULT = "multipie68"
+_MOST_BYTES = 1 << 24
 
 
 def read_landmarks(path: Path, point_count: int) -> dict[str, Landmarks]:
@@ -24,10 +24,7 @@ def read_landmarks(path: Path, point_count: int) -> dict[str, Landmarks]:
 
     :raises InputError: not such JSON, or a point out of range
     """
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, f"is not JSON ({error})") from error
+    content = read_json(path, _MOST_BYTES)
     if isinstance(content, Mapping) and "indices" in content:
         names, points = content.get("names"), content["indices"]
         content = {str(content.get("scheme", _DEFAULT)): _paired(path, names, points) if names else points}

@@ -1,6 +1,6 @@
 """Wavefront material libraries: diffuse colour, opacity and diffuse texture.
 
-Files are taken from the source folder only: a name that leads out of it is refused, not followed.
+Files come from the folder of the OBJ file or its roots: a name that leads elsewhere is refused, not followed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.importers.wavefront import read_text
 from facepipe.parts import Material, Texture, TextureInput
-from facepipe.reading import read_bytes
+from facepipe.reading import is_file, read_bytes
+from facepipe.trust import check_copied
 
 MAX_TEXTURE_BYTES = 1 << 28
 
@@ -43,38 +44,33 @@ class Materials:
     warnings: list[str] = field(default_factory=list)
 
 
-def read_materials(folder: Path, libraries: Sequence[str]) -> Materials:
-    """The materials of all `libraries`.
+def read_materials(source: Path, libraries: Sequence[str]) -> Materials:
+    """The materials of all `libraries` of the OBJ file `source`.
 
-    :raises InputError: a library or texture outside of `folder`, or a line that can't be used
+    :raises InputError: a library or texture outside of its folder and roots, or a line that can't be used
     """
     result = Materials()
     for name in libraries:
-        path = inside(folder, name, f"{folder} -> mtllib")
-        if not path.is_file():
+        path = _beside(source, name, f"{source} -> mtllib")
+        if not is_file(path):
             result.warnings.append(f"{ascii(path.name)[:80]}: material library not there, materials stay grey")
             continue
         result.files.append(path)
-        _read_library(path, folder, result)
+        _read_library(path, source, result)
     return result
 
 
-def inside(folder: Path, name: str, where: str) -> Path:
-    """The path of `name` in `folder`.
+def _beside(source: Path, name: str, where: str) -> Path:
+    """The path that an OBJ file, or a library of it, means.
 
-    :raises InputError: it leads out of the folder, links included
+    :raises InputError: outside of its folder and roots
     """
-    path = folder / name.replace("\\", "/")
-    try:
-        outside = not path.resolve().is_relative_to(folder.resolve())
-    except (OSError, ValueError, RuntimeError):
-        outside = True
-    if outside or Path(name).is_absolute():
-        raise InputError(where, f"{ascii(name)[:80]} is outside of the source folder")
+    path = source.parent / name.replace("\\", "/")
+    check_copied(where, path, source)
     return path
 
 
-def _read_library(path: Path, folder: Path, result: Materials) -> None:
+def _read_library(path: Path, source: Path, result: Materials) -> None:
     name = None
     for number, row in enumerate(read_text(path).split("\n"), 1):
         keyword, *rest = row.split(None, 1)[:2] or [""]
@@ -83,10 +79,10 @@ def _read_library(path: Path, folder: Path, result: Materials) -> None:
             name = text
             result.materials[name] = Material(name=name)
         elif name is not None:
-            result.materials[name] = _with_line(result.materials[name], keyword, text, where, folder, result)
+            result.materials[name] = _with_line(result.materials[name], keyword, text, where, source, result)
 
 
-def _with_line(material: Material, keyword: str, text: str, where: str, folder: Path, result: Materials) -> Material:
+def _with_line(material: Material, keyword: str, text: str, where: str, source: Path, result: Materials) -> Material:
     if keyword == "Kd" and not isinstance(material.diffuse_color, TextureInput):
         r, g, b = _numbers(where, text, 3)
         return replace(material, diffuse_color=(r, g, b))
@@ -94,7 +90,7 @@ def _with_line(material: Material, keyword: str, text: str, where: str, folder: 
         value = _numbers(where, text.removeprefix("-halo"), 1)[0]
         return replace(material, opacity=1.0 - value if keyword == "Tr" else value)
     if keyword == "map_Kd":
-        texture = _texture(inside(folder, _file_name(text), where), where, result)
+        texture = _texture(_beside(source, _file_name(text), where), where, result)
         return replace(material, diffuse_color=TextureInput(texture=texture)) if texture else material
     return material
 
@@ -103,7 +99,7 @@ def _texture(path: Path, where: str, result: Materials) -> Texture | None:
     """The image at `path`, under a name of its own."""
     if path in result.textures:
         return result.textures[path]
-    if not path.is_file():
+    if not is_file(path):
         result.warnings.append(f"{where}: texture {ascii(path.name)[:80]} not there, the colour is used")
         return None
     data = read_bytes(path, MAX_TEXTURE_BYTES)

@@ -1,7 +1,8 @@
 """Named arrays out of an .npz file that may be damaged or hostile.
 
-Unlike `numpy.load`, nothing is allocated before an array's header has been checked against what is expected and
-against the size of its archive member, and pickled objects are never read.
+Unlike `numpy.load`, nothing is allocated before the headers of all arrays have been checked against what is expected,
+and their sum against the size of the file: a small archive must not unfold into gigabytes. Pickled objects are never
+read.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 import math
 import re
 import struct
+import sys
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
@@ -19,10 +22,16 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.reading import check_regular
 
-MAX_BYTES = 1 << 30  # of one array
+MAX_BYTES = 1 << 30  # of a file
+FREE_BYTES, PER_BYTE = 1 << 26, 8  # of arrays together: these, and as many for each byte of the file
+_MOST_TEXTS = 100_000  # of one array: Python keeps each as an object
+_MOST_DIRECTORY = 1 << 20  # bytes of the archive's directory, which zipfile takes ten times the memory for
 LARGEST = 1e30  # of a number: it and sums of some stay finite in float32, its square in float64
 
+_END, _LOCATOR = struct.Struct("<4s8xI4xH"), 20  # of a zip: the end of its directory; bytes of that of zip64
+_PIECE = 1 << 20
 _KINDS = {"float": "f", "int": "iu", "bool": "b", "str": "U"}
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -56,42 +65,104 @@ def read_arrays(path: Path, fields: Mapping[str, Field], sizes: dict[str, int]) 
     :param sizes: values of the size names; names met for the first time are added
     :raises InputError: no readable archive, a missing array, or one of another kind, shape or size
     """
+    with _opened(path) as archive:
+        members = {name: _member(path, archive, name, field, sizes) for name, field in fields.items()}
+        total = sum(math.prod(one.shape) * one.dtype.itemsize for one in members.values())
+        most = FREE_BYTES + PER_BYTE * path.stat().st_size
+        if total > most:
+            raise InputError(path, f"arrays of {total} bytes, expected at most {most} in a file of its size")
+        return {name: _array(f"{path} -> {name}", archive, one) for name, one in members.items()}
+
+
+def array_names(path: Path) -> set[str]:
+    """The names of the arrays in a file.
+
+    :raises InputError: no readable archive
+    """
+    with _opened(path) as archive:
+        return {one.removesuffix(".npy") for one in archive.namelist()}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    check_regular(path, MAX_BYTES)
     try:
+        _check_directory(path)
         with zipfile.ZipFile(path) as archive:
-            return {name: _array(path, archive, name, field, sizes) for name, field in fields.items()}
+            yield archive
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
     except _DAMAGE as error:
         raise InputError(path, f"is damaged or not an .npz archive ({error})") from error
 
 
-def _array(path: Path, archive: zipfile.ZipFile, name: str, field: Field, sizes: dict[str, int]) -> npt.NDArray[Any]:
+def _check_directory(path: Path) -> None:
+    """Refuse an archive whose directory is large, or not where numpy has it: at the end, without comment or zip64."""
+    with path.open("rb") as file:
+        file.seek(-min(_END.size + _LOCATOR, path.stat().st_size), 2)
+        tail = file.read()
+    if len(tail) < _END.size:
+        raise zipfile.BadZipFile("too short")
+    magic, size, comment = _END.unpack(tail[-_END.size :])
+    if magic != b"PK\5\6" or comment or tail[: -_END.size].startswith(b"PK\6\7"):
+        raise zipfile.BadZipFile("no directory at its end")
+    if size > _MOST_DIRECTORY:
+        raise zipfile.BadZipFile(f"directory of {size} bytes, expected at most {_MOST_DIRECTORY}")
+
+
+class _Member(NamedTuple):
+    """An array that an archive holds, its header checked."""
+
+    info: zipfile.ZipInfo
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+
+def _member(path: Path, archive: zipfile.ZipFile, name: str, field: Field, sizes: dict[str, int]) -> _Member:
     where = f"{path} -> {name}"
     try:
         info = archive.getinfo(f"{name}.npy")
     except KeyError:
         raise InputError(where, "array is missing") from None
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise InputError(where, f"compressed by method {info.compress_type}, expected stored or deflated")
     try:
-        return _checked(where, _member(where, archive, info, field, sizes))
+        with archive.open(info) as stream:
+            shape, fortran, dtype = _header(stream)
     except _DAMAGE as error:
         raise InputError(where, f"array is damaged ({error})") from error
+    _check_header(where, shape, dtype, field, sizes)
+    if dtype.kind == "U" and math.prod(shape) > _MOST_TEXTS:
+        raise InputError(where, f"{math.prod(shape)} texts, expected at most {_MOST_TEXTS}")
+    return _Member(info, shape, fortran, dtype)
 
 
-def _member(
-    where: str, archive: zipfile.ZipFile, info: zipfile.ZipInfo, field: Field, sizes: dict[str, int]
-) -> npt.NDArray[Any]:
-    with archive.open(info) as stream:
-        shape, fortran, dtype = _header(stream)
-        _check_header(where, shape, dtype, field, sizes)
-        expected = math.prod(shape) * dtype.itemsize
-        if expected > MAX_BYTES:
-            raise InputError(where, f"array of {expected} bytes, expected at most {MAX_BYTES}")
-        data = stream.read(expected + 1)  # one more: reaching the end makes zipfile check the sum
-    if len(data) != expected:
-        raise InputError(where, f"{len(data)} bytes of data or more, its header says {expected}")
-    array = np.frombuffer(data, dtype="u1" if dtype.kind == "b" else dtype)
-    array = array != 0 if dtype.kind == "b" else array.astype(dtype.newbyteorder("="))
-    return array.reshape(shape, order="F" if fortran else "C")
+def _array(where: str, archive: zipfile.ZipFile, member: _Member) -> npt.NDArray[Any]:
+    try:
+        with archive.open(member.info) as stream:
+            _header(stream)
+            array = _read(where, stream, np.dtype("u1") if member.dtype.kind == "b" else member.dtype, member.shape)
+        array = array != 0 if member.dtype.kind == "b" else array.astype(array.dtype.newbyteorder("="), copy=False)
+        _check_values(where, array)
+    except _DAMAGE as error:
+        raise InputError(where, f"array is damaged ({error})") from error
+    return array.reshape(member.shape, order="F" if member.fortran else "C")
+
+
+def _read(where: str, stream: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """The numbers of a stream at its data, flat; read in pieces, for no copy of all of them."""
+    array = np.empty(math.prod(shape), dtype)
+    left = memoryview(array.view(np.uint8).data) if array.nbytes else memoryview(b"")
+    while len(left):
+        data = stream.read(min(len(left), _PIECE))
+        if not data:
+            raise InputError(where, f"{array.nbytes - len(left)} bytes of data, its header says {array.nbytes}")
+        left[: len(data)] = data
+        left = left[len(data) :]
+    if stream.read(1):  # reaching the end makes zipfile check the sum
+        raise InputError(where, f"more data than the {array.nbytes} bytes its header says")
+    return array
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -135,12 +206,15 @@ def _size(axis: int | str, sizes: Mapping[str, int]) -> int | None:
     return sizes.get(axis)
 
 
-def _checked(where: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    if array.dtype.kind == "f" and not (np.abs(array) <= LARGEST).all():
-        raise InputError(where, f"array holds NaN, infinity or a number over {LARGEST:g}")
+def _check_values(where: str, array: npt.NDArray[Any]) -> None:
+    if array.dtype.kind == "f":
+        for start in range(0, len(array), _PIECE):  # in pieces: no mask as large as the array
+            if not (np.abs(array[start : start + _PIECE]) <= LARGEST).all():
+                raise InputError(where, f"array holds NaN, infinity or a number over {LARGEST:g}")
     if array.dtype.kind == "U":
-        "".join(array.ravel().tolist()).encode()  # code points that are no text raise here
-    return array
+        points = array.view(np.uint32)  # numpy makes strings of any number, or fails with SystemError
+        if ((points > sys.maxunicode) | ((points >= 0xD800) & (points < 0xE000))).any():
+            raise InputError(where, "array holds code points that are no text")
 
 
 def check_indices(where: str, indices: npt.NDArray[np.integer], count: int) -> None:

@@ -70,7 +70,7 @@ def read(source: Path, options: Options) -> Imported:
         raise InputError(neutral_file, "no faces (f lines), expected a mesh")
     shapes = {name: read_offsets(path, neutral) for name, path in shape_files.items()}
     folder = neutral_file.parent
-    library = read_materials(folder, neutral.libraries)
+    library = read_materials(neutral_file, neutral.libraries)
     warnings = library.warnings
     landmark_file = folder / "landmarks.json"
     has_landmarks = source.is_dir() and landmark_file.is_file()

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.images import decoding, open_image, pixels
 from facepipe.reading import read_bytes
 
 MOST_BYTES = 1 << 28
-_BROKEN = (OSError, ValueError, SyntaxError, EOFError, OverflowError)
 
 
 def read_region_image(path: Path) -> npt.NDArray[np.uint8]:
@@ -23,28 +20,11 @@ def read_region_image(path: Path) -> npt.NDArray[np.uint8]:
 
     :raises InputError: no PNG that can be read, or one too large
     """
-    from PIL import Image, UnidentifiedImageError
-
-    data = read_bytes(path, MOST_BYTES)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # odd metadata
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-                return _pixels(image)
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(path, f"is too large: {error}") from None
-    except _BROKEN as error:
-        reason = "no PNG" if isinstance(error, UnidentifiedImageError) else error
-        raise InputError(path, f"can't be read as a PNG: {reason}") from None
-
-
-def _pixels(image: object) -> npt.NDArray[np.uint8]:
-    from PIL import Image
-
-    assert isinstance(image, Image.Image)
+    image = open_image(read_bytes(path, MOST_BYTES), path, ["PNG"], expected="a PNG")
+    with decoding(path):
+        image.load()
     if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip
-        grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+        grey = (np.asarray(image) >> 8).clip(0, 255).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=2)
     clear = "A" in image.getbands() or "transparency" in image.info
-    return np.array(image.convert("RGBA" if clear else "RGB"))
+    return pixels(image, "RGBA" if clear else "RGB", path)

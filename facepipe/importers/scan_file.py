@@ -75,7 +75,7 @@ def _read_obj(path: Path) -> Scan:
     colors = None if obj.colors is None else _obj_colors(obj.colors)
     if not len(obj.face_vertex_counts):
         return Scan(name=path.stem, points=obj.points, colors=colors)
-    library = read_materials(path.parent, obj.libraries)
+    library = read_materials(path, obj.libraries)
     materials = {name: one for name, one in library.materials.items() if name in obj.materials}
     scan = _scan_of([_obj_mesh(obj, colors)], materials, path.stem)
     return replace(scan, warnings=tuple(library.warnings))

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import warnings
-
 import numpy as np
 
-from facepipe.errors import InputError
 from facepipe.geometry.colors import from_srgb
+from facepipe.images import open_image, pixels
 from facepipe.parts import FloatArray, IntArray, Material, Mesh, Texture, TextureInput, UvSet
 
 _TEXELS = 8  # a point: beyond, a texture holds pores that points can only make noise of
-_BROKEN = (OSError, ValueError, SyntaxError, EOFError, OverflowError)
 
 
 def point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | None:
@@ -60,8 +56,8 @@ def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: 
     uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
     if uv_set is None:
         return None
-    pixels = _pixels(color.texture, _TEXELS * len(mesh.points))
-    texel = _sampled(pixels, _uvs(uv_set, points, corners))
+    texels = _texels(color.texture, _TEXELS * len(mesh.points))
+    texel = _sampled(texels, _uvs(uv_set, points, corners))
     return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
 
 
@@ -70,22 +66,15 @@ def _uvs(uv_set: UvSet, points: IntArray, corners: IntArray) -> FloatArray:
     return np.asarray(values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
 
 
-def _pixels(texture: Texture, most: int) -> FloatArray:
+def _texels(texture: Texture, most: int) -> FloatArray:
     """(h, w, 3) linear pixels, top row first, averaged down to about `most`.
 
     :raises InputError: no image, or one too large
     """
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # odd metadata
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            image = Image.open(io.BytesIO(texture.data)).convert("RGB")
-    except (*_BROKEN, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(f"texture {texture.name}", f"can't be read as an image: {str(error)[:80]}") from None
+    where = f"texture {texture.name}"
+    image = open_image(texture.data, where)
     factor = int(np.sqrt(image.width * image.height / max(most, 1)))
-    return from_srgb(np.asarray(image.reduce(factor) if factor > 1 else image) / 255.0)
+    return from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
 
 
 def _sampled(pixels: FloatArray, uv: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.importers.npz import Field, read_arrays
+from facepipe.importers.npz import Field, array_names, read_arrays
 from facepipe.parts import SliderNetwork
+from facepipe.reading import check_regular
 from facepipe.rig import CHANNELS
 from facepipe.rig.slider_network import network_fault
 
@@ -60,13 +60,8 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
 
 def _arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     fields = {"sliders": Field("str", ("inputs",)), "outputs": Field("str", ("outputs",))}
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(path, f"larger than {MOST_BYTES} bytes")
-        with zipfile.ZipFile(path) as archive:
-            names = {one.removesuffix(".npy") for one in archive.namelist()}
-    except (OSError, zipfile.BadZipFile) as error:
-        raise InputError(path, "can't be read as .npz") from error
+    check_regular(path, MOST_BYTES)
+    names = array_names(path)
     fields |= {name: Field("str", ()) for name in ("activation", "info") if name in names}
     layers = 0
     while f"layer{layers}.weight" in names and layers <= MOST_LAYERS:

@@ -52,7 +52,7 @@ def parse_variants(text: str) -> dict[str, str]:
 class Options:
     """What of a stage to read."""
 
-    root: str | None = field(
+    prim: str | None = field(
         default=None,
         metadata={"help": "path of the prim to read below; the default prim, or else the whole stage, where not given"},
     )
@@ -74,14 +74,14 @@ class Options:
 def read(source: Path, options: Options) -> Imported:
     """The face on a UsdSkel stage, as it stands at its default time.
 
-    :raises InputError: no readable USD, no meshes, or a choice of root or Skeleton that has to be made
+    :raises InputError: no readable USD, no meshes, or a choice of prim or Skeleton that has to be made
     :raises SchemaError: values that are not finite, or names that don't pair
     :raises TopologyError: counts and indices that don't fit each other, or a singular bind transform
     """
     from facepipe.stage.foreign import read_foreign
 
     check_ranges(options)
-    foreign = read_foreign(source, root=options.root, skeleton=options.skeleton, variants=options.variant)
+    foreign = read_foreign(source, root=options.prim, skeleton=options.skeleton, variants=options.variant)
     warnings = list(foreign.warnings)
     parts = foreign.parts
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.images import open_image, pixels
 from facepipe.learn.rasterise import Raster, interpolate
 from facepipe.learn.rows import take
 from facepipe.learn.surfaces import Surfaces
@@ -72,14 +71,9 @@ def linear_texels(source: TextureInput, largest: int) -> np.ndarray[tuple[int, .
 
     :raises InputError: the bytes are not an image that can be read
     """
-    from PIL import Image
-
-    try:
-        image = Image.open(io.BytesIO(source.texture.data)).convert("RGB")
-        factor = max(1, max(image.size) // max(largest, 1))
-        pixels = np.asarray(image.reduce(factor) if factor > 1 else image)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"texture {source.texture.name}", f"can't be read as an image: {error}") from error
+    where = f"texture {source.texture.name}"
+    image = open_image(source.texture.image(), where)
+    texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
     levels = np.arange(256) / 255.0
     table = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
-    return np.asarray((table[pixels] * source.scale[:3] + source.bias[:3]).astype(np.float32))
+    return np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32))

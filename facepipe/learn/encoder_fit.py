@@ -14,6 +14,7 @@ from facepipe.learn.encoder_descent import EncoderDescent, EncoderLimits
 from facepipe.learn.encoder_last import last_layer
 from facepipe.learn.encoder_network import EncoderNetwork, EncoderSize, as_tensor, first_weights
 from facepipe.learn.one_thread import one_thread
+from facepipe.learn.training_state import restoring
 
 Array = npt.NDArray[Any]
 FloatArray = npt.NDArray[np.floating]
@@ -65,7 +66,7 @@ def train_encoder(
     :param done: called once for each step
     :param state: what `keep` was given in a training that was ended: it goes on from there
     :param keep: called with the state now and then, and in the end
-    :raises KeyError, RuntimeError, ValueError: a state of another training
+    :raises InputError: a state of another training
     """
     with one_thread():
         random = torch.Generator().manual_seed(seed)
@@ -74,7 +75,8 @@ def train_encoder(
         network = EncoderNetwork(first_weights(learned[0], places, straight, size, random), places, size.heads)
         descent = EncoderDescent(network, learned, seen, noise, random, limits)
         if state is not None:
-            descent.go_on(state)
+            with restoring():
+                descent.go_on(state)
         descent.run(done, keep)
         found = {name: one.detach().numpy() for name, one in network.evaluated().items()}
         frames = [(x, network.reduced(x), y) for x, y in (learned, seen)]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from facepipe.learn.network_descent import Descent, Network, Schedule
 from facepipe.learn.one_thread import one_thread
+from facepipe.learn.training_state import restoring
 
 Array = npt.NDArray[Any]
 FloatArray = npt.NDArray[np.floating]
@@ -69,7 +70,7 @@ def train(
     :param done: called once for each step
     :param state: what `keep` was given in a training that was ended: it goes on from there
     :param keep: called with the state now and then
-    :raises KeyError, RuntimeError, ValueError: a state of another training
+    :raises InputError: a state of another training
     """
     with one_thread():
         linear, offset = _least_squares(_tensor(samples.inputs), _tensor(samples.outputs))
@@ -79,7 +80,8 @@ def train(
         schedule = Schedule(steps=steps, patience=patience, seed=seed, sparsity=sparsity)
         descent = Descent(network, left[0], left[1], schedule)
         if state is not None:
-            descent.go_on(state)
+            with restoring():
+                descent.go_on(state)
         descent.run(done, keep)
         return _solved(network, *parts[0], descent)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+from facepipe.errors import InputError
 
 Array = npt.NDArray[Any]
 
@@ -28,6 +31,18 @@ def state_of(
         own = optimiser.state[one]
         found |= {f"{name}.{number}": own[name].cpu().numpy().copy() for name in _MOMENTS}
     return found
+
+
+@contextmanager
+def restoring() -> Iterator[None]:
+    """What a damaged state makes fail, in one line.
+
+    :raises InputError: the state of another network
+    """
+    try:
+        yield
+    except (KeyError, RuntimeError, ValueError, TypeError, OverflowError):
+        raise InputError("training state", "is damaged or of another network, expected that of this training") from None
 
 
 def restore_state(

@@ -27,6 +27,7 @@ from facepipe.payload.layout import (
     Header,
     ascend,
     joints_hash,
+    most_values,
 )
 
 FloatArray = npt.NDArray[np.floating]
@@ -103,10 +104,9 @@ def _check_header(header: Header, flags: int, where: object) -> None:
         raise InputError(where, f"{what}, expected at least one of each{'' if header.has_frames else ', one frame'}")
     if not header.is_sparse and header.stored != header.joints:
         raise InputError(where, f"{header.stored} joints stored without a mask, expected all {header.joints}")
-    if 9 * header.frames * header.joints > MAX_VALUES:
-        raise InputError(
-            where, f"{header.frames} frames of {header.joints} joints, expected {MAX_VALUES} numbers at most"
-        )
+    most = most_values(header.frames, header.stored)
+    if 9 * header.frames * header.joints > most:
+        raise InputError(where, f"{header.frames} frames of {header.joints} joints, expected {most} numbers at most")
     if not LEAST_UNIT <= header.meters_per_unit <= LARGEST_UNIT:
         raise InputError(where, f"{header.meters_per_unit} metres a unit, expected a length above 0")
 

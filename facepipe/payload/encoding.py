@@ -27,6 +27,7 @@ from facepipe.payload.layout import (
     as_stored,
     ascend,
     joints_hash,
+    most_values,
 )
 
 FloatArray = npt.NDArray[np.floating]
@@ -48,6 +49,7 @@ def encode(content: PayloadContent) -> Encoded:
     moving = moving if moving.size else np.zeros(1, np.intp)  # at rest: a payload stores one joint at least
     count, size = len(content.joints), rounded.dtype.itemsize
     is_sparse = 9 * size * len(exact) * (count - len(moving)) > (count + 7) // 8
+    is_sparse &= exact.size <= most_values(len(exact), len(moving))
     stored = rounded[:, moving] if is_sparse else rounded
     flags = FLOAT32 * (content.precision == "float32") | FRAMES * (np.ndim(content.coefficients) == 3)
     flags |= TIMES * (content.times is not None) | SPARSE * is_sparse

@@ -23,11 +23,17 @@ VERSION = 1
 FLOAT32, FRAMES, TIMES, SPARSE = 1, 2, 4, 8  # flags
 LARGEST = 2.0**100  # of a number, about 1.3e30: products of some stay finite
 MAX_VALUES = 1 << 27  # of T m 9 numbers, 1 GiB as float64: what a reader allocates for a sound file
+FREE_VALUES, PER_STORED = 1 << 23, 32  # of these, beside those at rest: these, and as many for each number stored
 LEAST_UNIT, LARGEST_UNIT = 1e-9, 1e9  # metres
 
 HEADER = struct.Struct("<4sHHIIIf8s")
 CRC = struct.Struct("<I")
 DTYPES: dict[Precision, str] = {"float16": "<f2", "float32": "<f4"}
+
+
+def most_values(frames: int, stored: int) -> int:
+    """How many numbers the joints of a skeleton may have, of which some are `stored` in a payload."""
+    return min(MAX_VALUES, FREE_VALUES + PER_STORED * 9 * frames * stored)
 
 
 class Header(NamedTuple):

@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from facepipe.atomic import collect
 from facepipe.errors import FacepipeError, InputError
-from facepipe.locks import locked
+from facepipe.locks import discard_lock, locked
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import Action, CookReport, NodeReport
 from facepipe.pipeline.verbs import Cooked, Watch, cooker, unwatched
+from facepipe.trust import trust, trusting
 
 AnyPath = str | os.PathLike[str]
 
@@ -34,6 +36,7 @@ def cook(
     A file with a recipe is made anew where the digest of a source is not that of the recipe, or a layer that it stands
     on is lost; with the bytes that its command would write. What was cooked to the same bytes as before stops there.
     Each file is written whole or not at all, by one process at a time: a cook that was killed is just begun again.
+    Files outside the roots of the one of `paths` that led to them stay as they are.
 
     :param watch: shows progress: called with a label and a number of steps for a context manager whose `update()` is
         called after each
@@ -65,6 +68,7 @@ class _Run:
         self._digests = Digests()
         self._cooked: set[Path] = set()
         self._stale: set[Path] = set()
+        self._outside: set[Path] = set()  # stale, and stay so
         self._grown = False  # something is made of files that the graph has not
 
     def nodes(self, files: Sequence[Path]) -> Iterator[NodeReport]:
@@ -76,7 +80,7 @@ class _Run:
         while True:
             for node in self.graph.cookable():
                 done = self.node(node)
-                if done.action != "up to date" or node.path not in told:
+                if node.path not in told or done.action not in ("up to date", "outside the roots"):
                     yield done
                 told.add(node.path)
             if not self._grown:
@@ -86,13 +90,19 @@ class _Run:
     def node(self, node: Node) -> NodeReport:
         """:raises FacepipeError: what can't be read or cooked"""
         key = node.path.resolve()
+        roots = self.graph.roots.get(key)
+        if roots and not self._options.dry_run:
+            _tidy(node.path)
         why = self._why(node)
         if not why:
             return _report(node, "up to date")
+        if not roots:
+            self._outside.add(key)
+            return _report(node, "outside the roots", why)
         if self._options.dry_run:
             self._stale.add(key)
-            return _report(node, "stale", why)
-        with locked(node.path, waiting=self._digests.forget_all):
+            return _report(node, "stale", why, self._old(node))
+        with trusting(replace(trust(), roots=roots)), locked(node.path, waiting=self._digests.forget_all):
             return self._cook(node, key)
 
     def _why(self, node: Node) -> tuple[str, ...]:
@@ -101,6 +111,12 @@ class _Run:
         found += waiting(self.graph, node, self._stale)
         forced = self._options.force and node.path.resolve() not in self._cooked
         return found or (("forced",) if forced else ())
+
+    def _old(self, node: Node) -> tuple[str, ...]:
+        """A line for each file that `node` is made of as it is, though it is stale."""
+        below = {one for source in node.sources for one in self.graph.made_of(source)}
+        found = sorted(below & self._outside)
+        return tuple(f"{one.name} is outside the roots and not up to date: taken as it is" for one in found)
 
     def _cook(self, node: Node, key: Path) -> NodeReport:
         """With the lock of the file: another process may have cooked it before."""
@@ -115,7 +131,7 @@ class _Run:
             done,
             seconds=time.perf_counter() - start,
             missed=cooked.missed,
-            warnings=cooked.report.warnings,
+            warnings=(*self._old(node), *cooked.report.warnings),
             report=json.loads(cooked.report.to_json()),
         )
 
@@ -144,6 +160,12 @@ class _Run:
         return node
 
 
-def _report(node: Node, action: Action, why: tuple[str, ...] = ()) -> NodeReport:
+def _tidy(path: Path) -> None:
+    """Remove what a cook that was killed left beside a file."""
+    collect(path.parent)
+    discard_lock(path)
+
+
+def _report(node: Node, action: Action, why: tuple[str, ...] = (), warnings: tuple[str, ...] = ()) -> NodeReport:
     verb = node.recipe.verb if node.recipe else ""
-    return NodeReport(file=node.path, verb=verb, action=action, why=why)
+    return NodeReport(file=node.path, verb=verb, action=action, why=why, warnings=warnings)

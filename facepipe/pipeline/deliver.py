@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.atomic import hidden_folder, replacing, together
 from facepipe.errors import InputError
 from facepipe.registry import exporter
 from facepipe.reports import ExportReport, Finding, Report
@@ -54,8 +54,7 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
     if there and not overwrite:
         raise InputError(folder / there[0], "exists, expected another name or folder (or to overwrite it)")
     face = open_face(path)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
-        inner = Path(temporary)
+    with hidden_folder(folder) as inner:
         exports, findings = [], list(validate(path))
         for suffix in _SUFFIXES:
             module = exporter(f"{name}.{suffix}")
@@ -65,8 +64,10 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
         names = sorted(one.name for one in inner.iterdir())
         report = _in_folder(folder, [*names, f"{name}.report.json"], exports, findings)
         (inner / f"{name}.report.json").write_text(_text(report), encoding="utf-8")
-        for one in sorted(inner.iterdir()):
-            one.replace(folder / one.name)
+        with together(folder / f"{name}.glb"):
+            for one in sorted(inner.iterdir()):
+                with replacing(folder / one.name) as temporary:
+                    one.replace(temporary)
     return report
 
 

@@ -17,7 +17,6 @@ from facepipe.processors.fit_bones import (
     read_fit_bones_recipe,
     read_targets,
 )
-from facepipe.reading import check_input
 from facepipe.stage import Face, open_face
 
 
@@ -64,7 +63,6 @@ def _load(path: Path, face: Face) -> FaceParts:
     """An OBJ in the units and axes of the face, or a glTF in its own."""
     from facepipe.importers import load, obj
 
-    check_input(path)
     if path.suffix.lower() == ".obj":
         up_axis = "Z" if face.up_axis == "Z" else "Y"
         return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts  # type: ignore[arg-type]

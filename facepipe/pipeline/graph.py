@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +12,11 @@ from facepipe.parts import Recipe
 from facepipe.pipeline.verbs import VERBS
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
-from facepipe.stage.recipes import check_recipe, file_recipe
+from facepipe.stage.recipes import check_recipe, check_source, file_recipe
+from facepipe.trust import check_readable, is_writable, roots_of
 
 _IMPORT = "import "  # its faces are taken as they are
+_ENDS = 8  # files at each end of a trail that are named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,7 @@ class Graph:
     """All USD files that some depend on."""
 
     nodes: dict[Path, Node]  # resolved path -> its node; what one depends on stands before it
+    roots: dict[Path, tuple[Path, ...]]  # resolved path -> roots of a stage that led to it, where it lies below them
 
     def cookable(self) -> tuple[Node, ...]:
         """Those with recipes, in order."""
@@ -70,11 +73,30 @@ def read_graph(paths: Iterable[Path]) -> Graph:
         around a circle, with their names
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
-    walk = _Walk()
+    walk, starts = _Walk(), []
     for path in paths:
         _check_stage(path)
-        walk.visit(_place(path), ())
-    return Graph(nodes=walk.done)
+        starts.append(_place(path))
+        walk.visit(starts[-1])
+    return Graph(nodes=walk.done, roots=_writable(walk.done, starts))
+
+
+def _writable(nodes: dict[Path, Node], starts: Iterable[Path]) -> dict[Path, tuple[Path, ...]]:
+    """Resolved paths of nodes that may be written, and for each the roots of a stage that allows it."""
+    found: dict[Path, tuple[Path, ...]] = {}
+    stages: dict[tuple[Path, ...], list[Path]] = {}
+    for start in starts:
+        stages.setdefault(roots_of(start), []).append(start.resolve())
+    for roots, left in stages.items():
+        seen = set(left)
+        while left:
+            key = left.pop()
+            if key not in found and is_writable(nodes[key].path, roots):
+                found[key] = roots
+            below = {one for one in map(Path.resolve, nodes[key].below) if one in nodes and one not in seen}
+            seen |= below
+            left += below
+    return found
 
 
 def shown(path: Path) -> str:
@@ -105,41 +127,60 @@ class _Walk:
 
     def __init__(self) -> None:
         self.done: dict[Path, Node] = {}
+        self._trail: dict[Path, Node] = {}  # resolved path -> node, from the first file to the one that is read
 
-    def visit(self, path: Path, trail: tuple[Path, ...]) -> None:
-        """:param trail: the files that led here"""
+    def visit(self, path: Path) -> None:
+        """Read a file and all below it, in chains that may be longer than Python's stack."""
+        left = [iter([path])]
+        while True:
+            following = next(left[-1], None)
+            if following is not None:
+                left += self._entered(following)
+                continue
+            left.pop()
+            if not left:
+                return
+            key, node = self._trail.popitem()
+            self.done[key] = node
+
+    def _entered(self, path: Path) -> list[Iterator[Path]]:
+        """The files that one is made of; nothing where it is done."""
         key = path.resolve()
         if key in self.done:
-            return
-        keys = [one.resolve() for one in trail]
-        if key in keys:
-            circle = [*trail[keys.index(key) :], path]
-            raise InputError(" -> ".join(map(shown, circle)), "depends on itself, expected sources that do not")
+            return []
+        if key in self._trail:
+            circle = [*self._paths()[list(self._trail).index(key) :], path]
+            raise InputError(_line(circle), "depends on itself, expected sources that do not")
         try:
             node = read_node(path)
         except FacepipeError as error:
-            raise _after(trail, error) from None
-        self._check(node, trail)
-        for one in node.below:
-            self.visit(one, (*trail, path))
-        self.done[key] = node
+            raise (error.under(_line(self._paths())) if self._trail else error) from None
+        self._check(node)
+        self._trail[key] = node
+        return [iter(node.below)]
 
-    def _check(self, node: Node, trail: tuple[Path, ...]) -> None:
+    def _check(self, node: Node) -> None:
         """:raises InputError: what it is made of is gone"""
-        place = " -> ".join(map(shown, (*trail, node.path)))
         for number, source in enumerate(node.sources, 1):
             if not _is_file(source):
+                place = _line([*self._paths(), node.path])
                 raise InputError(f"{place} -> source {number}", f"{shown(source)}: no such file, expected it there")
         if node.recipe is None and node.lost:
+            place = _line([*self._paths(), node.path])
             raise InputError(place, f"stands on {shown(node.lost[0])}, which is gone, expected it there")
+
+    def _paths(self) -> list[Path]:
+        return [node.path for node in self._trail.values()]
 
 
 def read_node(path: Path) -> Node:
     """What one USD file says.
 
-    :raises InputError: a damaged file, or a recipe that nothing here can cook
+    :raises InputError: a damaged file, a recipe that nothing here can cook or that names models that can hold code, or
+        reads that are confined to elsewhere
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
+    check_readable(path)
     links = layer_links(path)
     recipe = file_recipe(path).recipe if links.has_recipe else None
     made_of = recipe is not None and (recipe.sources or recipe.digests)
@@ -150,6 +191,9 @@ def read_node(path: Path) -> Node:
     if recipe.verb not in VERBS:
         raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {', '.join(VERBS)}")
     sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)
+    for number, source in enumerate(sources, 1):
+        check_source(f"{where} -> source {number}", source)
+        check_readable(source)
     return Node(path=path, recipe=recipe, sources=sources, layers=links.layers)
 
 
@@ -160,5 +204,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _after(trail: Sequence[Path], error: FacepipeError) -> FacepipeError:
-    return error.under(" -> ".join(map(shown, trail))) if trail else error
+def _line(trail: Sequence[Path]) -> str:
+    """Files that led to each other; of very many the first and the last."""
+    names = [shown(one) for one in trail]
+    return " -> ".join(names if len(names) <= 2 * _ENDS else [*names[:_ENDS], "...", *names[-_ENDS:]])

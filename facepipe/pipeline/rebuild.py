@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from facepipe.atomic import apart
 from facepipe.errors import SchemaError
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
@@ -74,7 +75,7 @@ def make(
     """
     face = open_face(project.template)
     template = Template.of(face.parts(), str(project.template))
-    with watch("rebuild", stage_count(project)) as bar:
+    with watch("rebuild", stage_count(project)) as bar, apart():  # stages stay where a later one fails
         rebuilt = Rebuild(project, template, _readers(), lambda name: _said(bar, name))()
     recipe, missed = rebuild_recipe(project, out, rebuilt.quality), misses(rebuilt.quality, QualityLimits())
     with face.deriving(out, flatten=flatten) as derived:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +65,7 @@ class StageRecipe:
         """
         values = self.content.get(key, {})
         fits = isinstance(values, Mapping) and all(
-            type(one) in (int, float) and math.isfinite(one) for one in values.values()
+            type(one) in (int, float) and abs(one) < 1e300 for one in values.values()
         )
         if not fits:
             raise SchemaError(f"{self.where} -> {key}", f"{str(values)[:40]}, expected a number for each shape")
@@ -80,9 +79,9 @@ class StageRecipe:
         return files
 
     def _path(self, what: str, name: object) -> Path:
-        if name not in self._found:
+        if not isinstance(name, str) or name not in self._found:
             raise SchemaError(f"{self.where} -> files -> {what}", f"{str(name)[:60]}, expected one of the sources")
-        return self._found[str(name)]
+        return self._found[name]
 
 
 def read_stage_recipe(path: Path, verb: str) -> StageRecipe:

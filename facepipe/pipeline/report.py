@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from facepipe.reports import Finding, Report
 
-Action = Literal["up to date", "cooked", "stale"]
+Action = Literal["up to date", "cooked", "stale", "outside the roots"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +18,7 @@ class NodeReport:
 
     file: Path
     verb: str  # of its recipe
-    action: Action  # stale: to be cooked, which a dry run does not
+    action: Action  # stale: to be cooked, which a dry run does not; outside the roots: stale, and not to be written
     why: tuple[str, ...] = ()  # one line each; none where it is up to date
     seconds: float = 0.0
     missed: bool = False  # done, but a check or threshold was missed
@@ -38,4 +38,5 @@ class CookReport(Report):
     def good(self) -> bool:
         """Whether everything is up to date now, no threshold was missed and no check found an error."""
         errors = [one for found in self.findings.values() for one in found if one.severity == "error"]
-        return not errors and not any(one.missed or one.action == "stale" for one in self.nodes)
+        done = all(one.action in ("up to date", "cooked") and not one.missed for one in self.nodes)
+        return done and not errors

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.images import open_image, pixels
 from facepipe.parts import Texture, TextureInput
 
 FloatArray = npt.NDArray[np.floating]
@@ -35,16 +33,9 @@ def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
 
     :raises InputError: the bytes are not an image that can be read
     """
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            image = Image.open(io.BytesIO(texture.data)).convert("RGBA")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(f"texture {texture.name}", f"can't be read as an image: {error}") from error
-    factor = max(1, max(image.size) // max(largest, 1))
-    return np.asarray(image.reduce(factor) if factor > 1 else image)
+    where = f"texture {texture.name}"
+    image = open_image(texture.image(), where)
+    return pixels(image, "RGBA", where, max(1, max(image.size) // max(largest, 1)))
 
 
 class TextureCache:

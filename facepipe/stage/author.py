@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe import __version__, tokens
+from facepipe.atomic import together
 from facepipe.finite import require_finite
 from facepipe.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
@@ -30,9 +31,9 @@ def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     check_suffix(target)
-    with texture_home(target) as home:
+    with texture_home(target) as home, together(target):
         folder = TextureFolder(home)
-        textures = {name: folder.add(name, texture.data) for name, texture in textures_of(parts).items()}
+        textures = {name: folder.add(name, texture.image()) for name, texture in textures_of(parts).items()}
         stage = author(_with_relative_sources(parts, target.parent), textures)  # the stage keeps its layer alive
         folder.write()
         save_layer(stage.GetRootLayer(), target, beside=home.parent)

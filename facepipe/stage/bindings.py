@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from pxr import Sdf, Usd
 
 SKEL_PROPERTIES = (
@@ -18,25 +21,46 @@ SKEL_PROPERTIES = (
 
 def authored_skel_properties(prim: Usd.Prim) -> list[str]:
     """The skel properties that a prim has itself."""
-    return [name for name in SKEL_PROPERTIES if prim.GetProperty(name) and prim.GetProperty(name).IsAuthored()]
+    authored = set(prim.GetAuthoredPropertyNames())
+    return [name for name in SKEL_PROPERTIES if name in authored]
 
 
-def inherited_attribute(prim: Usd.Prim, name: str) -> Usd.Attribute | None:
-    """An attribute with a value, of the prim or the nearest one above that has it."""
-    while prim and not prim.IsPseudoRoot():
+Known = dict[str, dict[Sdf.Path, Any]]  # of properties, what holds for prims that were asked before
+
+
+def inherited_attribute(prim: Usd.Prim, name: str, known: Known | None = None) -> Usd.Attribute | None:
+    """An attribute with a value, of the prim or the nearest one above that has it.
+
+    :param known: what was found before on a stage that has not changed since; filled in
+    """
+
+    def own(prim: Usd.Prim) -> Usd.Attribute | None:
         attribute = prim.GetAttribute(name)
-        if attribute and attribute.HasAuthoredValue():
-            return attribute
-        prim = prim.GetParent()
-    return None
+        return attribute if attribute and attribute.HasAuthoredValue() else None
+
+    return _nearest(prim, own, {} if known is None else known.setdefault(name, {}))
 
 
-def inherited_skeleton(prim: Usd.Prim) -> Sdf.Path | None:
-    """What skel:skeleton of the prim or the nearest one above names, whether it is there or not."""
-    while prim and not prim.IsPseudoRoot():
+def inherited_skeleton(prim: Usd.Prim, known: Known | None = None) -> Sdf.Path | None:
+    """What skel:skeleton of the prim or the nearest one above names, whether it is there or not; `known` as above."""
+
+    def own(prim: Usd.Prim) -> Sdf.Path | None:
         relationship = prim.GetRelationship("skel:skeleton")
         named = relationship.GetForwardedTargets() if relationship else []
-        if named:
-            return named[0]
+        return named[0] if named else None
+
+    return _nearest(prim, own, {} if known is None else known.setdefault("skel:skeleton", {}))
+
+
+def _nearest(prim: Usd.Prim, own: Callable[[Usd.Prim], Any], known: dict[Sdf.Path, Any]) -> Any:
+    asked, found = [], None
+    while found is None and prim and not prim.IsPseudoRoot():
+        path = prim.GetPath()
+        if path in known:
+            found = known[path]
+            break
+        asked.append(path)
+        found = own(prim)
         prim = prim.GetParent()
-    return None
+    known.update(dict.fromkeys(asked, found))
+    return found

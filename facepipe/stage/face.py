@@ -49,7 +49,7 @@ from facepipe.stage.read_skeleton import read_animation, read_limits, read_recip
 from facepipe.stage.read_sliders import read_sliders
 from facepipe.stage.slider_network import check_face_network, read_slider_network
 from facepipe.stage.standalone import save_standalone
-from facepipe.stage.traversal import INSTANCES, prims_below
+from facepipe.stage.traversal import INSTANCES, check_kinds, prims_below
 from facepipe.stage.units import check_units
 
 Read = TypeVar("Read")
@@ -62,11 +62,15 @@ class Face:
     """
 
     def __init__(self, stage: Usd.Stage, prim: Usd.Prim | None = None) -> None:
-        """:raises SchemaError: no face on the stage, one of a newer facepipe, bad units, or not exactly one Skeleton"""
+        """:raises SchemaError: no face on the stage, one of a newer facepipe, bad units, or not exactly one Skeleton
+        :raises InputError: more prims than a face can have
+        """
         self.stage = stage
         self.prim = prim or _find(stage)
         _check_metadata(self)
-        skeletons = [one for one in self._below() if one.IsA(UsdSkel.Skeleton)]
+        below = list(self._below())
+        check_kinds(below, self.where)
+        skeletons = [one for one in below if one.IsA(UsdSkel.Skeleton)]
         if len(skeletons) != 1:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
         self._skeleton_prim = skeletons[0]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
-import secrets
 import struct
 import zipfile
 from collections.abc import Iterator
@@ -13,9 +13,12 @@ from pathlib import Path
 import facepipe_schemas
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
-from facepipe.atomic import replacing
+from facepipe.atomic import replacing, when_placed
 from facepipe.errors import ExportError, InputError
+from facepipe.stage.composition import checked_layers, composable_layers
 from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.stage_counts import check_counts
+from facepipe.trust import is_below
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
 _METADATA = (
@@ -40,7 +43,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     """The stage of a file.
 
     :param strict: composition errors (unresolved or recursive references, missing sublayers) are errors
-    :raises InputError: no such file, no USD file, damaged, or (strict) composed with errors
+    :raises InputError: no such file, no USD file, damaged, composed of too much, or (strict) with errors
     """
     facepipe_schemas.register()
     file = Path(path)
@@ -50,14 +53,28 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         raise InputError(file, f"suffix '{file.suffix}', expected one of {' '.join(SUFFIXES)}")
     with quiet_diagnostics():
         try:
+            held = composable_layers(file)
             stage = Usd.Stage.Open(str(file))
             problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
+            del held
+            _check_clocks(file, stage)
+            check_counts(file, stage)
         except (*USD_ERRORS, RuntimeError) as error:
             raise InputError(file, f"can't be read as USD: {reason(error)}") from None
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
     return stage
+
+
+def _check_clocks(file: Path, stage: Usd.Stage) -> None:
+    """USD maps times between layers by their clocks, and never comes back where one stands still or is not finite."""
+    layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
+    for layer in layers if len(layers) > 1 else ():
+        rate = layer.timeCodesPerSecond
+        if not (math.isfinite(rate) and rate > 0):
+            where = file if layer == stage.GetRootLayer() else f"{file} -> {layer.identifier}"
+            raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
 
 
 def dependencies(path: Path) -> set[Path]:
@@ -67,7 +84,9 @@ def dependencies(path: Path) -> set[Path]:
     """
     with quiet_diagnostics():
         try:
+            held = checked_layers(path)
             layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+            del held
         except (*USD_ERRORS, RuntimeError) as error:
             raise InputError(path, f"can't be read as USD: {reason(error)}") from None
     return {Path(layer.realPath) for layer in layers if layer.realPath} | {Path(str(asset)) for asset in assets}
@@ -82,7 +101,7 @@ def check_suffix(path: Path) -> None:
 def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path | None = None) -> None:
     """Write a layer to `path` atomically; its asset paths are written as they are.
 
-    :param beside: folder that relative asset paths of a .usdz start from; default the folder of `path`
+    :param beside: folder of the files that a .usdz takes in; none where not given
     :raises InputError: a suffix that is not USD, or a folder that can't be written
     :raises ExportError: a .usdz of a layer that refers to other layers
     """
@@ -91,26 +110,31 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
     with replacing(target) as temporary, quiet_diagnostics():
         try:
             if target.suffix.lower() == ".usdz":
-                _package(layer, target, temporary, beside or target.parent)
+                _package(layer, target, temporary, beside)
             elif not layer.Export(str(temporary)):
                 raise ExportError(target, "USD could not write the layer")
         except USD_ERRORS as error:
             raise ExportError(target, f"can't be written: {reason(error)}") from None
-    _forget(target)
+    when_placed(lambda: _forget(target))
 
 
-def _package(layer: Sdf.Layer, target: Path, temporary: Path, folder: Path) -> None:
-    """A .usdz of the layer and of the files it names, found from `folder`."""
+def _package(layer: Sdf.Layer, target: Path, temporary: Path, folder: Path | None) -> None:
+    """A .usdz of the layer and of the files in `folder` that it names, and of no others."""
     for name in layer.GetCompositionAssetDependencies():
         raise ExportError(target, f"a .usdz package can't hold the reference @{name}@; flatten first")
-    root = folder / f".{secrets.token_hex(4)}.usdc"
+    named: dict[str, None] = {}
+    UsdUtils.ModifyAssetPaths(layer, lambda name: named.setdefault(name) or name)
+    root = temporary.with_name("root.usdc")
     try:
         layer.Export(str(root))
-        made = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(root)), str(temporary), f"{target.stem}.usdc")
+        with Sdf.ZipFileWriter.CreateNew(str(temporary)) as package:
+            package.AddFile(str(root), f"{target.stem}.usdc")
+            for name in named:
+                file = (folder or target) / name
+                if folder is not None and name.startswith("./") and is_below(file, [folder]) and file.is_file():
+                    package.AddFile(str(file), name.removeprefix("./"))
     finally:
         root.unlink(missing_ok=True)
-    if not made:
-        raise ExportError(target, "USD could not make the .usdz package")
     _without_times(temporary)
 
 

@@ -12,6 +12,7 @@ from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.stage.files import SUFFIXES, quiet_diagnostics
 from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.layer_files import open_layer
 
 
 class LayerLinks(NamedTuple):
@@ -30,7 +31,7 @@ def layer_links(path: Path) -> LayerLinks:
     with quiet_diagnostics():
         try:
             layer = _fresh(path)
-            names = layer.GetCompositionAssetDependencies()
+            names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
             found = tuple(dict.fromkeys(_file(layer, name) for name in names if not _packed(name)))
             return LayerLinks(found, _has_recipe(layer))
         except (*USD_ERRORS, RuntimeError) as error:
@@ -39,7 +40,7 @@ def layer_links(path: Path) -> LayerLinks:
 
 def _fresh(path: Path) -> Sdf.Layer:
     was_open = Sdf.Layer.Find(str(path)) is not None
-    layer = Sdf.Layer.FindOrOpen(str(path))  # holds it; what Find gives can go while another thread closes its stage
+    layer = open_layer(str(path))  # holds it; what Find gives can go while another thread closes its stage
     if layer is None:
         raise InputError(path, "can't be read as USD")
     if was_open and layer.dirty:

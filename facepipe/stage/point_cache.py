@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
@@ -105,9 +106,9 @@ def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]
 def _loose(prim: Usd.Prim) -> Animation:
     animation = read_animation(prim)
     require_finite(animation, str(prim.GetPath()))
-    for name in (*animation.joints, *animation.shapes):
-        if (*animation.joints, *animation.shapes).count(name) > 1:
-            raise InputError(str(prim.GetPath()), f"'{name}' twice, expected each joint and shape once")
+    twice = next((name for name, count in Counter((*animation.joints, *animation.shapes)).items() if count > 1), None)
+    if twice is not None:
+        raise InputError(str(prim.GetPath()), f"'{twice}' twice, expected each joint and shape once")
     return animation
 
 

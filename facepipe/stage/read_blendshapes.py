@@ -17,6 +17,8 @@ from facepipe.stage.values import floats, ints
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+MOST_INBETWEENS = 100  # of a shape: each is a curve through the weights of all
+
 
 @reads_prim
 def read_blendshapes(prim: Usd.Prim, points: int) -> tuple[Blendshape, ...]:
@@ -74,7 +76,10 @@ def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
 
 def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ...]:
     found = []
-    for one in shape.GetInbetweens():
+    inbetweens = shape.GetInbetweens()
+    if len(inbetweens) > MOST_INBETWEENS:
+        raise SchemaError(merge.where, f"{len(inbetweens)} inbetweens, expected at most {MOST_INBETWEENS}")
+    for one in inbetweens:
         name = one.GetAttr().GetName().removeprefix("inbetweens:")
         weight = one.GetWeight()
         where = f"{merge.where}.inbetweens:{name}"

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Literal
 
-from pxr import Ar, Sdf, Usd, UsdShade
+from pxr import Sdf, Usd, UsdShade
 
 from facepipe.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
+from facepipe.stage.assets import copy_refusal, name_of, read_image
 from facepipe.stage.display_names import label
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.textures import is_image
 
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
@@ -48,12 +47,16 @@ def read_material(prim: Usd.Prim, name: str) -> Material | None:
 
 
 def _value(shader: UsdShade.Shader, name: str, otherwise: Any) -> Any:
-    given = shader.GetInput(name)
-    if not given:
-        return otherwise
-    attributes = UsdShade.Utils.GetValueProducingAttributes(given)
-    value = attributes[0].Get() if attributes else None
+    attribute = _attribute(shader, name)
+    value = attribute.Get() if attribute else None
     return otherwise if value is None else value
+
+
+def _attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
+    """The attribute that an input takes its value from."""
+    given = shader.GetInput(name)
+    attributes = UsdShade.Utils.GetValueProducingAttributes(given) if given else []
+    return attributes[0] if attributes else None
 
 
 def _color(shader: UsdShade.Shader, name: str, otherwise: Color) -> Color | TextureInput:
@@ -69,19 +72,19 @@ def _number(shader: UsdShade.Shader, name: str, otherwise: float) -> float | Tex
 
 
 def _texture(shader: UsdShade.Shader, name: str) -> TextureInput | None:
-    given = shader.GetInput(name)
-    attributes = UsdShade.Utils.GetValueProducingAttributes(given) if given else []
-    if not attributes or UsdShade.Utils.GetType(attributes[0].GetName()) != UsdShade.AttributeType.Output:
+    given = _attribute(shader, name)
+    if given is None or UsdShade.Utils.GetType(given.GetName()) != UsdShade.AttributeType.Output:
         return None
-    source = UsdShade.Shader(attributes[0].GetPrim())
+    source = UsdShade.Shader(given.GetPrim())
     if source.GetShaderId() != "UsdUVTexture":
         return None
-    asset = _value(source, "file", None)
+    file = _attribute(source, "file")
+    asset = file.Get() if file else None
     if asset is None:
         return None
     return TextureInput(
-        texture=_image(source, asset),
-        channels=attributes[0].GetName().rpartition(":")[2],
+        texture=_image(source, file, asset),
+        channels=given.GetName().rpartition(":")[2],
         uv_set=_uv_set(source),
         scale=_four(_value(source, "scale", (1, 1, 1, 1))),
         bias=_four(_value(source, "bias", (0, 0, 0, 0))),
@@ -96,10 +99,9 @@ def _four(value: Any) -> tuple[float, float, float, float]:
 
 
 def _uv_set(texture: UsdShade.Shader) -> str:
-    given = texture.GetInput("st")
-    attributes = UsdShade.Utils.GetValueProducingAttributes(given) if given else []
-    if attributes:
-        reader = UsdShade.Shader(attributes[0].GetPrim())
+    given = _attribute(texture, "st")
+    if given:
+        reader = UsdShade.Shader(given.GetPrim())
         if reader.GetShaderId() == "UsdTransform2d":
             return _uv_set_of_transform(reader)
         return str(_value(reader, "varname", "st"))
@@ -107,19 +109,17 @@ def _uv_set(texture: UsdShade.Shader) -> str:
 
 
 def _uv_set_of_transform(transform: UsdShade.Shader) -> str:
-    attributes = UsdShade.Utils.GetValueProducingAttributes(transform.GetInput("in"))
-    return str(_value(UsdShade.Shader(attributes[0].GetPrim()), "varname", "st")) if attributes else "st"
+    given = _attribute(transform, "in")
+    return str(_value(UsdShade.Shader(given.GetPrim()), "varname", "st")) if given else "st"
 
 
-def _image(shader: UsdShade.Shader, asset: Any) -> Texture:
+def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any) -> Texture:
     where = f"{shader.GetPath()}.inputs:file"
     if not isinstance(asset, Sdf.AssetPath):
         raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
-    resolved = asset.resolvedPath
-    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
-    if not opened:
-        raise InputError(where, f"texture @{asset.path}@ can't be found")
-    data = bytes(opened.GetBuffer())
-    if not is_image(data):
-        raise InputError(where, f"@{asset.path}@ is no image")
-    return Texture(name=Path(Ar.SplitPackageRelativePathInner(resolved)[1] or resolved).name, data=data)
+    data = read_image(asset)
+    if data is None:
+        missing = not asset.resolvedPath
+        raise InputError(where, f"texture @{asset.path}@ can't be found" if missing else f"@{asset.path}@ is no image")
+    name, refusal = name_of(asset.resolvedPath), copy_refusal(where, file, asset)
+    return Texture(name=name, data=b"" if refusal else data, refusal=refusal)

@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
+from facepipe.reading import check_values
 from facepipe.stage.display_names import exact_name, label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, matrix, quaternions
@@ -126,10 +127,12 @@ def read_recipe(prim: Usd.Prim) -> Recipe | None:
     if not verb:
         return None
     text = prim.GetAttribute(tokens.RECIPE_OPTIONS).Get() or "{}"
+    where = f"{prim.GetPath()}.{tokens.RECIPE_OPTIONS}"
+    check_values(where, text.encode())
     try:
         options = json.loads(text)
     except (ValueError, RecursionError):
-        raise SchemaError(f"{prim.GetPath()}.{tokens.RECIPE_OPTIONS}", "no JSON, expected a JSON object") from None
+        raise SchemaError(where, "no JSON, expected a JSON object") from None
     return Recipe(
         verb=str(verb),
         sources=tuple(prim.GetAttribute(tokens.RECIPE_SOURCES).Get() or ()),

@@ -13,9 +13,10 @@ from facepipe import __version__
 from facepipe.digests import digest
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import Recipe
-from facepipe.reading import read_json_object
+from facepipe.reading import is_file, read_json_object
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage
 from facepipe.stage.read_skeleton import read_recipe
+from facepipe.trust import check_model
 
 _MOST_BYTES = 1 << 28  # of a glTF document
 
@@ -74,17 +75,22 @@ def _check_version(where: str, version: str) -> None:
         raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
 
 
+def check_source(where: str, path: Path) -> None:
+    """:raises InputError: a source that can run code as it is loaded, which the caller does not trust"""
+    try:
+        check_model(path)
+    except InputError as error:
+        raise InputError(where, f"{path.name} {error.what}") from None
+
+
 def existing_source(where: str, path: Path, instead: str) -> Path:
     """The absolute path of a source that a recipe names.
 
     :param instead: the argument that takes another one
-    :raises InputError: no such file
+    :raises InputError: no such file, or as `check_source`
     """
-    try:
-        found = path.is_file()
-    except OSError:  # a name that no file can have
-        found = False
-    if not found:
+    check_source(where, path)
+    if not is_file(path):
         raise InputError(where, f"{path}: no such file, expected it there (or {instead})")
     return path.resolve()
 

@@ -12,6 +12,7 @@ from pxr import Usd
 from facepipe import tokens
 from facepipe.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import FaceParts, SliderNetwork
+from facepipe.reading import check_values
 from facepipe.rig.slider_network import network_fault
 from facepipe.stage.api_schemas import apply_schema, is_applied, put_value, remove_schema
 from facepipe.stage.differences import same
@@ -70,12 +71,14 @@ def read_slider_network(prim: Usd.Prim) -> SliderNetwork | None:
 
 
 def _info(prim: Usd.Prim, text: str) -> dict[str, object]:
+    where = f"{prim.GetPath()}.{tokens.NETWORK_INFO}"
+    check_values(where, text.encode())
     try:
         found = json.loads(text)
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise SchemaError(f"{prim.GetPath()}.{tokens.NETWORK_INFO}", "no JSON object, expected one")
+        raise SchemaError(where, "no JSON object, expected one")
     return found
 
 

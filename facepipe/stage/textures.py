@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from facepipe.atomic import write_bytes
+from facepipe.atomic import collect, hidden_folder, replacing_folder, write_bytes
 from facepipe.errors import InputError
+from facepipe.names import file_name
+from facepipe.trust import check_beside
 
 _IMAGE_STARTS = (
     b"\x89PNG\r\n\x1a\n",
@@ -30,51 +31,67 @@ def is_image(data: bytes) -> bool:
 class TextureFolder:
     """The folder ``<stem>_textures`` beside a stage file, made only if there are textures to write.
 
-    A file that is there with other content is never overwritten: another stage may show it.
+    A file that is there with other content is never overwritten: another stage may show it. Whatever names others gave,
+    those of files are plain, and differ in more than case.
     """
 
     def __init__(self, stage_file: Path) -> None:
-        self._folder = stage_file.parent / f"{stage_file.stem}_textures"
+        self._stage_file = stage_file
+        self._folder = _folder_of(stage_file)
         self._files: dict[Path, bytes] = {}
+        self._taken: set[str] = set()  # names, without case
 
     def add(self, name: str, data: bytes) -> str:
         """Take a texture; its asset path as the stage file names it."""
-        wanted = self._folder / Path(name).name
+        wanted = self._folder / file_name(name, "texture")
         file, number = wanted, 1
         while not self._has_place(file, data):
             number += 1
             file = wanted.with_name(f"{wanted.stem}_{number}{wanted.suffix}")
         self._files[file] = data
+        self._taken.add(file.name.casefold())
         return f"./{self._folder.name}/{file.name}"
 
     def write(self) -> None:
         """Write what was taken.
 
-        :raises InputError: the folder can't be written
+        :raises InputError: the folder can't be written, or is a link that leads outside the roots
         """
+        if not self._files:
+            return
+        if not self._folder.parent.is_dir():
+            raise InputError(self._folder.parent, "no such folder")
+        check_beside(self._folder, self._stage_file)
+        if not self._folder.exists():
+            with replacing_folder(self._folder) as folder:
+                for file, data in self._files.items():
+                    write_bytes(folder / file.name, data)
+            return
         for file, data in self._files.items():
-            if not self._folder.parent.is_dir():
-                raise InputError(self._folder.parent, "no such folder")
-            self._folder.mkdir(exist_ok=True)
             if not file.exists():
                 write_bytes(file, data)
 
     def _has_place(self, file: Path, data: bytes) -> bool:
-        if file in self._files:
-            return self._files[file] == data
-        return not file.exists() or file.read_bytes() == data
+        if file.name.casefold() in self._taken:
+            return self._files.get(file) == data
+        return not file.exists() or (file.is_file() and file.read_bytes() == data)
 
 
 @contextlib.contextmanager
 def texture_home(target: Path) -> Iterator[Path]:
-    """The stage file that textures go beside: `target`, or for a .usdz one in a passing folder that it is packed from.
+    """The stage file that textures go beside: `target`, or for a .usdz one in a hidden folder that it is packed from.
 
     :raises InputError: the folder of `target` does not exist
     """
     if target.suffix.lower() != ".usdz":
+        collect(_folder_of(target))
         yield target
         return
     if not target.parent.is_dir():
         raise InputError(target, "the folder does not exist")
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".facepipe-") as folder:
-        yield Path(folder) / target.name
+    with hidden_folder(target.parent) as folder:
+        yield folder / target.name
+
+
+def _folder_of(stage_file: Path) -> Path:
+    return stage_file.parent / f"{stage_file.stem}_textures"

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 import numpy as np
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe.errors import FacepipeError
+from facepipe.errors import FacepipeError, InputError
 from facepipe.parts import FaceParts
 from facepipe.rig import implausible
 from facepipe.stage import Face
+from facepipe.stage.assets import read_image
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.guard import UNREADABLE, reason
-from facepipe.stage.textures import is_image
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView, array
 
@@ -66,11 +66,14 @@ def textures(face: FaceView) -> Iterator[Problem]:
         given = prim.GetAttribute("inputs:file").Get() if prim.GetAttribute("inputs:file") else None
         if not isinstance(given, Sdf.AssetPath) or not given.path:
             continue
-        asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(given.resolvedPath)) if given.resolvedPath else None
-        if not asset:
+        if not given.resolvedPath:
             yield at(prim, f"texture @{given.path}@ can't be found")
-        elif not is_image(bytes(asset.GetBuffer())):
-            yield at(prim, f"@{given.path}@ is no image")
+            continue
+        try:
+            if read_image(given) is None:
+                yield at(prim, f"@{given.path}@ is no image")
+        except InputError as error:
+            yield at(prim, error.what)
 
 
 def face_prim(face: FaceView) -> Iterator[Problem]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdSkel
 
+from facepipe.stage.read_blendshapes import MOST_INBETWEENS
 from facepipe.validate.problem import Problem, at, outside, some
 from facepipe.validate.views import FaceView, FloatArray, MeshView, numbers
 
@@ -94,14 +95,17 @@ def _offsets(shape: UsdSkel.BlendShape) -> Iterator[tuple[Usd.Attribute, bool]]:
 
 
 def inbetween_weight(face: FaceView) -> Iterator[Problem]:
-    """Inbetweens have distinct finite weights other than 0 (the neutral) and 1 (the shape)."""
+    """Inbetweens, not too many, have distinct finite weights other than 0 (the neutral) and 1 (the shape)."""
     for _, shape, _ in _shapes(face):
-        weights = []
-        for inbetween in shape.GetInbetweens():
+        weights = set()
+        inbetweens = shape.GetInbetweens()
+        if len(inbetweens) > MOST_INBETWEENS:
+            yield at(shape.GetPrim(), f"{len(inbetweens)} inbetweens, expected at most {MOST_INBETWEENS}")
+        for inbetween in inbetweens:
             weight = inbetween.GetWeight()
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
                 found = "no weight" if weight is None else f"weight {weight:g}"
                 yield at(inbetween.GetAttr(), f"{found}, expected a number other than 0 and 1")
             elif weight in weights:
                 yield at(inbetween.GetAttr(), f"weight {weight:g} of another inbetween, expected its own")
-            weights.append(weight)
+            weights.add(weight)

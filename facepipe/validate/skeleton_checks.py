@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -45,7 +46,7 @@ def joint_order(face: FaceView) -> Iterator[Problem]:
 def joint_names(face: FaceView) -> Iterator[Problem]:
     """Joint names are valid paths, each once."""
     for skeleton in face.skeletons:
-        twice = sorted({joint for joint in skeleton.joints if skeleton.joints.count(joint) > 1})
+        twice = sorted(joint for joint, count in Counter(skeleton.joints).items() if count > 1)
         if twice:
             yield at(f"{skeleton.path}.joints", f"{some(twice)} twice, expected each joint once")
         wrong = [joint for joint in skeleton.joints if not _is_path(joint)]

@@ -12,9 +12,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe import tokens
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
+from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
 from facepipe.stage.guard import UNREADABLE
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.traversal import check_kinds, prims_below
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -68,9 +68,11 @@ def targets(relationship: Usd.Relationship | None) -> list[Sdf.Path]:
 class MeshView:
     """A Mesh prim and the skel properties that hold for it, its own or those of a prim above."""
 
-    def __init__(self, prim: Usd.Prim) -> None:
+    def __init__(self, prim: Usd.Prim, known: Known) -> None:
+        """:param known: what holds for the prims above, shared by all meshes"""
         self.prim = prim
         self.path = str(prim.GetPath())
+        self._known = known
         self.mesh = UsdGeom.Mesh(prim)
 
     @cached_property
@@ -87,12 +89,12 @@ class MeshView:
 
     def inherited(self, name: str) -> Usd.Attribute | None:
         """An attribute with a value, of the mesh or the nearest prim above that has one."""
-        return inherited_attribute(self.prim, name)
+        return inherited_attribute(self.prim, name, self._known)
 
     @cached_property
     def skeleton_path(self) -> Sdf.Path | None:
         """What skel:skeleton of the mesh or a prim above names."""
-        return inherited_skeleton(self.prim)
+        return inherited_skeleton(self.prim, self._known)
 
     @cached_property
     def joint_indices(self) -> FloatArray | None:
@@ -159,6 +161,7 @@ class FaceView:
         default = stage.GetDefaultPrim()
         self.prim: Usd.Prim | None = default if default in found else next(iter(found), None)
         self.prims = list(prims_below(self.prim, where)) if self.prim else everything[1:]
+        check_kinds(self.prims, where)
 
     def of_type(self, schema: Any) -> Iterator[Usd.Prim]:
         """Prims of a schema class, in stage order."""
@@ -167,7 +170,8 @@ class FaceView:
     @cached_property
     def meshes(self) -> list[MeshView]:
         """Its meshes."""
-        return [MeshView(prim) for prim in self.of_type(UsdGeom.Mesh)]
+        known: Known = {}
+        return [MeshView(prim, known) for prim in self.of_type(UsdGeom.Mesh)]
 
     @cached_property
     def skeletons(self) -> list[SkeletonView]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from facepipe.errors import InputError
 from facepipe.names import did_you_mean
+from facepipe.reading import read_bytes
 from facepipe_gltf.vrm.options import Options
 
 Json = dict[str, Any]
@@ -88,11 +89,7 @@ def _expected(field: str, value: Any) -> str | None:
 
 def _read(path: Path) -> Json:
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(path, f"more than {_LARGEST} bytes, expected a JSON object of VRM's meta fields")
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from None
+        found = json.loads(read_bytes(path, _LARGEST).decode("utf-8-sig"))
     except (ValueError, RecursionError):
         raise InputError(path, "no readable JSON, expected an object of VRM's meta fields") from None
     if not isinstance(found, dict):

@@ -14,7 +14,7 @@ from facepipe.errors import InputError
 # (node, *inputs) -> a tensor or a tuple of them; an input that was left out is None
 Operator = Callable[..., Any]
 
-_MOST_ELEMENTS = 1 << 28  # of one value that a shape in the file asks for
+_MOST_ELEMENTS = 1 << 26  # of one value that a shape in the file asks for
 
 
 @dataclass(frozen=True, kw_only=True)

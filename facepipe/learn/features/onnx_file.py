@@ -81,6 +81,15 @@ def _faults(model: Any) -> Iterator[str]:
         yield f"operator set {versions[:3]}, expected one from {OLDEST_OPSET} to {NEWEST_OPSET}"
     if len(graph.sparse_initializer):
         yield "sparse tensors, expected dense ones"
-    for tensor in graph.initializer:
+    for tensor in (one for each in (graph, *model.functions) for one in _tensors(each)):
         if tensor.data_location or len(tensor.external_data):
             yield f"tensor {tensor.name!r} has its data in another file, expected one file (onnx.save_model)"
+
+
+def _tensors(graph: Any) -> Iterator[Any]:
+    """All of a graph or function, of its nodes and of graphs within them."""
+    yield from getattr(graph, "initializer", ())
+    for attribute in (one for node in graph.node for one in node.attribute):
+        yield from (attribute.t, *attribute.tensors)
+        for inner in (attribute.g, *attribute.graphs):
+            yield from _tensors(inner)

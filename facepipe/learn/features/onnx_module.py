@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from facepipe.errors import InputError
 from facepipe.learn.features.node import Node, Operator
 from facepipe.learn.features.onnx_file import array, opset, read_model
+from facepipe.learn.features.onnx_sizes import check_sizes
 from facepipe.learn.features.operators import OPERATORS
 
 _RUN_ERRORS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
@@ -48,6 +49,7 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         except InputError as error:
             raise error.under(where) from None
         self._last = _last_uses(self._steps, self.outputs)
+        self._checked: tuple[torch.Size, ...] = ()  # shapes of the inputs last checked
         self.eval()
 
     @classmethod
@@ -65,6 +67,13 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         """
         known: dict[str, Tensor] = dict(zip(self.inputs, values, strict=True))
         known.update({name: self.get_buffer(buffer) for name, buffer in self._buffer_of.items()})
+        shapes = tuple(one.shape for one in values)
+        if shapes != self._checked:
+            try:
+                check_sizes(self._steps, known, max([1, *(shape[0] for shape in shapes if shape)]))
+            except InputError as error:
+                raise error.under(self._where) from None
+            self._checked = shapes
         for (node, operator), done in zip(self._steps, self._last, strict=True):
             try:
                 found = operator(node, *[known[name] if name else None for name in node.inputs])

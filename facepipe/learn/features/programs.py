@@ -14,6 +14,7 @@ from facepipe.errors import InputError
 from facepipe.learn.features.description import PROPERTY
 from facepipe.learn.features.onnx_file import properties, read_model
 from facepipe.learn.features.onnx_module import OnnxModule
+from facepipe.trust import check_model
 
 Chosen = tuple[str | int, ...]
 
@@ -35,7 +36,8 @@ def load_program(path: Path) -> Program:
 
     Loading a ``.pt2`` file can run code that is in it; an ONNX file can't.
 
-    :raises InputError: another suffix, a damaged file, or not one picture of float32 as input
+    :raises InputError: another suffix, a ``.pt2`` that the caller doesn't trust, a damaged file, or not one picture of
+        float32 as input
     """
     suffix = path.suffix.lower()
     if suffix == ".onnx":
@@ -65,6 +67,7 @@ def _onnx(path: Path) -> Program:
 def _exported(path: Path) -> Program:
     if not path.is_file():
         raise InputError(path, "no such file")
+    check_model(path)
     try:
         program = torch.export.load(path)
         signature = program.graph_signature

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.learn.features.onnx_file import read_model
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -22,18 +23,17 @@ class LandmarkSession:
     def __init__(self, source: Path | bytes) -> None:
         """
         :param source: a file, or its bytes
-        :raises InputError: no file, no ONNX model, or one of another kind
+        :raises InputError: no file, no ONNX model, one with data in other files, or one of another kind
         """
         import onnxruntime as ort
 
         where = "landmark network" if isinstance(source, bytes) else source
+        data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
         settings = ort.SessionOptions()
         settings.intra_op_num_threads = 1
         settings.log_severity_level = 4
         try:
-            self._session = ort.InferenceSession(
-                source if isinstance(source, bytes) else str(source), settings, providers=["CPUExecutionProvider"]
-            )
+            self._session = ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's own classes share no other base
             raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
         outputs = {one.name for one in self._session.get_outputs()}

@@ -15,6 +15,7 @@ from facepipe.processors.blend.session import BlendSession
 from facepipe.processors.blend.weights import Weights
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
+from facepipe.threads import one_thread
 from facepipe.tokens import SEAM_RESIDUAL
 
 
@@ -41,6 +42,7 @@ class Blend:
             if not isinstance(value, kind):
                 raise InputError(f"Blend -> {name}", f"{type(value).__name__}, expected {kind.__name__}(...)")
 
+    @one_thread()
     def __call__(
         self,
         face: Face,

@@ -16,6 +16,7 @@ from facepipe.processors.blend.sources import stack
 from facepipe.processors.blend.weights import Weights
 from facepipe.reports import Report
 from facepipe.stage import Face
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -29,6 +30,7 @@ class MatchReport(Report):
     max_mm: float
 
 
+@one_thread()
 def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None = None) -> MatchReport:
     """The region weights, 0 or more and summing to 1, whose blend is nearest to `target`.
 

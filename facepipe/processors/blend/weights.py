@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -65,7 +65,7 @@ def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> F
         found = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
         raise InputError(where, f"{found}, expected {sources}, one per source")
     for number, value in enumerate(values, 1):
-        if not (isinstance(value, int | float | np.number) and math.isfinite(value) and value >= 0):
+        if not (isinstance(value, int | float | np.number) and 0 <= value <= sys.float_info.max):
             raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected a number of 0 or more")
     if not any(value > 0 for value in values):
         raise InputError(where, "all weights are 0, expected one above 0")

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from facepipe.atomic import replacing
 from facepipe.errors import InputError
-from facepipe.reading import read_bytes
+from facepipe.reading import check_values, read_bytes
 
 Array = npt.NDArray[Any]
 
@@ -111,8 +111,10 @@ def _read_header(path: Path, data: bytes, kind: str) -> tuple[dict[str, Any], in
     if not 2 <= size <= min(_MAX_HEADER, len(data) - _SIZE.size):
         raise InputError(path, f"{what}, or cut short")
     start = _SIZE.size + size
+    text = data[_SIZE.size : start]
+    check_values(path, text)
     try:
-        head = json.loads(data[_SIZE.size : start].decode())
+        head = json.loads(text.decode())
     except (ValueError, RecursionError):
         raise InputError(path, f"{what}, or damaged: its header is no JSON") from None
     if not isinstance(head, dict):

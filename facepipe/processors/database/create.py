@@ -20,6 +20,7 @@ from facepipe.processors.database.face_database import Entry, FaceDatabase, Stor
 from facepipe.processors.database.quality import Quality, QualityLimits, misses
 from facepipe.processors.database.shape_names import Shapes, shapes_in_common
 from facepipe.processors.database.whole_face import WholeFace
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -60,6 +61,7 @@ class Made(NamedTuple):
     warnings: tuple[str, ...]
 
 
+@one_thread()
 def create_database(
     sources: Sequence[Source], options: DatabaseOptions | None = None, *, done: Callable[[], object] = lambda: None
 ) -> Made:
@@ -81,6 +83,7 @@ def create_database(
     return _grown(None, sources, facts, identity, shapes, {}, (), options.tolerance_mm, done)
 
 
+@one_thread()
 def add_faces(
     database: FaceDatabase,
     sources: Sequence[Source],

@@ -59,9 +59,6 @@ def quality_from(values: object, where: str) -> Quality:
         where, values = f"{where} -> quality", values["quality"]
     if not isinstance(values, Mapping):
         raise InputError(where, "no object of measures, expected one")
-    for name in Quality.__dataclass_fields__:
-        if name not in values:
-            raise InputError(where, f"no '{name}', expected {', '.join(Quality.__dataclass_fields__)}")
     try:
         return from_json(Quality, values, where)
     except InputError as error:

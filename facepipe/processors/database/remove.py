@@ -14,10 +14,12 @@ from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import narrowed
 from facepipe.processors.database.create import Made
 from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, Update
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
 
+@one_thread()
 def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the database") -> Made:
     """`database` without some of its faces: what `create_database` makes of the others, within its tolerance.
 

@@ -17,6 +17,7 @@ from facepipe.processors.fit_bones.targets import Target
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
+from facepipe.threads import one_thread
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,7 @@ class FitBones(FitBonesOptions):
     mask: Sequence[str] = ()
     initial: FloatArray | None = None
 
+    @one_thread()
     def __call__(
         self,
         face: Face,

@@ -30,6 +30,7 @@ from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.rig.sliders import with_mutual_mirrors
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -85,6 +86,7 @@ class AttachNeuralRig:
 
     options: AttachOptions = field(default_factory=AttachOptions)
 
+    @one_thread()
     def __call__(self, parts: FaceParts, rig: NeuralRig, where: str) -> AttachedNeuralRig:
         """The face that the rig moves.
 

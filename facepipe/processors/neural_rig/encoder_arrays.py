@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import Content
+from facepipe.processors.neural_rig.control_json import controls_from
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
-from facepipe.rig.neural_rig import Control
 
 KEY = "encoder"
 _FLOATS: tuple[str, ...] = ("rest", "point", "point_bias", "feature", "feature_bias", "token", "places")
@@ -48,7 +48,7 @@ def from_arrays(where: object, found: Content) -> NeuralEncoder:
     try:
         layers = tuple(EncoderLayer(**_named(found, f"{i}.", _LAYER)) for i in range(int(content["layers"])))
         encoder = NeuralEncoder(
-            controls=tuple(Control(**one) for one in content["controls"]),
+            controls=controls_from(content["controls"], f"{where} -> {KEY} -> controls"),
             topology=str(content["topology"]),
             point_count=int(content["point_count"]),
             chosen=np.asarray(found.arrays[f"{KEY}.chosen"], np.int64),
@@ -58,7 +58,7 @@ def from_arrays(where: object, found: Content) -> NeuralEncoder:
             **_named(found, "", _FLOATS),
         )
         _check(where, encoder)
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(where, f"its encoder is damaged ({error}), expected a whole one") from None
     return encoder
 

@@ -13,9 +13,10 @@ from scipy import sparse
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
 from facepipe.processors.neural_rig import encoder_arrays
+from facepipe.processors.neural_rig.control_json import controls_from
 from facepipe.rig import Rig
 from facepipe.rig.neural_encoder import NeuralEncoder
-from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.rig.neural_rig import NeuralRig
 
 KIND = "facepipe neural rig 1"
 SUFFIX = ".fpnr"
@@ -59,7 +60,7 @@ def load_neural_rig(path: Path) -> NeuralRig:
     """:raises InputError: not readable, damaged, or not such a file"""
     found = read_arrays(path, KIND)
     try:
-        controls = tuple(Control(**one) for one in found.content["controls"])
+        controls = controls_from(found.content["controls"], f"{path} -> controls")
         arrays: dict[str, Any] = {name: np.asarray(found.arrays[name], np.float64) for name in _ARRAYS}
         rig = NeuralRig(controls=controls, topology=str(found.content["topology"]), **arrays)
         if "bones" in found.content:

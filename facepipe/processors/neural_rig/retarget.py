@@ -20,6 +20,7 @@ from facepipe.processors.neural_rig.retarget_report import RetargetReport, compa
 from facepipe.processors.neural_rig.subject_examples import subject_examples
 from facepipe.rig.neural_basis import over
 from facepipe.rig.neural_rig import NeuralRig
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -93,6 +94,7 @@ class RetargetNeuralRig:
 
     options: RetargetOptions = field(default_factory=RetargetOptions)
 
+    @one_thread()
     def __call__(
         self,
         rig: NeuralRig,

@@ -19,6 +19,7 @@ from facepipe.processors.neural_rig.motion import Motion
 from facepipe.reports import Report
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import inputs
+from facepipe.threads import one_thread
 
 if TYPE_CHECKING:
     from facepipe.learn.encoder_fit import EncoderSamples
@@ -106,6 +107,7 @@ class TrainEncoder:
 
     options: TrainEncoderOptions = field(default_factory=TrainEncoderOptions)
 
+    @one_thread()
     def __call__(
         self, motion: Motion, done: Callable[[], object] = lambda: None, checkpoint: Path | None = None
     ) -> TrainedEncoder:

@@ -20,6 +20,7 @@ from facepipe.processors.neural_rig.straight_rig import straight_rig
 from facepipe.reports import Report
 from facepipe.rig.bones import with_influences
 from facepipe.rig.neural_rig import NeuralRig, from_default
+from facepipe.threads import one_thread
 
 if TYPE_CHECKING:
     from facepipe.learn.network_fit import Samples, Trained
@@ -122,6 +123,7 @@ class TrainNeuralRig:
 
     options: TrainNeuralRigOptions = field(default_factory=TrainNeuralRigOptions)
 
+    @one_thread()
     def __call__(
         self, motion: Motion, done: Callable[[], object] = lambda: None, checkpoint: Path | None = None
     ) -> TrainedNeuralRig:

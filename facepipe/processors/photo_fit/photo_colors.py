@@ -27,10 +27,10 @@ def expanded(image: Image, where: str) -> Image:
     if image.mode == "F":
         raise InputError(where, "has pixels of floating point, expected whole numbers of 8 or 16 bits")
     if image.mode.startswith("I"):
-        values = np.asarray(image).astype(np.int64)
+        values = np.asarray(image)
         if values.min() < 0 or values.max() > 0xFFFF:
             raise InputError(where, "has grey of more than 16 bits, expected 8 or 16")
-        result = Images.fromarray(((values * 255 + 0x7FFF) // 0xFFFF).astype(np.uint8))
+        result = Images.fromarray(((values.astype(np.uint32) * 255 + 0x7FFF) // 0xFFFF).astype(np.uint8))
     elif "transparency" in image.info or image.mode in ("PA", "RGBa", "La"):
         result = image.convert("LA" if image.mode in ("1", "L", "La") else "RGBA")
     elif image.mode in ("L", "LA", "RGB", "RGBA", "CMYK", "LAB", "YCbCr"):

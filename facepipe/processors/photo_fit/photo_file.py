@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.images import decoding, open_image
 from facepipe.processors.photo_fit.photo_colors import expanded, srgb
 from facepipe.reading import read_bytes
 
@@ -22,12 +19,10 @@ if TYPE_CHECKING:
 
 LARGEST = 2048  # pixels a side: a face that fills an eighth of the picture still has 256
 SMALLEST = 64  # pixels a side: a smaller picture shows no face worth fitting
-MOST_PIXELS = 128_000_000  # a little more than a phone of 108 megapixels makes
 _MOST_BYTES = 1 << 28
 _ORIENTATION = 0x0112  # the tag in EXIF
 _FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "AVIF", "JPEG2000", "BMP", "GIF", "PPM", "TGA")
 _EXPECTED = "a picture (JPEG, PNG, WebP, TIFF, AVIF, JPEG 2000, BMP, GIF, PPM or TGA)"
-_HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +52,16 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     Transparent pixels are mixed with mid grey (0.5): the colours under them may be anything.
 
     :param largest: pixels of the longer side; a larger picture is reduced to that
-    :raises InputError: not readable, no such picture, damaged, cut short, below 64 pixels a side or above 128 million
+    :raises InputError: not readable, no such picture, damaged, cut short, below 64 pixels a side, or as
+        `open_image`
     """
     if largest < SMALLEST:
         raise InputError("option largest", f"is {largest}, expected at least {SMALLEST} pixels")
     notes: list[str] = []
     data = read_bytes(path, _MOST_BYTES)
-    with _decoding(path, data):
+    if not data:
+        raise InputError(path, f"is empty, expected {_EXPECTED}")
+    with decoding(path):
         image = expanded(_upright(_opened(path, data, notes), notes), str(path))
         size = image.size
         reduced, scale = _reduced(image, largest)
@@ -74,41 +72,23 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     return Photo(pixels=pixels, path=path, size=size, scale=scale, warnings=tuple(notes))
 
 
-@contextmanager
-def _decoding(path: Path, data: bytes) -> Iterator[None]:
-    """Whatever a decoder raises as one line: damaged files make decoders fail in every way."""
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # odd metadata; sizes are checked here
-            yield
-    except InputError:
-        raise
-    except Image.DecompressionBombError as error:
-        raise InputError(path, f"is too large: {error}") from None
-    except UnidentifiedImageError:
-        found = "is empty" if not data else "is HEIC" if data[4:12] in _HEIC else "is not a picture that can be read"
-        raise InputError(path, f"{found}, expected {_EXPECTED}") from None
-    except MemoryError:
-        raise InputError(path, "is too large for the memory at hand") from None
-    except Exception as error:
-        raise InputError(path, f"is damaged or cut short: {str(error)[:120] or type(error).__name__}") from None
-
-
 def _opened(path: Path, data: bytes, notes: list[str]) -> Image:
-    from PIL import Image as Images
-
-    Images.init()
-    known = [one for one in _FORMATS if one in Images.OPEN]  # an older Pillow has no AVIF
-    image: Image = Images.open(io.BytesIO(data), formats=known)
-    if image.width * image.height > MOST_PIXELS:
-        raise InputError(path, f"is {image.width} x {image.height} pixels, expected at most {MOST_PIXELS:,}")
+    image = open_image(data, path, _FORMATS, expected=_EXPECTED)
     # the further pictures of an MPO are previews and other views of the same
-    if image.format != "MPO" and getattr(image, "n_frames", 1) > 1:
+    if image.format != "MPO" and _has_second(image):
         notes.append("holds several pictures: the first is read")
+    image = open_image(data, path, _FORMATS, expected=_EXPECTED)  # at its first picture
     image.load()
     return image
+
+
+def _has_second(image: Image) -> bool:
+    """Whether there is a picture after the first; to count them takes as long as there are many."""
+    try:
+        image.seek(1)
+    except Exception:  # decoders fail in every way; the first picture may be fine
+        return False
+    return True
 
 
 def _upright(image: Image, notes: list[str]) -> Image:

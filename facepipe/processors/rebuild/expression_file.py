@@ -9,7 +9,6 @@ much more or less than the template the person moves, which is the shapes' own.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -88,7 +87,7 @@ def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
     if not isinstance(name, str) or not isinstance(weights, Mapping) or not weights:
         raise SchemaError(where, "expected the expression's name and weights")
     for shape, weight in weights.items():
-        if not isinstance(weight, int | float) or not math.isfinite(weight):
+        if not isinstance(weight, int | float) or not abs(weight) < 1e300:  # NaN fails, and integers beyond any float
             raise SchemaError(f"{where} -> weights -> {shape}", f"{weight!r:.40}, expected a finite number")
     return name, {str(shape): float(weight) for shape, weight in weights.items()}
 

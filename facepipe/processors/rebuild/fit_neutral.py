@@ -23,6 +23,7 @@ from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -117,6 +118,7 @@ class FitNeutral:
 
     options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

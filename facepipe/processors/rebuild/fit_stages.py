@@ -12,6 +12,7 @@ import numpy.typing as npt
 from facepipe.processors.database import quality_from
 from facepipe.processors.rebuild.fit_neutral import FitNeutral
 from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
+from facepipe.processors.rebuild.kept_result import EXPRESSION, NEUTRAL, REFINED, SHAPES, TEMPLATE
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.project import ProjectScan, Refinement
 from facepipe.processors.rebuild.project_names import expression_weights
@@ -59,7 +60,7 @@ class FitStages:
 
         inputs = stages.inputs(project.neutral, project.neutral_options, database=stages.digest(project.database))
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
-        return self._neutral(stages.stage(f"{self._below}neutral", inputs, compute))
+        return self._neutral(stages.stage(f"{self._below}neutral", inputs, compute, NEUTRAL))
 
     def together(
         self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
@@ -97,7 +98,7 @@ class FitStages:
 
         inputs = stages.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
         inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
-        found = stages.stage("refined", inputs, compute)
+        found = stages.stage("refined", inputs, compute, REFINED)
         scan = replace(neutral.scan, points=stages.after_correction("refined", found.arrays["points"]))
         return FittedNeutral(scan=scan, place=neutral.place, report=found.content["report"])
 
@@ -118,7 +119,7 @@ class FitStages:
             "database": stages.digest(project.database),
             "options": options_json(project.template_options),
         }
-        found = stages.stage(f"{self._below}template", inputs, compute)
+        found = stages.stage(f"{self._below}template", inputs, compute, TEMPLATE)
         return shapes_of(found.arrays, found.content["names"])
 
     def expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes) -> FittedExpression:
@@ -141,7 +142,7 @@ class FitStages:
         inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
         inputs |= {"keeps": ["points", "matched", "report", "place"]}
         name = f"{self._below}expressions/{scan.name}"
-        found = stages.stage(name, inputs, compute)
+        found = stages.stage(name, inputs, compute, EXPRESSION)
         points = np.asarray(found.arrays["points"], np.float64)
         composite = Composite(
             points=points if self._below else stages.after_correction(name, points),
@@ -173,7 +174,7 @@ class FitStages:
             "weights": {name: dict(one.weights) for name, one in composites.items()},
             "options": options_json(options),
         }
-        found = stages.stage("shapes", inputs, compute)
+        found = stages.stage("shapes", inputs, compute, SHAPES)
         return shapes_of(found.arrays, found.content["names"]), found.content["report"]
 
     def corrected_shapes(self, neutral: FloatArray, shapes: Shapes) -> dict[str, FloatArray]:

@@ -31,6 +31,7 @@ from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -70,6 +71,7 @@ class FitTogether:
     neutral: FitNeutralOptions = field(default_factory=FitNeutralOptions)
     expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

@@ -14,6 +14,7 @@ from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.options import check_ranges
 from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
 from facepipe.processors.rebuild.template import Template
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -44,6 +45,7 @@ class PersonalTemplate:
 
     options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

@@ -2,7 +2,7 @@
 
 template = "head.usda"                      # face stage with multipie68 landmarks
 database = "faces.fpdb"
-work = "work"                               # folder of the stages' results (default: the project's name)
+work = "work"                               # folder of results, below the roots (default: the project's name)
 joint = true                                # the neutral is refined on all scans together (default: false)
 
 [neutral]
@@ -24,13 +24,13 @@ detail_mm = 8
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from facepipe.errors import InputError
+from facepipe.names import file_name
 from facepipe.options import from_json
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
 from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
@@ -38,7 +38,8 @@ from facepipe.processors.rebuild.personal_template import PersonalTemplateOption
 from facepipe.processors.rebuild.refine_neutral import RefineNeutralOptions
 from facepipe.processors.rebuild.register_scans import RegisterScansOptions
 from facepipe.processors.rebuild.split_expressions import SplitExpressionsOptions
-from facepipe.reading import read_bytes
+from facepipe.reading import is_file, read_toml
+from facepipe.trust import check_writable
 
 _MOST_BYTES = 1 << 22
 _KEYS = ("template", "database", "work", "joint", "neutral", "expressions", "options")
@@ -82,11 +83,12 @@ class Project:
 
 
 def read_project(path: Path) -> Project:
-    """:raises InputError: not readable, no TOML, not such a project, or a file that it names and that is not there"""
-    try:
-        content = tomllib.loads(read_bytes(path, _MOST_BYTES).decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # bad UTF-8 too
-        raise InputError(path, f"is not TOML ({str(error)[:120]})") from None
+    """A project's text, checked.
+
+    :raises InputError: not readable, no TOML, not such a project, a file that it names and that is not there, or a work
+        folder outside the roots
+    """
+    content = read_toml(path, _MOST_BYTES)
     where = str(path)
     _check_keys(where, content, _KEYS)
     options = _table(where, content, "options")
@@ -98,7 +100,7 @@ def read_project(path: Path) -> Project:
         path=path,
         template=_file(where, content, "template", path.parent),
         database=_file(where, content, "database", path.parent),
-        work=path.parent / _text(where, content, "work", path.stem),
+        work=_work(where, content, path),
         joint=_flag(where, content, "joint"),
         neutral=_scan(where, "neutral", _table(where, content, "neutral"), path.parent),
         expressions=tuple(
@@ -130,8 +132,8 @@ def _refinement(where: str, options: Mapping[str, Any]) -> Refinement | None:
 
 def _scan(where: str, name: str, content: object, folder: Path) -> ProjectScan:
     where = f"{where} -> {name[:60]}"
-    if not (name.isascii() and name.isidentifier()):
-        raise InputError(where, "expected a name of letters, digits and underscores")
+    if not (name.isascii() and name.isidentifier()) or file_name(name) != name:
+        raise InputError(where, "expected a name of letters, digits and underscores that files can have")
     if not isinstance(content, dict):
         raise InputError(where, f"{str(content)[:40]}, expected a table with a scan")
     _check_keys(where, content, ("scan", "landmarks", "weights"))
@@ -189,6 +191,12 @@ def _text(where: str, content: Mapping[str, Any], key: str, default: str | None 
     return found
 
 
+def _work(where: str, content: Mapping[str, Any], path: Path) -> Path:
+    folder = path.parent / _text(where, content, "work", path.stem)
+    check_writable(f"{where} -> work", folder, path)
+    return folder
+
+
 def _flag(where: str, content: Mapping[str, Any], key: str) -> bool:
     found = content.get(key, False)
     if not isinstance(found, bool):
@@ -198,6 +206,6 @@ def _flag(where: str, content: Mapping[str, Any], key: str) -> bool:
 
 def _file(where: str, content: Mapping[str, Any], key: str, folder: Path) -> Path:
     path = folder / _text(where, content, key)
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"{where} -> {key}", f"{path}: no such file")
     return path

@@ -20,6 +20,7 @@ from facepipe.processors.rebuild.scan_distances import row_distances
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -88,6 +89,7 @@ class RefineNeutral:
 
     options: RefineNeutralOptions = field(default_factory=RefineNeutralOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

@@ -20,6 +20,7 @@ from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -130,6 +131,7 @@ class RegisterScans:
 
     options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

@@ -13,6 +13,7 @@ from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -66,6 +67,7 @@ class SplitExpressions:
 
     options: SplitOptions = field(default_factory=SplitExpressionsOptions)
 
+    @one_thread()
     def __call__(
         self,
         template: Template,

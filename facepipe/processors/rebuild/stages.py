@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from facepipe.parts import FaceParts
 from facepipe.processors.database import FaceDatabase, load_database, whole_face
+from facepipe.processors.rebuild.kept_result import Kept
 from facepipe.processors.rebuild.project import Project, ProjectScan
 from facepipe.processors.rebuild.stage_content import options_json
 from facepipe.processors.rebuild.template import Template
@@ -53,14 +55,19 @@ class Stages:
         self.corrected: list[str] = []
 
     def stage(
-        self, name: str, inputs: Mapping[str, Any], compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]]
+        self,
+        name: str,
+        inputs: Mapping[str, Any],
+        compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]],
+        kept: Kept,
     ) -> StageResult:
         """The result of a stage, with a mesh beside it where it has points: for eyes and for an artist's hand.
 
         :raises FacepipeError: of `compute`
         """
         self._said(name)
-        found = self._folder.stage(name, inputs, compute)
+        count = self.template.topology.point_count
+        found = self._folder.stage(name, inputs, compute, partial(kept.check, count=count))
         if found.reused:
             self.reused.append(name)
         if "points" in found.arrays:
@@ -128,6 +135,6 @@ class Stages:
         }
 
     def _show(self, name: str, found: StageResult) -> None:
-        path = self._folder.path / f"{name}.usdc"
+        path = self._folder.place(f"{name}.usdc")
         if not (found.reused and path.is_file()):
             save_parts(self.template.topology.parts(found.arrays["points"]), path)

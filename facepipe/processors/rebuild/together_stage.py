@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
 from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
+from facepipe.processors.rebuild.kept_result import NEUTRAL
 from facepipe.processors.rebuild.register_scans import ExpressionScan
 from facepipe.processors.rebuild.stage_content import place_json, plain
 from facepipe.processors.rebuild.stages import Stages
@@ -41,7 +42,7 @@ def together_stage(
         arrays = {"points": found.neutral.points, "expression": found.neutral.expression}
         return arrays, {"report": report, "place": place_json(found.neutral.place)}
 
-    return stages.stage(name, _inputs(stages, first, shapes, expressions), compute)
+    return stages.stage(name, _inputs(stages, first, shapes, expressions), compute, NEUTRAL)
 
 
 def _fit(

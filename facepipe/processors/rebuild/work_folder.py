@@ -20,6 +20,7 @@ import numpy.typing as npt
 from facepipe import __version__
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import read_arrays, write_arrays
+from facepipe.trust import check_writable
 
 FloatArray = npt.NDArray[np.floating]
 Array = npt.NDArray[Any]
@@ -53,26 +54,37 @@ class WorkFolder:
         name: str,
         inputs: Mapping[str, Any],
         compute: Callable[[], tuple[Mapping[str, Array], Mapping[str, Any]]],
+        check: Callable[[Mapping[str, Array], Mapping[str, Any]], object] = lambda arrays, content: None,
     ) -> StageResult:
         """The result of a stage: the one that is there where it came from the same `inputs`, otherwise a new one.
 
-        A damaged file is made anew.
+        A damaged file is made anew, and so is one that holds something else.
 
         :param inputs: JSON: digests of files and arrays, options
-        :raises FacepipeError: of `compute`; what was there stays then
+        :param check: raises InputError where arrays and content are not what the stage keeps
+        :raises FacepipeError: of `compute`; what was there stays then. Or links that lead outside the roots
         """
         key = stage_key(inputs)
-        path = self.path / f"{name}.fpstage"
-        known = self._read(path, key)
+        path = self.place(f"{name}.fpstage")
+        known = self._read(path, key, check)
         if known is not None:
             return known
         arrays, content = compute()
         path.parent.mkdir(parents=True, exist_ok=True)
         write_arrays(path, KIND, {"key": key, "content": dict(content)}, arrays)
-        fresh = self._read(path, key)
+        fresh = self._read(path, key, check)
         if fresh is None:
             raise InputError(path, "changed while it was written, expected one rebuild at a time in a work folder")
         return StageResult(arrays=fresh.arrays, content=fresh.content, reused=False)
+
+    def place(self, name: str) -> Path:
+        """Where a file of results is written.
+
+        :raises InputError: links in the work folder lead outside the roots
+        """
+        path = self.path / name
+        check_writable(path, path, self.path / CORRECTIONS)
+        return path
 
     def correction(self, name: str) -> Path | None:
         """The corrected mesh of a stage's result.
@@ -92,16 +104,20 @@ class WorkFolder:
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file())
         return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files)
 
-    def _read(self, path: Path, key: str) -> StageResult | None:
+    def _read(
+        self, path: Path, key: str, check: Callable[[Mapping[str, Array], Mapping[str, Any]], object]
+    ) -> StageResult | None:
         if not path.is_file():
             return None
         try:
             found = read_arrays(path, KIND)
+            content = found.content.get("content")
+            if found.content.get("key") != key or not isinstance(content, dict):
+                return None
+            check(found.arrays, content)
         except InputError:
             return None
-        if found.content.get("key") != key or not isinstance(found.content.get("content"), dict):
-            return None
-        return StageResult(arrays=found.arrays, content=found.content["content"], reused=True)
+        return StageResult(arrays=found.arrays, content=content, reused=True)
 
 
 def stage_key(inputs: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from facepipe.processors.scan_landmarks.look_again import Seen, look_again
 from facepipe.processors.scan_landmarks.search import Candidate, Draw, Network, axis_views, candidates, sphere_views
 from facepipe.reports import Report
 from facepipe.scans import FloatArray, Scan, ScanLandmarks
+from facepipe.threads import one_thread
 
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show
@@ -69,6 +70,7 @@ class FindScanLandmarks:
     draw: Draw
     model: Path | None = None
 
+    @one_thread()
     def __call__(self, scan: Scan) -> FoundScanLandmarks:
         """Search `scan`.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.images import decoding, open_image
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS
+from facepipe.reading import read_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -21,6 +22,7 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 _EXIF, _FOCAL_35 = 0x8769, 0xA405  # the IFD of the camera's settings; focal length as on 36 x 24 mm film
 _FILM = 36.0  # mm
 _FOCALS = (4.0, 2000.0)  # mm: what lenses have
+_MOST_BYTES = 1 << 28
 _SMALLEST = 64  # pixels a side
 
 
@@ -93,17 +95,12 @@ def _fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
 
 def _image(file: Path) -> tuple[Image, float | None]:
     """The picture, upright, and its focal length on 36 mm film where EXIF tells."""
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # photos have many pixels
-            with Image.open(file) as opened:
-                film = _film_focal(opened)
-                upright = ImageOps.exif_transpose(opened)
-                return _eight_bit(upright), film
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(file, f"can't be read as an image: {error}") from error
+    image = open_image(read_bytes(file, _MOST_BYTES), file)
+    with decoding(file):
+        film = _film_focal(image)
+        return _eight_bit(ImageOps.exif_transpose(image)), film
 
 
 def _eight_bit(image: Image) -> Image:
@@ -111,8 +108,8 @@ def _eight_bit(image: Image) -> Image:
     from PIL import Image
 
     if image.mode.startswith("I"):
-        values = np.clip(np.asarray(image, dtype=np.float64) / 257.0 + 0.5, 0, 255)
-        return Image.fromarray(values.astype(np.uint8)).convert("RGB")
+        values = np.asarray(image).clip(0, 0xFFFF).astype(np.uint32)
+        return Image.fromarray(((values * 2 + 257) // 514).astype(np.uint8)).convert("RGB")
     return image.convert("RGB")
 
 

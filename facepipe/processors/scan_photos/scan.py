@@ -26,6 +26,7 @@ from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_
 from facepipe.processors.scan_photos.surface import make_surface
 from facepipe.processors.scan_photos.triangulation import FloatArray, Sightings, triangulate_all
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.threads import one_thread
 
 Step = Callable[[str, int], None]
 _DOUBTFUL = 1.5  # pixels: mean distance of matched points from where photos show them
@@ -67,6 +68,7 @@ class ScanPhotos:
             if self.cameras is not None:
                 raise InputError("marker distance", "given with cameras, which have a scale, expected one of them")
 
+    @one_thread()
     def __call__(self, folder: Path, step: Step = no_step) -> PhotoScan:
         """The scan of the photos in `folder`.
 

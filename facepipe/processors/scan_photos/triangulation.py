@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ FloatArray = npt.NDArray[np.floating]
 Sightings = Mapping[str, Mapping[str, FloatArray]]  # photo -> what -> (2,) pixels of the upright photo, full size
 
 _LARGEST_FILE = 64_000_000  # bytes
+_LARGEST = 1e9  # pixels
 _WIDE = np.cos(np.radians(3.0))  # rays closer together than this say little about depth
 
 
@@ -40,10 +42,11 @@ def read_markers(path: Path) -> dict[str, dict[str, FloatArray]]:
 
 
 def _pixel(value: object, where: str) -> FloatArray:
-    numbers = isinstance(value, list) and len(value) == 2 and all(type(one) in (int, float) for one in value)
-    if not numbers or not np.isfinite(place := np.array(value, dtype=np.float64)).all():
+    found: list[Any] = value if isinstance(value, list) else []
+    # NaN fails the comparison
+    if len(found) != 2 or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in found):
         raise InputError(where, f"{str(value)[:40]}, expected [x, y] in pixels")
-    return np.asarray(place)
+    return np.array(value, dtype=np.float64)
 
 
 def triangulate_all(

@@ -25,6 +25,7 @@ from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
+from facepipe.threads import one_thread
 
 _LEAST = 1e-6  # mm: a radius below counts as this
 _BLUR = 0.15  # of a slit's width, at the border between its two sides
@@ -51,6 +52,7 @@ class SkinFace:
         if (self.joints is None) == (self.source is None):
             raise InputError("skin", "joints and a source face, or neither, expected one of them")
 
+    @one_thread()
     def __call__(
         self, face: Face, step: Callable[[], object] = lambda: None, *, recipe: Recipe | None = None
     ) -> SkinReport:

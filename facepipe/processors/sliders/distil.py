@@ -15,6 +15,7 @@ from facepipe.processors.sliders.effects import channel_effects
 from facepipe.reports import Report
 from facepipe.rig import CHANNELS, Rig, build, slide
 from facepipe.rig.sliders import channel_entries, shape_entries
+from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -75,6 +76,7 @@ class DistilSliders:
     threshold_mm: float = 0.1
     steps: int = 6000
 
+    @one_thread()
     def __call__(self, parts: FaceParts) -> tuple[FaceParts, DistilReport]:
         """The face with its learned sliders, and how good they are.
 

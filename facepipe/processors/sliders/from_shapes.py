@@ -24,6 +24,7 @@ from facepipe.processors.sliders.shape_report import ShapeSlidersReport, by_grou
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
+from facepipe.threads import one_thread
 
 _SHOWN = 4  # names of a list
 _LEAST = 1e-6  # mm: a motion that is less is none
@@ -64,6 +65,7 @@ class SlidersFromShapes(ShapeSliderOptions):
             raise InputError("option from-shapes", "no pattern, expected some of the face's shapes, or *")
         return found
 
+    @one_thread()
     def __call__(
         self, face: Face, *, recipe: Recipe | None = None, done: Callable[[], object] = lambda: None
     ) -> ShapeSlidersReport:

@@ -13,7 +13,6 @@ shapes = { jawOpen = 1, mouthPucker = { gain = 0.5, curve = [[0, 0], [1, 1]] } }
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from facepipe.errors import InputError
 from facepipe.parts import Curve
 from facepipe.processors.sliders.rules import Drive, SliderRule
 from facepipe.processors.sliders.tables import MOST_BYTES, SliderTable
-from facepipe.reading import read_bytes
+from facepipe.reading import read_toml
 
 _KEYS = ("slider", "units")
 _SLIDER_KEYS = ("group", "range", "default", "mirror", "channels", "shapes")
@@ -29,10 +28,7 @@ _SLIDER_KEYS = ("group", "range", "default", "mirror", "channels", "shapes")
 
 def read(path: Path) -> SliderTable:
     """:raises InputError: not readable, no TOML, or not such a table"""
-    try:
-        content = tomllib.loads(read_bytes(path, MOST_BYTES).decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # bad UTF-8 too
-        raise InputError(path, f"is not TOML ({str(error)[:120]})") from None
+    content = read_toml(path, MOST_BYTES)
     where = str(path)
     _check_keys(where, content, _KEYS)
     sliders = content.get("slider", {})

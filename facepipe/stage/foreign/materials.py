@@ -5,7 +5,7 @@ from __future__ import annotations
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from facepipe.errors import InputError
-from facepipe.parts import Material
+from facepipe.parts import Material, TextureInput
 from facepipe.stage.display_names import told_apart
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.read_materials import read_material
@@ -39,11 +39,20 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
     return {path: names[path] for path, material in read.items() if material is not None}, materials
 
 
+def _refusal(material: Material | None) -> InputError | None:
+    """Why an image of the material may not be copied."""
+    values = vars(material).values() if material else ()
+    images = (one.texture for one in values if isinstance(one, TextureInput))
+    return next((one.refusal for one in images if one.refusal), None)
+
+
 def _read(scene: Scene, prim: Usd.Prim, name: str) -> Material | None:
     """One material; a texture that can't be had is left out of it."""
     while True:
         try:
             material = read_material(prim, name)
+            if refusal := _refusal(material):
+                raise refusal
             break
         except InputError as error:
             attribute = scene.stage.GetAttributeAtPath(Sdf.Path(error.where))

@@ -24,13 +24,15 @@ def choose_meshes(scene: Scene) -> list[Usd.Prim]:
     found = [prim for prim in scene.prims if prim.IsA(UsdGeom.Mesh)]
     hidden = [prim for prim in found if UsdGeom.Imageable(prim).ComputeVisibility() == UsdGeom.Tokens.invisible]
     helpers = [prim for prim in found if UsdGeom.Imageable(prim).ComputePurpose() in _HIDDEN_PURPOSES]
-    shown = [prim for prim in found if prim not in {*hidden, *helpers}]
+    unseen = {*hidden, *helpers}
+    shown = [prim for prim in found if prim not in unseen]
     empty = [prim for prim in shown if not _has_faces(prim)]
     for prims, what in ((hidden, "invisible"), (helpers, "of purpose guide or proxy"), (empty, "without faces")):
         if prims:
             scene.warn(f"mesh {what}: left out", prims)
     _name_others(scene)
-    return [prim for prim in shown if prim not in set(empty)]
+    without = set(empty)
+    return [prim for prim in shown if prim not in without]
 
 
 @reads_prim

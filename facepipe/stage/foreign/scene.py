@@ -11,7 +11,7 @@ from facepipe.errors import InputError
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.files import open_stage
 from facepipe.stage.foreign.variants import choose_variants, variants_in_effect
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.traversal import check_kinds, prims_below
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 
@@ -29,6 +29,7 @@ class Scene:
         self.roots = self._find_roots(root)
         self._open_instances()
         self.prims = list(self._below())
+        check_kinds(self.prims, self.path)
         above = [one for top in self.roots for one in ancestors(top)]
         self.warnings += variants_in_effect([*above, *self.prims], variants)
         self._default_values()

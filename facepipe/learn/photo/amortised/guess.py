@@ -14,6 +14,7 @@ import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.onnx_file import properties, read_model
+from facepipe.learn.features.onnx_module import OnnxModule
 from facepipe.learn.photo.amortised.metadata import KEY, KIND, controls
 from facepipe.learn.photo.amortised.network import COUNT, SIZE
 from facepipe.learn.photo.amortised.pictures import Picture
@@ -75,7 +76,8 @@ def load_start(path: Path, subject: Subject) -> Guess:
 
     :raises InputError: no such network, a damaged one, or one of a face with other sliders or expressions
     """
-    metadata, own = _described(path), controls(subject)
+    model = read_model(path)
+    metadata, own = _described(path, model), controls(subject)
     if metadata.get("up_axis") != own["up_axis"]:
         raise InputError(path, f"made for a face with another up axis, expected {own['up_axis']}")
     guess = Guess(
@@ -84,7 +86,7 @@ def load_start(path: Path, subject: Subject) -> Guess:
         metadata=metadata,
         sliders=_places(path, "slider", metadata.get("sliders"), own["sliders"]),
         expressions=_places(path, "expression", metadata.get("expressions"), own["expressions"]),
-        session=_session(path),
+        session=_session(path, model),
     )
     _check_signature(path, guess)
     return guess
@@ -106,9 +108,9 @@ def _places(path: Path, kind: str, theirs: Any, own: list[Any]) -> IntArray:
     return np.array([theirs.index(one) for one in own], dtype=np.int64)
 
 
-def _described(path: Path) -> dict[str, Any]:
+def _described(path: Path, model: Any) -> dict[str, Any]:
     try:
-        found = json.loads(properties(read_model(path)).get(KEY, ""))
+        found = json.loads(properties(model).get(KEY, ""))
     except json.JSONDecodeError:
         found = None
     if not isinstance(found, dict) or found.get("kind") != KIND:
@@ -116,14 +118,28 @@ def _described(path: Path) -> dict[str, Any]:
     return found
 
 
-def _session(path: Path) -> Any:
+def _check_sizes(path: Path, model: Any) -> None:
+    """Run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads.
+
+    :raises InputError: other operators or inputs than a start network's, or values too large
+    """
+    module = OnnxModule(model, None, path)
+    inputs = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
+    if set(module.inputs) != set(inputs):
+        raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")
+    with torch.no_grad():
+        module(*[inputs[name] for name in module.inputs])
+
+
+def _session(path: Path, model: Any) -> Any:
     import onnxruntime as ort
 
+    _check_sizes(path, model)
     settings = ort.SessionOptions()
     settings.intra_op_num_threads = 1
     settings.log_severity_level = 4
     try:
-        return ort.InferenceSession(str(path), settings, providers=["CPUExecutionProvider"])
+        return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own classes share no other base
         raise InputError(path, f"can't be run: {str(error)[:120]}") from None
 

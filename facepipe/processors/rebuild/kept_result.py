@@ -1,0 +1,77 @@
+"""What each stage of a rebuild keeps: what is found in a work folder may be anyone's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.errors import InputError
+from facepipe.processors.rebuild.fit_neutral import NeutralReport
+from facepipe.processors.rebuild.refine_report import RefineReport
+from facepipe.processors.rebuild.register_scans import CompositeReport
+from facepipe.processors.rebuild.split_expressions import SplitReport
+from facepipe.processors.rebuild.stage_content import place_of
+from facepipe.records.arrays import ArrayReader
+from facepipe.records.fields import from_json
+from facepipe.reports import Report
+
+Array = npt.NDArray[Any]
+
+_MORE = ("together",)  # of a report of all scans together
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """Arrays and JSON of one kind of stage."""
+
+    points: tuple[str, ...] = ()  # arrays (n, 3)
+    matched: bool = False  # and one of (n,) integers
+    shapes: bool = False  # and one of (n, 3) a name
+    place: bool = False
+    report: type[Report] | None = None
+
+    def check(self, arrays: Mapping[str, Array], content: Mapping[str, Any], count: int) -> None:
+        """:param count: points of the template
+        :raises InputError: something else
+        """
+        names = list(self.points) + ([f"shape/{name}" for name in _names(content)] if self.shapes else [])
+        sizes: dict[str, tuple[int, ...]] = dict.fromkeys(names, (count, 3))
+        for name, shape in (sizes | ({"matched": (count,)} if self.matched else {})).items():
+            if name not in arrays or arrays[name].shape != shape:
+                raise InputError(name, f"no array of shape {shape}")
+        if self.place:
+            _check_place(content.get("place"))
+        if self.report is not None:
+            own = content.get("report")
+            plain = {key: one for key, one in own.items() if key not in _MORE} if isinstance(own, dict) else own
+            from_json(self.report, plain, ArrayReader(b""), "report")
+
+
+NEUTRAL = Kept(points=("points", "expression"), place=True, report=NeutralReport)
+REFINED = Kept(points=("points",), report=RefineReport)
+TEMPLATE = Kept(shapes=True)
+EXPRESSION = Kept(points=("points",), matched=True, place=True, report=CompositeReport)
+SHAPES = Kept(shapes=True, report=SplitReport)
+
+
+def _names(content: Mapping[str, Any]) -> list[str]:
+    names = content.get("names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("names", "no list of names")
+    return names
+
+
+def _check_place(content: object) -> None:
+    try:
+        place = place_of(content if isinstance(content, Mapping) else {})
+    except (LookupError, TypeError, ValueError):
+        raise InputError("place", "no rotation, translation and scale") from None
+    sound = place.rotation.shape == (3, 3) and place.translation.shape == (3,) and 0.0 < place.scale < math.inf
+    turns = sound and np.allclose(place.rotation @ place.rotation.T, np.eye(3), atol=1e-3)
+    if not turns or not np.isfinite(place.translation).all():
+        raise InputError("place", "no rotation, translation and scale")

@@ -1,0 +1,287 @@
+"""What a stage composes to, counted from its layers before USD composes it.
+
+A few lines of references that double on every level make more prims than memory holds. The count is an upper bound: it
+takes all variants and payloads, and instances in full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pxr import Ar, Pcp, Sdf
+
+from facepipe.errors import InputError
+from facepipe.stage.guard import USD_ERRORS
+from facepipe.stage.layer_files import MOST_LEVELS, open_layer
+from facepipe.stage.layer_table import LayerTable
+
+MOST_COMPOSED = 250_000  # opinions that arcs add, beyond two a written prim; each costs USD some 10 us and 1 kB
+MOST_LAYERS = 4096  # of a stage
+MOST_SUBLAYERS = 500  # of a layer, those below them included, as often as they come
+_ROOT = Sdf.Path.absoluteRootPath
+
+
+class _Count(NamedTuple):
+    """Of a prim and what is below it."""
+
+    prims: int
+    opinions: int  # of all prims together
+    most: int  # of one prim
+    levels: int  # of prims and arcs, one in another
+
+
+class _Stack:
+    """A layer with its sublayers, strongest first."""
+
+    def __init__(self, tables: tuple[LayerTable, ...], variables: dict[str, Any]) -> None:
+        self.tables = tables
+        self.variables = variables
+
+    @cached_property
+    def with_arcs(self) -> tuple[LayerTable, ...]:
+        return tuple(one for one in self.tables if one.arcs)
+
+    def size(self, path: Sdf.Path) -> int:
+        return sum(one.sizes.get(path, 0) for one in self.tables)
+
+    def ways(self, path: Sdf.Path) -> set[Sdf.Path]:
+        return {way for one in self.with_arcs for way in one.ways.get(path, ())}
+
+
+def checked_layers(path: Path) -> list[Sdf.Layer]:
+    """The layers that a file stands on, each looked at before USD opens it; USD keeps them open while they are held.
+
+    :raises InputError: too many, sublayers too deep, or one of no regular file or that promises too much
+    """
+    return [one.layer for one in Composition(path).tables.values()]
+
+
+def composable_layers(path: Path) -> list[Sdf.Layer]:
+    """The same, where USD can compose them.
+
+    :raises InputError: as above; arcs that come to too many opinions, too deep or in a circle
+    """
+    stage = Composition(path)
+    total = stage.count()
+    if total is not None:
+        most = MOST_COMPOSED + 2 * sum(one.sizes[_ROOT] for one in stage.tables.values())
+        if total.opinions > most:
+            raise stage.too_much(f"{total.opinions}" if total.opinions < 10**12 else "more than 10^12", most)
+        if any(one.has_classes for one in stage.tables.values()):
+            stage.compose(most)
+    return [one.layer for one in stage.tables.values()]
+
+
+class Composition:
+    """The layers of a file, and what their arcs come to."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.tables: dict[str, LayerTable] = {}
+        self._stacks: dict[tuple[str, str], _Stack | None] = {}
+        self._targets: dict[tuple[int, str, str], _Stack | None] = {}
+        self._counts: dict[tuple[int, Sdf.Path, bool], _Count | None] = {}
+        self._steps = 0
+        self._context = Ar.GetResolver().CreateDefaultContextForAsset(str(path))
+        with Ar.ResolverContextBinder(self._context):
+            self.root = self._stack(str(path), {})
+            self._find_all()
+
+    def count(self) -> _Count | None:
+        """What arcs make of the stage; None where it has none."""
+        if self.root is None or not any(one.with_arcs for one in self._stacks.values() if one):
+            return None
+        with Ar.ResolverContextBinder(self._context):
+            return self._below(self.root, _ROOT, 0)
+
+    def compose(self, most: int) -> None:
+        """Index prim after prim: what a class gets in the layers that refer to it is not counted elsewhere.
+
+        :raises InputError: more than `most` opinions
+        """
+        if self.root is None:
+            return
+        cache = Pcp.Cache(Pcp.LayerStackIdentifier(self.root.tables[0].layer, None, self._context), "usd", True)
+        todo, found = [_ROOT], 0
+        while todo:
+            path = todo.pop()
+            index, _ = cache.ComputePrimIndex(path)
+            if index.hasAnyPayloads:
+                cache.RequestPayloads([path], [])
+                index, _ = cache.ComputePrimIndex(path)
+            nodes = _nodes(index.rootNode)
+            found += nodes
+            if found > most:
+                raise self.too_much(f"more than {most}", most)
+            if nodes > 1 or self.root.ways(path) or path == _ROOT:
+                todo.extend(path.AppendChild(name) for name in index.ComputePrimChildNames()[0])
+
+    # what is below a prim
+
+    def _below(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
+        """Of the prims that the layers have at and below a path, and of what the arcs on them add."""
+        key = (id(stack), path, False)
+        if key in self._counts:
+            return self._known(key)
+        self._step(len(stack.tables), level)
+        self._counts[key] = None
+        ways = stack.ways(path)
+        own = [self._below(stack, way, level + 1) for way in ways]
+        plain = max(stack.size(path) - sum(stack.size(way) for way in ways), 1)
+        base = _Count(
+            plain + sum(one.prims for one in own),
+            plain + sum(one.opinions for one in own),
+            max((one.most for one in own), default=1),
+            1 + max((one.levels for one in own), default=0),
+        )
+        parts = [self._whole(target, prim, level + 1) for target, prim in self._targets_at(stack, path)]
+        return self._keep(key, _joined(base, parts))
+
+    def _whole(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
+        """The same with what the arcs of the prims above add."""
+        key = (id(stack), path, True)
+        if key in self._counts:
+            return self._known(key)
+        self._step(len(stack.tables), level)
+        self._counts[key] = None
+        base = self._below(stack, path, level + 1)
+        parts = [
+            self._whole(target, path.ReplacePrefix(above, prim), level + 1)
+            for above in path.GetPrefixes()[:-1]
+            for target, prim in self._targets_at(stack, above)
+        ]
+        return self._keep(key, _joined(base, parts))
+
+    def _step(self, layers: int, level: int) -> None:
+        self._steps += layers
+        if self._steps > 2 * MOST_COMPOSED:
+            raise self.too_much(f"more than {MOST_COMPOSED}", MOST_COMPOSED)
+        if level > MOST_LEVELS:
+            raise InputError(self.path, f"nests prims and references more than {MOST_LEVELS} deep")
+
+    def _known(self, key: tuple[int, Sdf.Path, bool]) -> _Count:
+        found = self._counts[key]
+        if found is None:
+            raise InputError(self.path, f"composition error: Cycle of references at <{key[1]}>")
+        return found
+
+    def _keep(self, key: tuple[int, Sdf.Path, bool], count: _Count) -> _Count:
+        if count.levels > MOST_LEVELS:
+            raise InputError(self.path, f"nests prims and references more than {MOST_LEVELS} deep")
+        self._counts[key] = count
+        return count
+
+    def too_much(self, found: str, most: int) -> InputError:
+        return InputError(self.path, f"composes to {found} opinions by its references, expected at most {most}")
+
+    def _targets_at(self, stack: _Stack, path: Sdf.Path) -> list[tuple[_Stack, Sdf.Path]]:
+        """Where the arcs on a prim lead; an arc that several layers have is one."""
+        found = {}
+        for table in stack.with_arcs:
+            for arc in table.arcs.get(path, ()):
+                target = self._target(stack, table, arc.asset)
+                if target is not None:
+                    prim = arc.prim or target.tables[0].layer.GetDefaultPrimAsPath()
+                    if not prim.isEmpty:
+                        found[id(target), prim, arc.offset] = (target, prim)
+        return list(found.values())
+
+    # layers
+
+    def _find_all(self) -> None:
+        """Every layer that an arc leads to is opened, or refused."""
+        todo, seen = [self.root], set()
+        while todo:
+            stack = todo.pop()
+            if stack is None or id(stack) in seen:
+                continue
+            seen.add(id(stack))
+            for table in stack.with_arcs:
+                assets = {arc.asset for arcs in table.arcs.values() for arc in arcs if arc.asset}
+                todo.extend(self._target(stack, table, asset) for asset in sorted(assets))
+
+    def _target(self, stack: _Stack, table: LayerTable, asset: str) -> _Stack | None:
+        """The layers that an arc leads to."""
+        if not asset:
+            return stack
+        key = (id(stack), table.layer.identifier, asset)
+        if key not in self._targets:
+            identifier = _identifier(table.layer, asset, stack.variables)
+            self._targets[key] = self._stack(identifier, stack.variables) if identifier else None
+        return self._targets[key]
+
+    def _stack(self, identifier: str, variables: dict[str, Any]) -> _Stack | None:
+        """The layers below an identifier; `variables` of what refers to it are stronger than its own."""
+        key = (identifier, repr(sorted(variables.items())))
+        if key not in self._stacks:
+            if len(self._stacks) >= MOST_LAYERS:
+                raise InputError(self.path, f"refers to more than {MOST_LAYERS} layers")
+            root = self._table(identifier)
+            if root is None:
+                self._stacks[key] = None
+            else:
+                variables = {**root.layer.expressionVariables, **variables}
+                self._stacks[key] = _Stack(tuple(self._sublayers(root, variables)), variables)
+        return self._stacks[key]
+
+    def _sublayers(self, root: LayerTable, variables: dict[str, Any]) -> list[LayerTable]:
+        found = []
+        todo: list[tuple[LayerTable, tuple[str, ...]]] = [(root, (root.layer.identifier,))]
+        while todo:
+            table, trail = todo.pop()
+            found.append(table)
+            if len(found) > MOST_SUBLAYERS or len(trail) > MOST_LEVELS:
+                most = f"{MOST_SUBLAYERS} sublayers or {MOST_LEVELS} levels of them"
+                raise InputError(self.path, f"a layer has more than {most}")
+            for name in reversed(table.layer.subLayerPaths):
+                identifier = _identifier(table.layer, name, variables)
+                below = self._table(identifier) if identifier else None
+                if below is not None and below.layer.identifier not in trail:  # USD passes over a circle
+                    todo.append((below, (*trail, below.layer.identifier)))
+        return found
+
+    def _table(self, identifier: str) -> LayerTable | None:
+        try:
+            layer = open_layer(identifier)
+        except (*USD_ERRORS, RuntimeError, OSError):
+            return None  # USD reports it as it composes
+        if layer is None:
+            return None
+        if layer.identifier not in self.tables:
+            if len(self.tables) >= MOST_LAYERS:
+                raise InputError(self.path, f"refers to more than {MOST_LAYERS} layers")
+            self.tables[layer.identifier] = LayerTable(layer)
+        return self.tables[layer.identifier]
+
+
+def _identifier(layer: Sdf.Layer, asset: str, variables: dict[str, Any]) -> str:
+    """The identifier that an asset path of a layer stands for; empty where that is none."""
+    if Sdf.VariableExpression.IsExpression(asset):
+        value = Sdf.VariableExpression(asset).Evaluate(variables).value
+        asset = value if isinstance(value, str) else ""
+    return str(Sdf.ComputeAssetPathRelativeToLayer(layer, asset)) if asset else ""
+
+
+def _joined(base: _Count, parts: Sequence[_Count]) -> _Count:
+    """A prim with what its arcs add: each prim below has opinions of all of them, even where they say nothing."""
+    if not parts:
+        return base
+    prims = base.prims + sum(one.prims - 1 for one in parts)  # what an arc leads to is the prim itself
+    crossed = sum((prims - one.prims) * one.most for one in parts) + (prims - base.prims)
+    return _Count(
+        prims,
+        base.opinions + sum(one.opinions for one in parts) + crossed,
+        base.most + sum(one.most for one in parts),
+        max(base.levels, 1 + max(one.levels for one in parts)),
+    )
+
+
+def _nodes(root: Any) -> int:
+    todo, found = [root], 0
+    while todo:
+        found += 1
+        todo.extend(todo.pop().children)
+    return found

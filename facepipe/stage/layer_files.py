@@ -1,0 +1,133 @@
+"""Files of layers, looked at before USD opens them: what they nest and promise is bounded first."""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+from itertools import accumulate
+from pathlib import Path
+
+from pxr import Ar, Sdf
+
+from facepipe.errors import InputError
+from facepipe.trust import check_readable
+
+MOST_LEVELS = 200  # USD recurses into nested prims, layers and arcs
+_MOST_COUNTED = 1 << 20  # of the paths, specs, ... of a binary layer, beyond its bytes
+
+# Text is cut down to what quotes and nests; arrays would take seconds. Bytes 1, 2 and 3 stand for long quotes in it.
+_LONG_QUOTES = ((b'"""', b"\x01"), (b"'''", b"\x02"), (b"@@@", b"\x03"))
+_NO_QUOTES = (b"\x01", b"\x02", b"\x03", b"\\\\", b'\\"', b"\\'")
+_MARKS = b"\n\"'@<>#/*[{}`"
+_WORDS = re.compile(
+    rb"\x01[^\x01]*\x01?|\x02[^\x02]*\x02?|\x03[^\x03]*\x03?|\"[^\"\n]*\"|'[^'\n]*'|@[^@\n]*@|<[^>\n]*>"
+    rb"|/\*(?s:.*?)(?:\*/|\Z)|//[^\n]*|#[^\n]*|[{}]"
+)
+_DEEP_PATH = re.compile(rb"<[^<>\n]{%d}" % (2 * MOST_LEVELS))  # of what is left of it: / [ {
+
+
+def open_layer(identifier: str) -> Sdf.Layer | None:
+    """The layer of an identifier; None where it leads nowhere.
+
+    :raises InputError: no regular file, outside the roots of confined reads, or one that promises too much
+    :raises USD_ERRORS, RuntimeError, OSError: a damaged or unreadable file
+    """
+    name = str(Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]))
+    if not name:
+        return None
+    _check(name, check_regular(name))
+    return Sdf.Layer.FindOrOpen(identifier)
+
+
+def check_regular(name: str) -> Path:
+    """The file, which may be a package, of a resolved name.
+
+    :raises InputError: a folder, pipe or device, or outside the roots of confined reads
+    """
+    file = Path(Ar.SplitPackageRelativePathOuter(name)[0])
+    if file.exists() and not file.is_file():
+        raise InputError(file, "is no regular file, expected a USD file")
+    check_readable(file)
+    return file
+
+
+def _check(name: str, file: Path) -> None:
+    inner = Ar.SplitPackageRelativePathOuter(name)[1]
+    if not file.stat().st_size:
+        return
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if not inner and file.suffix.lower() == ".usdz":
+            inner = _first(data)
+            name = Ar.JoinPackageRelativePath([str(file), inner])
+        if not inner:
+            check_content(name, data)
+            return
+    if inner.lower().endswith((".usdz", "]")):
+        raise InputError(name, "is a package in a package, expected a layer")
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(name))
+    check_content(name, bytes(asset.GetBuffer()) if asset else b"")
+
+
+def _first(package: mmap.mmap) -> str:
+    """The name of the first file in a package, which USD takes for its layer."""
+    if package[:4] != b"PK\3\4" or len(package) < 30:
+        return ""
+    (length,) = struct.unpack_from("<H", package, 26)
+    return package[30 : 30 + length].decode(errors="replace")
+
+
+def check_content(where: object, data: bytes | mmap.mmap) -> None:
+    """:raises InputError: nested too deep for USD's reader, or counts that the bytes can't hold"""
+    if data[:8] == b"PXR-USDC":
+        _check_counts(where, data)
+    elif data[:1] == b"#":
+        _check_text(where, data)
+
+
+def _check_text(where: object, data: bytes | mmap.mmap) -> None:
+    text = data[:]
+    marks = text.translate(None, _all_but(_MARKS))
+    expressions = b"`" in marks or b"pathExpression" in text
+    if not expressions and marks.count(b"{") <= 2 * MOST_LEVELS and not _DEEP_PATH.search(marks):
+        return
+    for old, new in (*((one, b"") for one in _NO_QUOTES), *_LONG_QUOTES):
+        text = text.replace(old, new)
+    kept = _MARKS + b"\x01\x02\x03" + (b"()" if expressions else b"")
+    depth = 0
+    for match in _WORDS.finditer(text.translate(None, _all_but(kept))):
+        word = match[0]
+        depth += (word == b"{") - (word == b"}")
+        if max(depth, _levels(word)) > 2 * MOST_LEVELS:  # a prim in a variant has two
+            raise InputError(where, f"can't be read as USD: nests more than {2 * MOST_LEVELS} deep")
+
+
+def _all_but(kept: bytes) -> bytes:
+    return bytes(set(range(256)) - set(kept))
+
+
+def _levels(word: bytes) -> int:
+    """Of a path, or of an expression in quotes."""
+    if word[:1] == b"<":
+        return len(word)
+    return max(accumulate((one == 0x28) - (one == 0x29) for one in word)) if word.count(b"(") > MOST_LEVELS else 0
+
+
+def _check_counts(where: object, data: bytes | mmap.mmap) -> None:
+    """Of the sections of a binary layer, each of which begins with the number of what it holds."""
+    if len(data) < 24:
+        return
+    (contents,) = struct.unpack_from("<q", data, 16)
+    if not 24 <= contents <= len(data) - 8:
+        return  # USD says what is wrong with it
+    (sections,) = struct.unpack_from("<Q", data, contents)
+    for number in range(min(sections, 64)):
+        at = contents + 8 + 32 * number
+        if at + 32 > len(data):
+            return
+        start = struct.unpack_from("<16sqq", data, at)[1]
+        if not 24 <= start <= len(data) - 8:
+            continue
+        (count,) = struct.unpack_from("<Q", data, start)
+        if count > _MOST_COUNTED + len(data):
+            raise InputError(where, f"can't be read as USD: promises {count} entries in {len(data)} bytes")

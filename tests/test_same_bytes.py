@@ -1,0 +1,55 @@
+"""The same bytes from the same input, whatever the threads, the seed of hashes and the order in which folders list."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from import_data import shared
+
+from facepipe.cli import COMMANDS
+
+SETTINGS = ((1, 1), (2, 2), (4, 3))  # threads, seed
+THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+WRITER = Path(__file__).with_name("every_writer.py")
+# these write text to stdout, or what others write, or take minutes
+OTHERS = {"demo", "inspect", "validate", "eval", "view", "schema-path", "scan", "scan-landmarks", "blender-addon"}
+
+
+@pytest.mark.slow
+def test_every_command_writes_the_same_bytes(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    for name in ("ict_facekit/ict_facekit.npz", "makehuman/makehuman_head.npz"):
+        shared(name)
+    folders = [tmp_path / str(threads) for threads, _ in SETTINGS]
+    running = [_start(*setting, folder) for setting, folder in zip(SETTINGS, folders, strict=True)]
+    for process in running:
+        _, err = process.communicate()
+        assert process.returncode == 0, err[-2000:]
+    first, *others = (_digests(folder) for folder in folders)
+    assert len(first) > 90
+    for other in others:
+        assert [name for name in first.keys() | other.keys() if first.get(name) != other.get(name)] == []
+
+
+def test_every_writing_command_is_among_them() -> None:
+    lines = WRITER.read_text(encoding="utf-8").splitlines()
+    assert COMMANDS.keys() - OTHERS <= {line.split(" ")[0] for line in lines}
+
+
+def _start(threads: int, seed: int, folder: Path) -> subprocess.Popen[str]:
+    folder.mkdir()
+    settings = {**dict.fromkeys(THREADS, str(threads)), "PYTHONHASHSEED": str(seed)}
+    command = [sys.executable, str(WRITER), str(seed)]
+    return subprocess.Popen(
+        command, cwd=folder, env=os.environ | settings, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    files = (one for one in folder.rglob("*") if one.is_file())
+    return {one.relative_to(folder).as_posix(): hashlib.sha256(one.read_bytes()).hexdigest() for one in files}

@@ -1,0 +1,150 @@
+"""The policy towards files of others: roots, links, what is written, copied, read and loaded."""
+
+import os
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from facepipe.cli import main
+from facepipe.errors import InputError
+from facepipe.trust import (
+    Trust,
+    check_copied,
+    check_model,
+    check_readable,
+    check_writable,
+    is_below,
+    roots_of,
+    trust,
+    trusting,
+)
+
+
+@pytest.fixture
+def show(tmp_path: Path) -> Path:
+    for name in ("show/shots", "show/assets", "other"):
+        (tmp_path / name).mkdir(parents=True)
+    return tmp_path / "show"
+
+
+def test_the_root_of_a_stage_is_its_folder(show: Path) -> None:
+    assert roots_of(show / "shots/a.usda") == (show / "shots",)
+
+
+def test_the_root_is_the_nearest_project(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (show / "facepipe.toml").touch()
+    assert roots_of(show / "shots/a.usda") == (show,)
+    (show / "shots/facepipe.toml").touch()
+    monkeypatch.chdir(show)
+    assert roots_of(Path("shots/a.usda")) == (show / "shots",)
+
+
+def test_given_roots_are_the_only_ones(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (show / "facepipe.toml").touch()
+    monkeypatch.setenv("FACEPIPE_ROOTS", os.pathsep.join([str(show / "assets"), str(show / "shots"), ""]))
+    assert roots_of(show / "a.usda") == (show / "assets", show / "shots")
+    with trusting(Trust(roots=(show.parent / "other",))):
+        assert roots_of(show / "a.usda") == (show.parent / "other",)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_links_are_followed_before_paths_are_compared(show: Path) -> None:
+    (show / "shots/out").symlink_to(show.parent / "other")
+    (show / "shots/round").symlink_to("round")
+    assert not is_below(show / "shots/out/a.usda", [show])
+    assert not is_below(show / "shots/round/a.usda", [show / "shots"])
+    assert is_below(show / "shots/../assets/new/a.usda", [show])
+    assert not is_below(show / "shots/../../other/a.usda", [show])
+    (show.parent / "link").symlink_to(show)
+    assert is_below(show / "a.usda", [show.parent / "link"])
+
+
+def test_a_folder_that_begins_alike_is_another(show: Path) -> None:
+    (show.parent / "show2").mkdir()
+    assert not is_below(show.parent / "show2/a.usda", [show])
+
+
+def test_what_is_written_stays_below_the_roots(show: Path) -> None:
+    check_writable("a", show / "shots/b/c.usda", show / "shots/a.usda")
+    with pytest.raises(InputError, match="outside the roots"):
+        check_writable("a", show / "assets/c.usda", show / "shots/a.usda")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_link_outside_is_not_written_though_it_leads_inside(show: Path) -> None:
+    (show.parent / "other/c.usda").symlink_to(show / "shots/c.usda")
+    with pytest.raises(InputError, match="outside the roots"):
+        check_writable("a", show.parent / "other/c.usda", show / "shots/a.usda")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_link_to_a_model_with_code_is_one(show: Path) -> None:
+    (show / "start.onnx").symlink_to(show / "start.pt2")
+    with pytest.raises(InputError, match="can run code"):
+        check_model(show / "start.onnx")
+
+
+def test_copied_files_come_from_roots_or_the_folder_that_names_them(show: Path) -> None:
+    layer = show / "assets/face.usda"
+    with trusting(Trust(roots=(show / "shots",))):
+        check_copied("a", show / "assets/skin.png", layer)
+        check_copied("a", show / "shots/skin.png", layer)
+        with pytest.raises(InputError, match="outside the roots"):
+            check_copied("a", show.parent / "other/skin.png", layer)
+
+
+def test_reads_are_confined_where_the_caller_says_so(show: Path) -> None:
+    check_readable(show.parent / "other/a.usda")
+    with trusting(Trust(roots=(show,), confined=True)):
+        check_readable(show / "shots/a.usda")
+        with pytest.raises(InputError, match="outside the roots"):
+            check_readable(show.parent / "other/a.usda")
+    check_readable(show.parent / "other/a.usda")
+
+
+def test_models_with_code_are_loaded_only_where_the_caller_says_so() -> None:
+    check_model(Path("net.onnx"))
+    with pytest.raises(InputError, match="--trust-models"):
+        check_model(Path("net.PT2"))
+    with trusting(Trust(models=True)):
+        check_model(Path("net.pt2"))
+
+
+def test_a_policy_is_of_its_own_thread(show: Path) -> None:
+    found = []
+    with trusting(Trust(models=True)):
+        other = threading.Thread(target=lambda: found.append(trust().models))
+        other.start()
+        other.join()
+    assert found == [False]
+
+
+@pytest.mark.parametrize("policy", [{"roots": (Path("no such folder"),)}, {"confined": True}])
+def test_policies_that_make_no_sense_are_refused(policy: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="--root"), trusting(Trust(**policy)):  # type: ignore[arg-type]
+        pass
+
+
+def test_every_command_takes_roots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "a.usda")
+    assert main(["sample", out, "--root", str(tmp_path / "none")]) == 2
+    assert "none: is no folder" in capsys.readouterr().err
+    assert main(["sample", out, "--root", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("words", [["--root", "none", "info", "a.fpdb"], ["info", "a.fpdb", "--root", "none"]])
+def test_roots_stand_before_and_after_an_action(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["database", *words]) == 2
+    assert "--root none: is no folder" in capsys.readouterr().err
+
+
+def test_a_line_keeps_what_its_host_has_confined(show: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (show.parent / "other/a.json").write_text("{}")
+    face = str(show / "a.usda")
+    assert main(["sample", face]) == 0
+    words = ["landmarks", face, "--from", str(show.parent / "other/a.json"), "-o", str(show / "b.usda")]
+    with trusting(Trust(roots=(show,), confined=True)):
+        assert main(words) == 2
+        assert "a.json: is outside the roots" in capsys.readouterr().err
