@@ -18,9 +18,11 @@ KINDS = ("cases", "refused", "accepted", "traceback", "line", "hang", "death", "
 
 
 def usd_alone(path: str) -> None:
-    """What our readers ask of USD, without them."""
+    """What our readers ask of USD, without them, in as much memory as they have."""
+    from fuzzing import limit_memory
     from pxr import Tf, Usd
 
+    limit_memory()
     with contextlib.suppress(Tf.ErrorException, UnicodeDecodeError, RuntimeError):
         stage = Usd.Stage.Open(path)
         stage.GetCompositionErrors()

@@ -51,7 +51,7 @@ class Format:
 
 def run_cases(name: str, form: Format, seed: int, first: int, count: int, folder: Path) -> None:
     """Runs cases; prints what is begun, what broke the rule, and of each case how many lines were refused, accepted."""
-    _limit_memory()
+    limit_memory()
     root = folder / "deep"
     case = root / "below" / "case"  # ../.. of it is ours too
     for number in range(first, first + count):
@@ -155,7 +155,7 @@ def _shown(line: Line) -> str:
     return ascii(line.__name__ if callable(line) else " ".join(line))[1:-1]
 
 
-def _limit_memory() -> None:
+def limit_memory() -> None:
     """A count of billions in a damaged file ends as an error of memory, not of time."""
     with contextlib.suppress(ImportError, ValueError, OSError):  # Windows; systems without such limits
         import resource

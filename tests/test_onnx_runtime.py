@@ -148,6 +148,11 @@ def _seeded() -> Iterator[tuple[str, Callable[[Any], None]]]:
             if entry.key == "facepipe.inputs":
                 entry.value = entry.value.replace("[1, 2]", "[1, 3]")
 
+    def no_joints(model: Any) -> None:
+        for entry in model.metadata_props:
+            if entry.key == "facepipe.joints":
+                entry.value = '["root"]'
+
     def deep_json(model: Any) -> None:
         model.metadata_props[0].value = "[" * 100_000
 
@@ -175,6 +180,7 @@ def _seeded() -> Iterator[tuple[str, Callable[[Any], None]]]:
         ("OnnxMetadata", no_metadata),
         ("OnnxMetadata", other_names),
         ("OnnxMetadata", other_shape),
+        ("OnnxMetadata", no_joints),
         ("OnnxMetadata", deep_json),
         ("OnnxMetadata", undeclared),
         ("", huge_input),

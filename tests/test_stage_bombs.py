@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import sys
 import zipfile
@@ -213,6 +214,19 @@ def test_a_binary_layer_promises_no_more_than_it_can_hold(tmp_path: Path) -> Non
         (tmp_path / "b.usdc").write_bytes(changed)
         with pytest.raises(InputError, match="promises 8589934592 entries"):
             open_stage(tmp_path / "b.usdc")
+
+
+def test_a_binary_layer_lists_a_prim_that_it_lacks(tmp_path: Path) -> None:
+    layer = Sdf.Layer.CreateAnonymous(".usdc")
+    for name in ("One", "Two"):
+        Sdf.CreatePrimInLayer(layer, f"/{name}")
+    layer.Export(str(tmp_path / "a.usdc"))
+    data = (tmp_path / "a.usdc").read_bytes()
+    lists = re.finditer(rb"\x02\0{7}.\0{3}.\0{3}", data, re.DOTALL)  # the root's prims: a count, numbers of names
+    first = next(lists).start()
+    (tmp_path / "b.usdc").write_bytes(data[: first + 12] + struct.pack("<I", 0) + data[first + 16 :])
+    with pytest.raises(InputError, match="lists a prim that it does not hold"):
+        open_stage(tmp_path / "b.usdc")
 
 
 def test_large_stages_open(tmp_path: Path) -> None:

@@ -48,6 +48,11 @@ def metadata_faults(model: Any) -> Iterator[tuple[str, str]]:
         expected = " or ".join(str(one.format) for one in KINDS)
         yield f"metadata {sidecar.PREFIX}format", f"is {str(metadata['format'])[:80]}, expected {expected}"
         return
+    joints = metadata.get("joints", [])
+    if not isinstance(joints, list) or not all(
+        isinstance(one, dict) and isinstance(one.get("path"), str) for one in joints
+    ):
+        yield f"metadata {sidecar.PREFIX}joints", "expected a list of objects, each with its path"
     for side, values in (("inputs", model.graph.input), ("outputs", model.graph.output)):
         yield from _described(metadata[side], {one.name: shape_of(one) for one in values}, side, kind)
     if metadata["operators"] != operators(model):

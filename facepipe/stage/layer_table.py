@@ -29,7 +29,7 @@ class Arc(NamedTuple):
 class LayerTable:
     """The arcs of a layer by the prim that they stand on, those in variants included.
 
-    :raises InputError: prims nested too deep, or value clips of too many files or of no regular ones
+    :raises InputError: prims nested too deep or not there, or value clips of too many files or of no regular ones
     """
 
     def __init__(self, layer: Sdf.Layer) -> None:
@@ -87,12 +87,15 @@ def _prims(layer: Sdf.Layer) -> Iterator[Sdf.PrimSpec]:
     todo: list[Any] = list(layer.pseudoRoot.nameChildren.values())
     while todo:
         prim = todo.pop()
+        if prim is None:
+            raise InputError(layer.identifier, "is damaged: it lists a prim that it does not hold")
         if prim.path.pathElementCount > 2 * MOST_LEVELS:  # a prim in a variant has two
             raise InputError(layer.identifier, f"nests prims more than {MOST_LEVELS} deep")
         yield prim
         todo.extend(prim.nameChildren.values())
         for variants in prim.variantSets.values():
-            todo.extend(one.primSpec for one in variants.variants.values())
+            found = variants.variants.values() if variants else (None,)
+            todo.extend(one.primSpec if one else None for one in found)
 
 
 def _arcs(edits: Any) -> Iterator[Arc]:
