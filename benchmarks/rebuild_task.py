@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 HEAD = 14062  # first points of ICT-FaceKit: face, neck, back of the head, insides of mouth and sockets
-_TESTS = Path(__file__).resolve().parents[1] / "tests"
+_TESTS = Path(__file__).resolve().parents[1] / "tests" / "support"
 _REACH_MM, _ANGLE = 10.0, 0.84  # places on the scan that count for the distance from it
 
 

@@ -23,7 +23,7 @@ from tables import aligned
 
 FloatArray = npt.NDArray[np.floating]
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 _FIRST = 101
 _COLUMNS = {

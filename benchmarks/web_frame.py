@@ -46,7 +46,7 @@ from facepipe.stage import save_parts
 
 BUDGET = 1000 / 60
 HEAD = ("face", "sliders", "joints", "targets", "graph", "set", "three", "frame", "p95", "of 16.7", "peer", "ratio")
-BROWSE = Path(__file__).resolve().parents[1] / "tests" / "js" / "browse.mjs"
+BROWSE = Path(__file__).resolve().parents[1] / "tests" / "support" / "js" / "browse.mjs"
 
 MEASURE = """(async () => {
   const { picture } = facepipe, face = facepipe.face(), gl = picture.canvas.getContext("webgl2");

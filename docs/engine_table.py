@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "tests"))
+sys.path.insert(0, str(HERE.parent / "tests" / "support"))
 
 from engine_faces import FACES, LAYOUTS, Case, cases  # noqa: E402
 from engines import RUNNERS, Piece, versions  # noqa: E402

@@ -20,7 +20,7 @@ from facepipe.cli import main
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "shared" / "data"
-SCRIPTS = HERE.parent / "tests" / "js"
+SCRIPTS = HERE.parent / "tests" / "support" / "js"
 TERMS = ("--stub-body", "--authors", "facepipe", "--license-url", "https://vrm.dev/licenses/1.0/")
 CELL, COLUMNS = 200, 9
 POSES = (

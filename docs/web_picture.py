@@ -19,7 +19,7 @@ from facepipe.cli import main
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "shared" / "data"
-BROWSE = HERE.parent / "tests" / "js" / "browse.mjs"
+BROWSE = HERE.parent / "tests" / "support" / "js" / "browse.mjs"
 SIZE = (1280, 720)
 
 POSED = """(async () => {

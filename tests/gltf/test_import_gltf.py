@@ -1,0 +1,721 @@
+"""The glTF importer against models whose geometry, deformation and materials are known."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gltf_builder import PNG, Array, Builder, Model, build, make_model, matrix, quaternion
+from places import SHARED
+from pxr import Usd, UsdSkel
+
+from facepipe.errors import InputError
+from facepipe.importers import gltf
+from facepipe.importers.imported import Imported
+from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
+from facepipe.stage import save_parts
+
+SCAN = SHARED / "scans" / "LeePerrySmith.glb"
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+
+
+def read(tmp_path: Path, data: bytes | Builder, name: str = "face.glb", **options: Any) -> Imported:
+    source = tmp_path / name
+    source.write_bytes(data.glb() if isinstance(data, Builder) else data)
+    return gltf.read(source, gltf.Options(**options))
+
+
+def corners(mesh: Mesh, values: Array) -> Array:
+    """Per-point values at the corners of every triangle."""
+    return values[mesh.face_vertex_indices].reshape(-1, 3, *values.shape[1:])
+
+
+def evaluate(parts: FaceParts, mesh: Mesh, weights: dict[str, float], local: Array) -> Array:
+    """(n, 3) points by DESIGN section 7: blendshapes, then skin; `local` (j, 4, 4) joint transforms."""
+    points = np.array(mesh.points, np.float64)
+    for shape in mesh.blendshapes:
+        points[shape.point_indices] += weights.get(shape.name, 0.0) * shape.offsets
+    if mesh.skin is None:
+        return points @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
+    worlds: list[Array] = []
+    for parent, one in zip(parts.skeleton.parents, local, strict=True):
+        worlds.append(one if parent < 0 else worlds[parent] @ one)
+    matrices = np.array(worlds) @ np.linalg.inv(parts.skeleton.bind_transforms) @ mesh.skin.geom_bind_transform
+    blended = np.einsum("nk,nkij->nij", mesh.skin.joint_weights, matrices[mesh.skin.joint_indices])
+    return np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
+
+
+def pose(parts: FaceParts, animation: Animation, at: int) -> Array:
+    """(j, 4, 4) local transforms of one sample, rest where the animation is silent."""
+    local = np.array(parts.skeleton.rest_transforms)
+    for i, joint in enumerate(animation.joints):
+        trs = (animation.translations[at, i], animation.rotations[at, i], animation.scales[at, i])  # type: ignore[index]
+        local[parts.skeleton.joints.index(joint)] = matrix(*trs)
+    return local
+
+
+def height(model: Model) -> float:
+    return float(np.ptp(model.positions, axis=0).max())
+
+
+def triangle(**extra: Any) -> Builder:
+    """One triangle in one node."""
+    builder = Builder()
+    primitive = {"attributes": {"POSITION": builder.array(TRIANGLE)}}
+    builder.add("meshes", {"primitives": [primitive]})
+    builder.add("nodes", {"mesh": 0})
+    builder.root.update(extra)
+    return builder
+
+
+# real data
+
+
+@pytest.mark.skipif(not SCAN.is_file(), reason=f"no real scan at {SCAN}")
+def test_scan_is_welded_into_one_closed_surface() -> None:
+    imported = gltf.read(SCAN, gltf.Options())
+    raw = gltf.read(SCAN, gltf.Options(weld=False)).parts.meshes[0]
+    (mesh,) = imported.parts.meshes
+    assert imported.warnings == ()
+    assert (mesh.name, len(mesh.points), len(mesh.face_vertex_counts)) == ("LeePerrySmith", 8844, 17684)
+    assert len(raw.points) == 9279
+    edges = np.sort(
+        np.stack([mesh.face_vertex_indices, np.roll(mesh.face_vertex_indices.reshape(-1, 3), -1, 1).ravel()], 1)
+    )
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
+    assert len(mesh.points) - len(edges) // 2 + len(mesh.face_vertex_counts) == 2  # genus 0
+    assert np.array_equal(corners(mesh, mesh.points), corners(raw, raw.points))
+    welded, plain = mesh.uv_sets[0], raw.uv_sets[0]
+    assert welded.indices is not None
+    assert plain.indices is None
+    assert np.array_equal(welded.values[welded.indices], plain.values[raw.face_vertex_indices])
+
+
+# deformation
+
+
+@pytest.mark.parametrize("encoding", ["plain", "odd"])
+def test_rest_and_shapes_deform_as_gltf_says(tmp_path: Path, encoding: str) -> None:
+    model = make_model()
+    imported = read(tmp_path, build(model, encoding=encoding))
+    parts, (mesh,) = imported.parts, imported.parts.meshes
+    assert imported.warnings == ()
+    assert (parts.meters_per_unit, parts.up_axis) == (1.0, "Y")
+    assert len(mesh.points) == 48
+    assert mesh.skin is not None
+    assert mesh.skin.joint_indices.shape == (48, 8)
+    assert parts.skeleton.joints[:3] == ("root", "root/jaw", "root/skull")
+    assert parts.skeleton.joints[3:5] == ("root/skull/eye", "root/skull/eye_2")
+    for weights in [*np.eye(3), np.array([0.3, 1.2, -0.5])]:
+        expected = model.evaluate(weights, model.trs)[model.triangles]
+        got = evaluate(parts, mesh, dict(zip(model.names, weights, strict=True)), parts.skeleton.rest_transforms)
+        assert np.abs(corners(mesh, got) - expected).max() < 1e-6 * height(model)
+
+
+def test_encodings_of_the_same_values_read_the_same(tmp_path: Path) -> None:
+    model = make_model()
+    plain, odd = (read(tmp_path, build(model, encoding=encoding)).parts.meshes[0] for encoding in ("plain", "odd"))
+    assert np.array_equal(plain.points, odd.points)
+    for one, other in zip(plain.blendshapes, odd.blendshapes, strict=True):
+        assert np.array_equal(one.point_indices, other.point_indices)
+        assert np.array_equal(one.offsets, other.offsets)
+
+
+def test_shapes_hold_moved_points_only(tmp_path: Path) -> None:
+    model = make_model()
+    (mesh,) = read(tmp_path, build(model)).parts.meshes
+    for shape, target in zip(mesh.blendshapes, model.targets, strict=True):
+        assert len(shape.point_indices) == np.count_nonzero(np.any(target[:48] != 0, axis=1))
+        assert np.all(np.diff(shape.point_indices) > 0)
+        assert np.all(np.any(shape.offsets != 0, axis=1))
+
+
+def animated(model: Model) -> tuple[Builder, Array, dict[tuple[int, str], Callable[[float], Array]]]:
+    """The model with LINEAR, STEP and CUBICSPLINE channels, their key times, and the channels as functions."""
+    generator = np.random.default_rng(5)
+    builder = build(model)
+    tracks: dict[tuple[int, str], Callable[[float], Array]] = {}
+    animation: dict[str, Any] = {"name": "talk", "channels": [], "samplers": []}
+    every: list[Array] = []
+
+    def channel(node: int, path: str, mode: str, times: Array, keys: Array) -> None:
+        times = times.astype(np.float32).astype(np.float64)
+        keys = keys.astype(np.float32)
+        output = builder.array(keys.reshape(-1, 1) if path == "weights" else keys.reshape(-1, keys.shape[-1]))
+        animation["samplers"].append({"input": builder.array(times), "output": output, "interpolation": mode})
+        target = {"node": node, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+        tracks[node, path] = lambda at: interpolate(mode, path == "rotation", times, keys.astype(np.float64), at)
+        every.append(times)
+
+    def turns(count: int) -> Array:
+        return np.array([quaternion(generator) for _ in range(count)])
+
+    channel(1, "rotation", "LINEAR", np.array([0, 0.5, 1.0]), turns(3))
+    channel(1, "translation", "CUBICSPLINE", np.array([0.25, 0.75]), generator.normal(size=(2, 3, 3)) * 0.02)
+    channel(3, "rotation", "CUBICSPLINE", np.array([0.1, 0.6, 0.9]), turns(9).reshape(3, 3, 4))
+    channel(4, "scale", "STEP", np.array([0.2, 0.4]), 1.0 + generator.random((2, 3)))
+    channel(6, "translation", "LINEAR", np.array([0.3]), generator.normal(size=(1, 3)) * 0.02)
+    channel(11, "weights", "LINEAR", np.array([0.0, 0.8]), generator.random((2, 3)))
+    builder.add("animations", animation)
+    return builder, np.unique(np.concatenate(every)), tracks
+
+
+Tracks = dict[tuple[int, str], Callable[[float], Array]]
+
+
+def interpolate(mode: str, rotation: bool, times: Array, keys: Array, at: float) -> Array:
+    """glTF 2.0 appendix C at one time; cubic keys are (k, 3, width): in-tangent, value, out-tangent."""
+    at = float(np.clip(at, times[0], times[-1]))
+    k = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 1)
+    if mode == "CUBICSPLINE":
+        value = keys[k, 1]
+        if k + 1 < len(times):
+            span = times[k + 1] - times[k]
+            s = (at - times[k]) / span
+            value = (
+                (2 * s**3 - 3 * s**2 + 1) * keys[k, 1] + span * (s**3 - 2 * s**2 + s) * keys[k, 2]
+                + (-2 * s**3 + 3 * s**2) * keys[k + 1, 1] + span * (s**3 - s**2) * keys[k + 1, 0]
+            )  # fmt: skip
+        return value / np.linalg.norm(value) if rotation else value
+    if mode == "STEP" or k + 1 == len(times):
+        return keys[k]
+    s = (at - times[k]) / (times[k + 1] - times[k])
+    a, b = keys[k], keys[k + 1]
+    if not rotation:
+        return (1 - s) * a + s * b
+    b = b if a @ b >= 0 else -b
+    angle = np.arccos(np.clip(a @ b, -1, 1))
+    return (np.sin((1 - s) * angle) * a + np.sin(s * angle) * b) / np.sin(angle)
+
+
+def test_animation_moves_points_as_gltf_says(tmp_path: Path) -> None:
+    model = make_model()
+    builder, times, tracks = animated(model)
+    parts = read(tmp_path, builder).parts
+    (animation,), (mesh,) = parts.animations, parts.meshes
+    assert animation.name == "talk"
+    assert animation.times is not None
+    keys = [int(np.abs(animation.times - at).argmin()) for at in times]
+    assert np.abs(animation.times[keys] - times).max() < 1e-6
+    assert animation.shape_weights is not None
+    for i, at in zip(keys, times, strict=True):
+        named = dict(zip(animation.shapes, animation.shape_weights[i], strict=True))
+        got = evaluate(parts, mesh, named, pose(parts, animation, i))
+        assert np.abs(corners(mesh, got) - moved(model, tracks, at)).max() < 1e-5 * height(model)
+
+
+def moved(model: Model, tracks: dict[tuple[int, str], Callable[[float], Array]], at: float) -> Array:
+    """Corners of the model at a time, as the channels say."""
+    trs = [
+        tuple(
+            tracks[node, path](at) if (node, path) in tracks else rest
+            for path, rest in zip(("translation", "rotation", "scale"), model.trs[node], strict=True)
+        )
+        for node in range(len(model.trs))
+    ]
+    return model.evaluate(tracks[11, "weights"](at), trs)[model.triangles]  # type: ignore[arg-type]
+
+
+def at_any_time(imported: Imported, folder: Path, model: Model, tracks: Tracks, times: Array) -> Array:
+    """How far points are from what the channels say when USD interpolates the saved face, in head heights."""
+    parts, stage_file = imported.parts, folder / "again.usda"
+    save_parts(parts, stage_file)
+    stage = Usd.Stage.Open(str(stage_file))
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    skeleton = next(UsdSkel.Skeleton(one) for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton))
+    query = cache.GetSkelQuery(skeleton)
+    playing = query.GetAnimQuery()
+    assert playing.GetPrim().GetName() == "talk"
+    names = list(playing.GetBlendShapeOrder())
+    off = []
+    for at in times:
+        code = at * stage.GetTimeCodesPerSecond()
+        local = np.swapaxes(np.array(query.ComputeJointLocalTransforms(code)), 1, 2)
+        weights = dict(zip(names, playing.ComputeBlendShapeWeights(code), strict=True))
+        got = corners(parts.meshes[0], evaluate(parts, parts.meshes[0], weights, local))
+        off.append(np.abs(got - moved(model, tracks, at)).max() / height(model))
+    return np.array(off)
+
+
+def test_steps_and_curves_mean_the_same_at_any_time_in_usd(tmp_path: Path) -> None:
+    model = make_model()
+    builder, _, tracks = animated(model)
+    imported = read(tmp_path, builder)
+    assert any("held until 0.98 ms before" in line for line in imported.warnings)
+    assert any("CUBICSPLINE keys became lines: off by at most" in line for line in imported.warnings)
+    times = np.random.default_rng(8).random(200)
+    times = np.concatenate([times[(times < 0.398) | (times > 0.4)], [0.3989, 0.4001]])  # STEP changes at 0.4
+    assert at_any_time(imported, tmp_path, model, tracks, times).max() < 1.5e-3
+    assert at_any_time(imported, tmp_path, model, tracks, np.array([0.3995])).max() > 1e-2  # where it changes
+
+
+def test_animations_are_sampled_at_a_frame_rate(tmp_path: Path) -> None:
+    model = make_model()
+    builder, _, tracks = animated(model)
+    imported = read(tmp_path, builder, fps=40.0)
+    (animation,) = imported.parts.animations
+    assert imported.parts.frames_per_second == 40.0
+    assert animation.times is not None
+    assert animation.times.tolist() == [frame / 40 for frame in range(41)]
+    assert animation.shape_weights is not None
+    for i, at in enumerate(animation.times):
+        named = dict(zip(animation.shapes, animation.shape_weights[i], strict=True))
+        got = evaluate(imported.parts, imported.parts.meshes[0], named, pose(imported.parts, animation, i))
+        assert np.abs(corners(imported.parts.meshes[0], got) - moved(model, tracks, at)).max() < 1e-5 * height(model)
+    assert any("sampled at 40 frames per second: off by at most" in line for line in imported.warnings)
+
+
+@pytest.mark.parametrize(("times", "rate"), [([0.0, 1 / 30, 2.0], 30), ([7 / 25], 25), ([0.0, 0.5], 24), ([0.013], 24)])
+def test_the_frame_rate_is_that_which_all_keys_fall_on(times: list[float], rate: float, tmp_path: Path) -> None:
+    builder = build(make_model())
+    sampler = {"input": builder.array(np.array(times)), "output": builder.array(np.zeros((len(times), 3)))}
+    channels = [{"sampler": 0, "target": {"node": 1, "path": "translation"}}]
+    builder.add("animations", {"channels": channels, "samplers": [sampler], "name": "slide"})
+    parts = read(tmp_path, builder).parts
+    assert parts.frames_per_second == rate
+    assert parts.played == ("slide" if len(times) > 1 else None)  # one key is a pose
+    if len(times) > 1 and parts.animations[0].times is not None:
+        assert (parts.animations[0].times * rate % 1 == 0).all()
+
+
+def test_animation_of_other_nodes_is_named_in_a_warning(tmp_path: Path) -> None:
+    builder = build(make_model())
+    sampler = {"input": builder.array(np.array([0.0, 1.0])), "output": builder.array(np.zeros((2, 3)))}
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
+    builder.add("animations", {"channels": channels, "samplers": [sampler]})
+    imported = read(tmp_path, builder)
+    assert imported.parts.animations == ()
+    assert any("animations[0]: 1 channels" in line for line in imported.warnings)
+
+
+def test_quantised_skinned_mesh_comes_out_in_metres(tmp_path: Path) -> None:
+    model = make_model()
+    low, size = model.positions.min(axis=0), float(np.ptp(model.positions, axis=0).max())
+    steps = np.round((model.positions - low) / size * 65535)
+    stored = replace(model, positions=steps / 65535 * size + low)
+    unpack = matrix(low, np.array([0, 0, 0, 1.0]), np.full(3, size))
+    builder = build(model)
+    attributes = builder.root["meshes"][0]["primitives"][0]["attributes"]
+    attributes["POSITION"] = builder.array(steps, "u2", normalized=True, stride=8)
+    targets = [{"POSITION": builder.array(target / size)} for target in model.targets]
+    builder.root["meshes"][0]["primitives"][0]["targets"] = targets
+    binds = (model.inverse_binds @ unpack).transpose(0, 2, 1).reshape(-1, 16)
+    builder.root["skins"][0]["inverseBindMatrices"] = builder.array(binds)
+    builder.root["extensionsRequired"] = builder.root["extensionsUsed"] = ["KHR_mesh_quantization"]
+    parts = read(tmp_path, builder).parts
+    (mesh,) = parts.meshes
+    assert np.abs(corners(mesh, mesh.points) - stored.positions[model.triangles]).max() < 1e-6 * size
+    weights = np.array([0.5, 0.2, 0.9])
+    got = evaluate(parts, mesh, dict(zip(model.names, weights, strict=True)), parts.skeleton.rest_transforms)
+    assert np.abs(corners(mesh, got) - stored.evaluate(weights, model.trs)[model.triangles]).max() < 1e-5 * size
+
+
+def second_skin(model: Model, factor: Array) -> Builder:
+    """The model twice, the second time on some of the joints, with binds of its own."""
+    builder = build(model)
+    binds = (model.inverse_binds @ factor).transpose(0, 2, 1).reshape(-1, 16)
+    skin = {"joints": list(model.joint_nodes), "inverseBindMatrices": builder.array(binds)}
+    builder.add("nodes", {"mesh": 0, "skin": builder.add("skins", skin), "name": "head"})
+    builder.root["scenes"][0]["nodes"].append(12)
+    return builder
+
+
+def test_second_skin_with_a_common_factor_moves_as_gltf_says(tmp_path: Path) -> None:
+    model = make_model()
+    factor = matrix(np.array([0.1, 0.0, 0.2]), quaternion(np.random.default_rng(3)), np.full(3, 0.5))
+    imported = read(tmp_path, second_skin(model, factor))
+    parts, (first, second) = imported.parts, imported.parts.meshes
+    assert imported.warnings == ()
+    assert (first.name, second.name) == ("head", "head_2")
+    moved = [(t + 0.01, r, s) for t, r, s in model.trs]
+    local = local_of(model, moved)
+    other = replace(model, inverse_binds=model.inverse_binds @ factor)
+    weights = np.array([1.0, 0.5, 0.25])
+    for mesh, truth in ((first, model), (second, other)):
+        got = evaluate(parts, mesh, dict(zip(model.names, weights, strict=True)), local)
+        assert np.abs(corners(mesh, got) - truth.evaluate(weights, moved)[model.triangles]).max() < 1e-5 * height(model)
+
+
+def test_posed_file_keeps_its_bind(tmp_path: Path) -> None:
+    """Nodes away from the bind pose: rest and bind differ, and the points still follow the formula."""
+    model = make_model()
+    generator = np.random.default_rng(9)
+    model.trs = [(t, quaternion(generator), s) for t, _, s in model.trs]
+    parts = read(tmp_path, build(model)).parts
+    (mesh,) = parts.meshes
+    assert np.array_equal(np.unique(mesh.points, axis=0), np.unique(model.positions, axis=0))
+    got = evaluate(parts, mesh, {}, parts.skeleton.rest_transforms)
+    assert np.abs(corners(mesh, got) - model.evaluate(np.zeros(3), model.trs)[model.triangles]).max() < 1e-5
+
+
+def test_second_skin_that_binds_otherwise_is_named_in_a_warning(tmp_path: Path) -> None:
+    model = make_model()
+    builder = second_skin(model, np.eye(4))
+    reference = builder.root["skins"][1]
+    binds = model.inverse_binds.copy()
+    binds[2, 0, 3] += 0.5
+    reference["inverseBindMatrices"] = builder.array(binds.transpose(0, 2, 1).reshape(-1, 16))
+    assert any("skins[1]: binds joints otherwise" in line for line in read(tmp_path, builder).warnings)
+
+
+def local_of(model: Model, trs: list[tuple[Array, Array, Array]]) -> Array:
+    """(j, 4, 4) joint transforms relative to the parent joint, nodes between folded in."""
+    worlds = model.worlds(trs)
+    result = []
+    for node in model.joint_nodes:
+        parent = model.parents[node]
+        while parent >= 0 and parent not in model.joint_nodes:
+            parent = model.parents[parent]
+        result.append(worlds[node] if parent < 0 else np.linalg.inv(worlds[parent]) @ worlds[node])
+    return np.array(result)
+
+
+def test_mesh_below_a_joint_follows_it(tmp_path: Path) -> None:
+    model = make_model()
+    builder = build(model)
+    place = matrix(np.array([0.0, 0.1, 0.0]), np.array([0, 0, 0, 1.0]), np.full(3, 0.2))
+    builder.add("meshes", {"primitives": [{"attributes": {"POSITION": builder.array(TRIANGLE)}}]})
+    builder.root["nodes"][8]["children"].append(
+        builder.add("nodes", {"name": "eye ball", "mesh": 1, "matrix": place.T.ravel().tolist()})
+    )
+    parts = read(tmp_path, builder).parts
+    ball = next(mesh for mesh in parts.meshes if mesh.name == "eye ball")
+    generator = np.random.default_rng(2)
+    moved = [(t, quaternion(generator), s) for t, _, s in model.trs]
+    world = model.worlds(moved)[8] @ place
+    got = evaluate(parts, ball, {}, local_of(model, moved))
+    assert np.abs(got - (TRIANGLE @ world[:3, :3].T + world[:3, 3])).max() < 1e-5
+
+
+def test_unskinned_mesh_is_placed_by_its_nodes(tmp_path: Path) -> None:
+    builder = triangle()
+    quarter = [0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4)]
+    builder.root["nodes"] = [
+        {"mesh": 0, "translation": [1, 2, 3]},
+        {"children": [0], "rotation": quarter, "scale": [2, 2, 2]},
+    ]
+    parts = read(tmp_path, builder).parts
+    (mesh,) = parts.meshes
+    world = mesh.points @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
+    x, y, z = (2 * (TRIANGLE + np.array([1, 2, 3]))).T
+    assert np.allclose(world, np.stack([z, y, -x], axis=1))  # a quarter turn about y
+    assert mesh.skin is None
+    assert parts.skeleton.joints == ()
+
+
+# welding
+
+
+def test_welding_keeps_vertices_apart_that_move_apart(tmp_path: Path) -> None:
+    model = make_model()
+    model.targets[1][50] += 0.01  # a twin on the seam
+    (mesh,) = read(tmp_path, build(model)).parts.meshes
+    assert len(mesh.points) == 49
+    shape = mesh.blendshapes[1]
+    dense = np.zeros((49, 3), np.float32)
+    dense[shape.point_indices] = shape.offsets
+    assert np.array_equal(corners(mesh, dense), model.targets[1][model.triangles])
+
+
+def test_welding_keeps_vertices_apart_with_other_weights(tmp_path: Path) -> None:
+    model = make_model()
+    model.weights[49] = np.eye(8)[0]
+    assert len(read(tmp_path, build(model)).parts.meshes[0].points) == 49
+
+
+def test_point_numbers_restore_points(tmp_path: Path) -> None:
+    model = make_model()
+    order = np.random.default_rng(4).permutation(48)
+    twins = np.concatenate([np.arange(48), np.flatnonzero(np.arange(48) % 8 == 4)])
+    builder = build(model)
+    attributes = builder.root["meshes"][0]["primitives"][0]["attributes"]
+    attributes["_FACEPIPE_POINT"] = builder.array(order[twins].astype(np.float32))
+    (mesh,) = read(tmp_path, builder).parts.meshes
+    expected = np.empty((48, 3), np.float32)
+    expected[order] = model.positions[:48]
+    assert np.array_equal(mesh.points, expected)
+    dense = np.zeros((48, 3), np.float32)
+    dense[mesh.blendshapes[0].point_indices] = mesh.blendshapes[0].offsets
+    assert np.array_equal(dense[order], model.targets[0][:48])
+    attributes["_FACEPIPE_POINT"] = builder.array(np.zeros(len(twins)))
+    fallback = read(tmp_path, builder)
+    assert len(fallback.parts.meshes[0].points) == 48
+    assert any("_FACEPIPE_POINT" in line for line in fallback.warnings)
+
+
+def test_unwelded_vertices_stay_as_they_are(tmp_path: Path) -> None:
+    model = make_model()
+    (mesh,) = read(tmp_path, build(model), weld=False).parts.meshes
+    assert np.array_equal(mesh.points, model.positions)
+    assert np.array_equal(mesh.face_vertex_indices.reshape(-1, 3), model.triangles)
+    assert mesh.normals is not None
+    assert np.array_equal(mesh.normals, model.normals)
+    assert np.allclose(mesh.uv_sets[0].values, model.uvs * [1, -1] + [0, 1])
+
+
+def test_hard_edges_become_face_varying_normals(tmp_path: Path) -> None:
+    model = make_model()
+    model.normals[48:] *= -1
+    (mesh,) = read(tmp_path, build(model)).parts.meshes
+    assert mesh.normals is not None
+    assert np.array_equal(mesh.normals.reshape(-1, 3, 3), model.normals[model.triangles])
+
+
+@pytest.mark.parametrize(("mode", "order"), [(5, [0, 1, 2, 3, 4]), (6, [0, 1, 3, 4, 2])])
+def test_strips_and_fans_are_the_triangles_they_stand_for(tmp_path: Path, mode: int, order: list[int]) -> None:
+    builder = Builder()
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 2, 0]], np.float32)
+    primitive = {"attributes": {"POSITION": builder.array(points)}, "indices": builder.array(np.array(order), "u1")}
+    builder.add("meshes", {"primitives": [primitive | {"mode": mode}]})
+    builder.add("nodes", {"mesh": 0})
+    (mesh,) = read(tmp_path, builder).parts.meshes
+    a, b, c = np.moveaxis(corners(mesh, mesh.points), 1, 0)
+    areas = np.cross(b - a, c - a)[:, 2] / 2
+    assert len(areas) == 3
+    assert np.allclose(areas.sum(), 1.5)
+    assert (areas > 0).all()  # none turned over
+
+
+def test_primitives_become_one_mesh_with_material_faces(tmp_path: Path) -> None:
+    builder = Builder()
+    shared = builder.array(np.concatenate([TRIANGLE, TRIANGLE + np.array([1, 0, 0])]))
+    for number in range(2):
+        builder.add("materials", {"name": "mat"})
+        builder.add("meshes", {"primitives": []}) if number == 0 else None
+        indices = builder.array(np.arange(3) + 3 * number, "u2")
+        builder.root["meshes"][0]["primitives"].append(
+            {"attributes": {"POSITION": shared}, "indices": indices, "material": number}
+        )
+    builder.root["meshes"][0]["primitives"].append({"attributes": {"POSITION": shared}, "mode": 1})
+    builder.add("nodes", {"mesh": 0})
+    imported = read(tmp_path, builder)
+    (mesh,) = imported.parts.meshes
+    assert len(mesh.points) == 5  # one corner in common
+    assert mesh.material is None
+    assert [(one.material, one.faces.tolist()) for one in mesh.material_faces] == [("mat", [0]), ("mat_2", [1])]
+    assert [material.name for material in imported.parts.materials] == ["mat", "mat_2"]
+    assert any("lines are left out" in line for line in imported.warnings)
+
+
+# names, morph targets
+
+
+def test_names_are_kept_and_tell_meshes_apart(tmp_path: Path) -> None:
+    builder = triangle()
+    names = ["Kopf é", "头", "头", "1st", "", "Skeleton", "Kopf e"]
+    builder.root["nodes"] = [{"mesh": 0, "name": name} for name in names]
+    meshes = read(tmp_path, builder).parts.meshes
+    assert [mesh.name for mesh in meshes] == ["Kopf é", "头", "头_2", "1st", "mesh", "Skeleton", "Kopf e"]
+    assert [exact(mesh) for mesh in meshes] == names
+
+
+def test_target_names_of_the_wrong_length_are_numbered(tmp_path: Path) -> None:
+    builder = build(make_model())
+    builder.root["meshes"][0]["extras"]["targetNames"] = ["jawOpen"]
+    imported = read(tmp_path, builder)
+    assert [shape.name for shape in imported.parts.meshes[0].blendshapes] == ["target_0", "target_1", "target_2"]
+    assert any("targetNames" in line for line in imported.warnings)
+
+
+def test_inbetweens_are_folded_back(tmp_path: Path) -> None:
+    model = make_model()
+    builder = build(model)
+    mesh_json = builder.root["meshes"][0]
+    mesh_json["extras"] = {
+        "targetNames": ["jawOpen", "jawOpen_half", "browUp"],
+        "facepipe": {"inbetweens": {"jawOpen_half": {"shape": "jawOpen", "weight": 0.5}}},
+    }
+    knots = np.array([[0, 0, 0], [0, 1, 0.2], [1, 0, 0.4]], np.float32)  # activations at shape weights 0, 0.5, 1
+    sampler = {"input": builder.array(np.arange(3.0)), "output": builder.array(knots.ravel())}
+    channel = {"sampler": 0, "target": {"node": 11, "path": "weights"}}
+    builder.add("animations", {"samplers": [sampler], "channels": [channel]})
+    imported = read(tmp_path, builder)
+    jaw, brow = imported.parts.meshes[0].blendshapes
+    assert (jaw.name, brow.name) == ("jawOpen", "browUp")
+    (half,) = jaw.inbetweens
+    assert (half.name, half.weight) == ("half", 0.5)
+    for values, target in ((jaw.offsets, model.targets[0]), (half.offsets, model.targets[1])):
+        dense = np.zeros((48, 3), np.float32)
+        dense[jaw.point_indices] = values
+        assert np.array_equal(corners(imported.parts.meshes[0], dense), target[model.triangles])
+    (animation,) = imported.parts.animations
+    assert animation.shapes == ("jawOpen", "browUp")
+    assert animation.shape_weights is not None
+    assert np.allclose(animation.shape_weights, [[0, 0], [0.5, 0.2], [1, 0.4]])
+
+
+def test_normal_offsets_come_along(tmp_path: Path) -> None:
+    model = make_model()
+    builder = build(model)
+    turned = np.random.default_rng(6).normal(size=(48, 3)).astype(np.float32)
+    turned = turned[np.concatenate([np.arange(48), np.flatnonzero(np.arange(48) % 8 == 4)])]
+    builder.root["meshes"][0]["primitives"][0]["targets"][0]["NORMAL"] = builder.array(turned)
+    imported = read(tmp_path, builder)
+    (mesh,) = imported.parts.meshes
+    shape = mesh.blendshapes[0]
+    assert imported.warnings == ()
+    assert shape.normal_offsets is not None
+    assert np.array_equal(shape.point_indices, np.arange(48))
+    assert np.array_equal(corners(mesh, shape.normal_offsets), turned[model.triangles])
+
+
+def test_default_morph_weights_are_named_in_a_warning(tmp_path: Path) -> None:
+    builder = build(make_model())
+    builder.root["meshes"][0]["weights"] = [0.5, 0, 0]
+    imported = read(tmp_path, builder)
+    assert any("default morph weights" in line for line in imported.warnings)
+
+
+def test_weights_are_renormalised_with_a_warning(tmp_path: Path) -> None:
+    model = make_model()
+    model.weights[3] *= 0.5
+    imported = read(tmp_path, build(model))
+    skin = imported.parts.meshes[0].skin
+    assert skin is not None
+    assert np.allclose(skin.joint_weights.sum(axis=1), 1.0, atol=1e-6)
+    assert any("renormalised" in line for line in imported.warnings)
+
+
+def test_normalised_weights_and_colours(tmp_path: Path) -> None:
+    model = make_model()
+    builder = build(model)
+    attributes = builder.root["meshes"][0]["primitives"][0]["attributes"]
+    halves = np.tile([255, 0, 0, 0], (54, 1))
+    attributes["WEIGHTS_0"] = builder.array(halves, "u1", normalized=True)
+    attributes["WEIGHTS_1"] = builder.array(halves * 0, "u1", normalized=True)
+    colors = np.tile([51, 102, 255, 255], (54, 1))
+    attributes["COLOR_0"] = builder.array(colors, "u1", normalized=True)
+    imported = read(tmp_path, builder)
+    (mesh,) = imported.parts.meshes
+    assert imported.warnings == ()
+    assert mesh.skin is not None
+    assert mesh.skin.joint_weights.tolist() == [[1.0]] * 48
+    assert mesh.colors is not None
+    assert np.allclose(mesh.colors, [0.2, 0.4, 1.0])
+
+
+# materials
+
+
+def textured(builder: Builder) -> None:
+    """A material that uses every input, on the first primitive."""
+    builder.add("images", {"bufferView": builder.view(PNG), "mimeType": "image/png", "name": "skin tone"})
+    builder.add("images", {"uri": "data:image/png;base64," + base64.b64encode(PNG).decode()})
+    builder.add("samplers", {"wrapS": 33071, "wrapT": 33648})
+    builder.add("textures", {"source": 0, "sampler": 0})
+    builder.add("textures", {"source": 1})
+    material = {
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.5, 0.6, 0.7, 0.8],
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 1, "texCoord": 1},
+            "roughnessFactor": 0.4,
+        },
+        "normalTexture": {"index": 1, "scale": 0.5},
+        "occlusionTexture": {"index": 1, "strength": 0.25},
+        "emissiveFactor": [0.1, 0.2, 0.3],
+        "alphaMode": "MASK",
+        "alphaCutoff": 0.3,
+        "extensions": {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
+    }
+    builder.root["materials"] = [material | {"name": "skin"}]
+    builder.root["meshes"][0]["primitives"][0]["material"] = 0
+
+
+def test_material_inputs(tmp_path: Path) -> None:
+    builder = triangle(asset={"version": "2.0", "copyright": "(c) somebody,\n CC-BY"})
+    textured(builder)
+    parts = read(tmp_path, builder).parts
+    (skin,) = parts.materials
+    base, rough, metal = skin.diffuse_color, skin.roughness, skin.metallic
+    assert parts.attribution == "(c) somebody, CC-BY"
+    assert isinstance(base, TextureInput)
+    assert (base.texture.name, base.texture.data) == ("skin_tone.png", PNG)
+    assert (base.channels, base.scale, base.wrap_s, base.wrap_t) == ("rgb", (0.5, 0.6, 0.7, 0.8), "clamp", "mirror")
+    assert isinstance(rough, TextureInput)
+    assert isinstance(metal, TextureInput)
+    assert (rough.channels, rough.scale[1], rough.uv_set, rough.wrap_s) == ("g", 0.4, "st1", "repeat")
+    assert (metal.channels, metal.scale[2], metal.texture is rough.texture) == ("b", 1.0, True)
+    assert skin.normal is not None
+    assert (skin.normal.scale[:3], skin.normal.bias[:3]) == ((1.0, 1.0, 2.0), (-0.5, -0.5, -1.0))
+    assert isinstance(skin.occlusion, TextureInput)
+    assert (skin.occlusion.channels, skin.occlusion.scale[0], skin.occlusion.bias[0]) == ("r", 0.25, 0.75)
+    assert skin.emissive_color == (0.2, 0.4, 0.6)
+    assert isinstance(skin.opacity, TextureInput)
+    assert (skin.opacity.channels, skin.opacity.scale[3], skin.opacity_threshold) == ("a", 0.8, 0.3)
+    assert skin.ior == 1.4
+
+
+@pytest.mark.parametrize(("mode", "opacity"), [("OPAQUE", 1.0), ("BLEND", 0.25)])
+def test_alpha_counts_only_where_the_mode_says(tmp_path: Path, mode: str, opacity: float) -> None:
+    builder = triangle(materials=[{"alphaMode": mode, "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.25]}}])
+    builder.root["meshes"][0]["primitives"][0]["material"] = 0
+    (material,) = read(tmp_path, builder).parts.materials
+    assert (material.opacity, material.opacity_threshold) == (opacity, 0.0)
+    assert (material.metallic, material.roughness) == (1.0, 1.0)
+
+
+# containers
+
+
+def test_gltf_with_files_reads_as_the_glb_does(tmp_path: Path) -> None:
+    builder = build(make_model())
+    textured(builder)
+    whole = read(tmp_path, builder).parts
+    document = json.loads(json.dumps(builder.root))
+    (tmp_path / "my data").mkdir()
+    (tmp_path / "my data" / "a.bin").write_bytes(bytes(builder.binary))
+    (tmp_path / "skin_tone.png").write_bytes(PNG)
+    document["buffers"][0]["uri"] = "my%20data/a.bin"
+    document["images"][0] = {"uri": "skin_tone.png"}
+    parts = read(tmp_path, json.dumps(document).encode(), "face.gltf").parts
+    assert parts.materials == whole.materials
+    assert np.array_equal(parts.meshes[0].points, whole.meshes[0].points)
+    document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(builder.binary).decode()
+    inline = read(tmp_path, json.dumps(document).encode(), "inline.gltf").parts
+    assert np.array_equal(inline.meshes[0].points, whole.meshes[0].points)
+
+
+def test_reading_twice_gives_the_same(tmp_path: Path) -> None:
+    builder, *_ = animated(make_model())
+    textured(builder)
+    assert repr(read(tmp_path, builder)) == repr(read(tmp_path, builder))
+
+
+def test_scene_option_chooses_what_is_read(tmp_path: Path) -> None:
+    builder = triangle(scenes=[{"nodes": [0]}, {"nodes": [1]}], scene=0)
+    builder.root["nodes"] = [{"mesh": 0, "name": "one"}, {"mesh": 0, "name": "two"}]
+    first, second = read(tmp_path, builder), read(tmp_path, builder, scene=1)
+    assert [mesh.name for mesh in first.parts.meshes] == ["one"]
+    assert [mesh.name for mesh in second.parts.meshes] == ["two"]
+    assert any("1 nodes with a mesh" in line for line in first.warnings)
+    with pytest.raises(InputError, match="scene 2"):
+        read(tmp_path, builder, scene=2)
+
+
+def test_deep_chain_of_nodes_is_read(tmp_path: Path) -> None:
+    builder = triangle()
+    count = 5000
+    chain = [{"children": [i + 1], "translation": [0.0, 1.0, 0.0]} for i in range(count)]
+    builder.root["nodes"] = [*chain, {"mesh": 0}]
+    assert read(tmp_path, builder).parts.meshes[0].transform[1, 3] == count
+
+
+def test_the_least_of_a_normalised_integer_is_minus_one(tmp_path: Path) -> None:
+    """Two bytes stand for it: -127 and -128."""
+    builder = Builder()
+    corners = np.array([[-128, 0, 0], [-127, 127, 0], [127, 0, 0]])
+    position = builder.array(corners, "i1", normalized=True, stride=4)
+    builder.add("meshes", {"primitives": [{"attributes": {"POSITION": position}}]})
+    builder.add("nodes", {"mesh": 0})
+    points = read(tmp_path, builder).parts.meshes[0].points
+    np.testing.assert_allclose(points[:, 0] / points[2, 0], [-1.0, -1.0, 1.0])

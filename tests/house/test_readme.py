@@ -1,0 +1,117 @@
+"""The README's tour, run line by line as it stands; its table and the project's facts."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from places import REPOSITORY
+
+from facepipe.cli import COMMANDS
+from facepipe.processors.blend import read_blend_recipe
+
+SHARED = REPOSITORY.parent / "shared"
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+BLEND, BONES = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("blend.md", "bones.md"))
+
+
+def blocks(kind: str, text: str = README) -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.mark.slow
+def test_the_tour_runs(tmp_path: Path) -> None:
+    """Every console line in order, then the Python of README, blend.md and bones.md, in one folder beside ../shared."""
+    folder = tmp_path / "project"
+    folder.mkdir()
+    lines = [line for block in blocks("console") for line in block.splitlines()]
+    assert len(lines) > 12
+    if SHARED.exists():
+        (tmp_path / "shared").symlink_to(SHARED)
+    else:
+        lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
+    tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
+    pages = [block for page in (README, BLEND, BONES) for block in blocks("python", page)]
+    commands += [[sys.executable, "-c", block] for block in pages]
+    for command in commands:
+        done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command[-1]}: {done.stdout}{done.stderr}"
+        assert "Traceback" not in done.stderr
+    made = {one.name for one in folder.iterdir()}
+    assert {
+        "head.usda",
+        "head.glb",
+        "head.onnx",
+        "points.npz",
+        "smile.png",
+        "head.landmarks.usda",
+        "child.glb",
+        "live.usda",
+        "poses.usda",
+        "jaw.fpb",
+    } <= made
+    recipe = read_blend_recipe(folder / "live.usda")  # made in Python as the page says, it can be edited
+    assert [source.name for source in recipe.sources] == ["head.usda", "other.usda"]
+
+
+@pytest.mark.slow
+def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
+    """Its lines as they stand, on a real photo, with landmarks by the project's own network."""
+    pytest.importorskip("torch")
+    photo = SHARED / "data" / "photos" / "astronaut.png"
+    if not photo.exists():
+        pytest.skip("the shared data is not beside the project")
+    shutil.copy(photo, tmp_path / "portrait.jpg")
+    tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    (lines,) = (block.splitlines() for block in blocks("sh") if "fit-photo" in block)
+    for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
+        done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+    assert {"sheet.png", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
+    assert (tmp_path / "me.glb").stat().st_size > 0
+
+
+def test_the_demo_makes_everything(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "facepipe", "demo", "demo"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {"head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
+        one.name for one in (tmp_path / "demo").iterdir()
+    }
+    assert done.stdout.count("no errors, no warnings") == 3, done.stdout
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
+
+
+def test_the_table_lists_every_command() -> None:
+    listed = re.findall(r"^\| `facepipe ([\w-]+)", README, re.MULTILINE)
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+def test_pictures_and_links_of_the_readme_are_there() -> None:
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", README):
+        assert (REPOSITORY / target).exists(), target
+
+
+def test_continuous_integration_runs_the_readmes_test_command() -> None:
+    command = blocks("sh")[1].strip().rpartition("&& .venv/bin/")[2]
+    assert command in (REPOSITORY / ".ci" / "run").read_text()
+
+
+@pytest.mark.parametrize("kind", ["dependencies", "dev"])
+def test_every_dependency_is_justified_and_pinned(kind: str) -> None:
+    text = (REPOSITORY / "pyproject.toml").read_text()
+    project = tomllib.loads(text)["project"]
+    for entry in project.get(kind) or project["optional-dependencies"][kind]:
+        assert re.search(rf'"{re.escape(entry)}",\s+# \w', text), f"{entry} has no reason"
+        assert re.search(r">=\d", entry), f"{entry} has no range"

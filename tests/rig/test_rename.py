@@ -1,0 +1,202 @@
+"""`--rename`: shapes and joints under other names, wherever a face and its files speak of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import gltf_reader
+import numpy as np
+import pytest
+from facepipe_onnx.runtime import Deformer
+from faces import tiny_face
+from gltf_builder import build, make_model
+from places import SHARED
+from test_cli import run
+
+import facepipe
+from facepipe import parts as p
+from facepipe.cli.rename import convention_of, convention_text
+from facepipe.importers import ict, load
+from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import CONVENTIONS
+from facepipe.rig.rename import convention_names, renamed, shapes_of
+from facepipe.stage import Face, save_parts
+
+ICT = SHARED / "ict_facekit" / "ict_facekit.npz"
+
+
+def clipped_face() -> p.FaceParts:
+    """The tiny face with a clip, sliders and a network that all move jawOpen."""
+    weights = (np.ones((1, 1)), np.zeros(1))
+    clip = p.Animation(name="talk", times=np.arange(2.0), shapes=("jawOpen",), shape_weights=np.array([[0.0], [0.8]]))
+    slider = p.Slider(name="open", shapes=(("jawOpen", 0.5), ("mouthSmileLeft", 0.25)))
+    network = p.SliderNetwork(sliders=("open",), shapes=("jawOpen",), weights=weights[:1], biases=weights[1:])
+    return replace(tiny_face(), animations=(clip,), sliders=(slider,), slider_network=network)
+
+
+@pytest.fixture
+def face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    save_parts(clipped_face(), tmp_path / "face.usda")
+    return tmp_path / "face.usda"
+
+
+TABLE = {"jawOpen": "Mund auf", "mouthSmileLeft": "笑う", "jaw": "mixamorig:Jaw", "root/jaw/lip": "DEF-lip.001"}
+
+
+@pytest.mark.parametrize("kind", ["json", "csv"])
+def test_a_table_renames_every_place_in_the_files(
+    capsys: pytest.CaptureFixture[str], face: Path, tmp_path: Path, kind: str
+) -> None:
+    table = tmp_path / f"names.{kind}"
+    rows = ["old,new", "", *(f'"{old}","{new}"' for old, new in TABLE.items())]
+    table.write_text(json.dumps(TABLE) if kind == "json" else "\r\n".join(rows), encoding="utf-8")
+    assert run(capsys, "export", face, "-o", "new.glb", "--animations", "--rename", table)[0] == 0
+    written = gltf_reader.read(tmp_path / "new.glb")
+    assert written.targets("Head") == ["Mund auf", "Mund auf_half", "笑う"]
+    inbetweens = written.mesh("Head")["extras"]["facepipe"]["inbetweens"]
+    assert inbetweens == {"Mund auf_half": {"shape": "Mund auf", "weight": 0.5}}
+    assert written.joint_names() == ["root", "mixamorig:Jaw", "DEF-lip.001"]
+    original = facepipe.open(face)
+    for weight in (0.3, 1.0):
+        points = written.evaluate({"Mund auf": weight})["Head"]
+        expected = original.split(original.evaluate({"jawOpen": weight}))["Head"] * original.meters_per_unit
+        np.testing.assert_allclose(points, expected, atol=1e-6)
+    expected = original.split(original.evaluate({"jawOpen": 0.4}))["Head"] * original.meters_per_unit
+    np.testing.assert_allclose(written.pose("talk", 0.5)["Head"], expected, atol=1e-6)
+
+
+def test_graphs_take_the_new_names(capsys: pytest.CaptureFixture[str], face: Path, tmp_path: Path) -> None:
+    Path("names.json").write_text(json.dumps(TABLE), encoding="utf-8")
+    assert run(capsys, "export", face, "-o", "new.onnx", "--rename", "names.json")[0] == 0
+    deformer = Deformer("new.onnx")
+    assert deformer.shapes == ("Mund auf", "笑う")
+    assert deformer.joint_names == ("root", "mixamorig:Jaw", "DEF-lip.001")
+    found = deformer.evaluate({"Mund auf": 0.7})["points"]
+    np.testing.assert_allclose(found, facepipe.open(face).evaluate({"jawOpen": 0.7}), atol=1e-5)
+    assert run(capsys, "export", face, "--sliders", "-o", "sliders.onnx", "--rename", "names.json")[0] == 0
+    record = json.loads(Path("sliders.onnx.json").read_text(encoding="utf-8"))
+    assert "jawOpen" not in json.dumps(record)
+    assert {row[0] for one in record["sliders"] for row in one["shapes"]} == {"Mund auf", "笑う"}
+
+
+def test_names_of_a_face_follow_on_the_stage() -> None:
+    before = Face.from_parts(clipped_face())
+    after = Face.from_parts(renamed(clipped_face(), TABLE, "table"))
+    assert after.shapes == ("Mund auf", "笑う")
+    assert after.skeleton.joints == before.skeleton.joints
+    assert after.skeleton.names == ("root", "mixamorig:Jaw", "DEF-lip.001")
+    for value in (0.4, 1.0):
+        moved, expected = after.evaluate(sliders={"open": value}), before.evaluate(sliders={"open": value})
+        np.testing.assert_allclose(moved, expected, atol=1e-6)
+    assert after.sample("talk", 1)[1] == {"Mund auf": pytest.approx(0.8)}
+
+
+def test_import_gives_the_names_of_a_convention_and_says_so(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = build(make_model())
+    builder.root["meshes"][0]["extras"]["targetNames"] = ["Fcl_MTH_A", "blendShape1.EyeBlink_L", "Key 1"]
+    (tmp_path / "vroid.glb").write_bytes(builder.glb())
+    code, _, err = run(capsys, "import", "gltf", "vroid.glb", "face.usda", "--rename", "ARKIT")
+    assert code == 0
+    assert "--rename arkit: 1 names changed, like 'blendShape1.EyeBlink_L' to 'eyeBlinkLeft'" in err
+    made = facepipe.open("face.usda")
+    assert made.shapes == ("Fcl_MTH_A", "eyeBlinkLeft", "Key 1")
+    recipe = made.parts().recipe
+    assert recipe is not None
+    assert recipe.options["rename"] == {"blendShape1.EyeBlink_L": "eyeBlinkLeft"}
+    code, _, err = run(capsys, "import", "gltf", "vroid.glb", "vrm.usda", "--rename", "vrm")
+    assert (code, "VRM 1.0" in err) == (0, False)  # two names tell no convention
+    assert facepipe.open("vrm.usda").shapes == ("aa", "blinkLeft", "Key 1")
+
+
+def test_a_convention_is_recognised_with_the_way_to_its_names(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = build(make_model())
+    builder.root["meshes"][0]["extras"]["targetNames"] = ["Eye_Blink_L", "Eye_Blink_R", "Jaw_Open"]
+    (tmp_path / "cc.glb").write_bytes(builder.glb())
+    hint = "ARKit, 3 of 52 in another spelling (--rename arkit gives its own)"
+    assert hint in run(capsys, "import", "gltf", "cc.glb", "face.usda")[2]
+    assert hint in run(capsys, "inspect", "face.usda")[1]
+    assert hint not in run(capsys, "import", "gltf", "cc.glb", "own.usda", "--rename", "arkit")[2]
+    assert json.loads(run(capsys, "inspect", "own.usda", "--json")[1])["shape_names"] == {
+        "convention": "arkit",
+        "title": "ARKit",
+        "names": 3,
+        "of": 52,
+        "exact": True,
+        "arkit": 0,
+    }
+
+
+def test_another_convention_is_recognised_with_what_arkit_has_of_it() -> None:
+    shapes = ("blinkLeft", "blinkRight", "aa", "happy")
+    assert convention_text(convention_of(shapes)) == "VRM 1.0, 4 of 18 (--rename arkit gives 2 of them ARKit's names)"
+    assert convention_text(convention_of(("Key 1", "jawOpen"))) == "of no known convention"
+
+
+@pytest.mark.skipif(not ICT.exists(), reason="ICT-FaceKit is not in ../shared/data")
+def test_a_real_head_goes_to_another_convention_and_back() -> None:
+    parts = load("ict", ICT, ict.Options()).parts
+    there = renamed(parts, convention_names("metahuman", shapes_of(parts)), "metahuman")
+    curves = {*CONVENTIONS["metahuman"].written.values()}
+    assert curves - {*shapes_of(there)} == {"CTRL_expressions_tongueOut"}  # which ICT-FaceKit has not
+    back = renamed(there, convention_names("arkit", shapes_of(there)), "arkit")
+    assert shapes_of(back) == shapes_of(parts)
+    assert {*shapes_of(back)} >= ARKIT_SHAPES - {"browInnerUp", "cheekPuff", "tongueOut"}  # two of them by sides
+
+
+MISTAKES = {
+    "two to one": ({"jawOpen": "mouthSmileLeft"}, "'jawOpen' and 'mouthSmileLeft' would both be called"),
+    "two joints to one": ({"jaw": "root"}, "joints 'root' and 'jaw' would both be called 'root'"),
+    "one name twice": ({"a": "x", "b": "x"}, "'x' is the new name of 'a' too"),
+    "empty": ({"jawOpen": ""}, "no pair of names"),
+    "no text": ({"jawOpen": 3}, "no pair of names"),
+    "nothing": ({}, "no names"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_tables_that_can_not_be_are_one_line(capsys: pytest.CaptureFixture[str], face: Path, case: str) -> None:
+    table, message = MISTAKES[case]
+    Path("names.json").write_text(json.dumps(table))
+    code, out, err = run(capsys, "export", face, "-o", "x.glb", "--rename", "names.json")
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert message in err
+    assert not Path("x.glb").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("n.csv", "old,new\na,b\na,c", "row 3: 'a' once more"),
+        ("n.csv", "a,b,c", "3 columns, expected two"),
+        ("n.csv", 'a,"b', "no CSV in UTF-8"),
+        ("n.json", "[1]", "n.json"),
+        ("n.txt", "a,b", "expected .json or .csv"),
+        ("lost.csv", None, "lost.csv"),
+        ("arkti", None, "no convention, did you mean 'arkit'?"),
+    ],
+)
+def test_files_that_are_no_table_are_one_line(
+    capsys: pytest.CaptureFixture[str], face: Path, name: str, text: str | None, message: str
+) -> None:
+    if text is not None:
+        Path(name).write_text(text)
+    code, out, err = run(capsys, "export", face, "-o", "x.glb", "--rename", name)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert message in err
+    assert not Path("x.glb").exists()
+
+
+def test_names_that_are_not_there_are_named_with_the_nearest(capsys: pytest.CaptureFixture[str], face: Path) -> None:
+    Path("names.json").write_text(json.dumps({"jawOpn": "a", "mouthSmileLeft": "b"}))
+    code, _, err = run(capsys, "export", face, "-o", "x.glb", "--rename", "names.json")
+    assert code == 0
+    assert "1 of 2 names are not on the face, like 'jawOpn', did you mean 'jawOpen'?" in err

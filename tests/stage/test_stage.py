@@ -1,0 +1,299 @@
+"""Faces to stages and back; override layers; saves that are whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faces import replace_mesh, tiny_face
+from places import SUPPORT
+from pxr import Usd, UsdGeom, UsdSkel
+
+import facepipe
+from facepipe import parts as p
+from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.stage import save_parts
+
+PNG = bytes.fromhex(
+    "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c4944415408d763f8cfc0000003010100"
+    "18dd8db00000000049454e44ae426082"
+)
+
+
+def full_photo() -> p.PhotoView:
+    """Every field of a photo filled; floats are those of float32."""
+    turn = np.array([[0.0, 0.0, 1.0, 2.0], [0.0, 1.0, 0.0, -3.0], [-1.0, 0.0, 0.0, 40.0], [0.0, 0.0, 0.0, 1.0]])
+    return p.PhotoView(
+        name="portrait",
+        image="my portrait.png",
+        width=640,
+        height=960,
+        transform=turn,
+        focal=1234.0625,
+        center=(300.25, 500.5),
+        clipping=(1.5, 400.0),
+        light=np.random.default_rng(3).normal(size=(9, 3)).astype(np.float32),
+        key=p.KeyLamp(direction=(0.5, -0.25, 2.0), color=(0.75, 0.0, 0.5), shine=1.25, exponent=30.5),
+        tint={"Skin": (1.25, 0.875, 0.75)},
+        landmark_error=2.5,
+        animation="pose",
+    )
+
+
+def full_face() -> p.FaceParts:
+    """Every field of the parts filled."""
+    parts = tiny_face()
+    head, teeth = parts.meshes
+    texture = p.TextureInput(texture=p.Texture(name="skin.png", data=PNG), scale=(0.5, 0.5, 0.5, 1.0), wrap_s="clamp")
+    seam = p.UvSet(name="st", values=np.random.default_rng(0).random((7, 2)).astype(np.float32))
+    seam = replace(seam, indices=(np.arange(len(head.face_vertex_indices)) % 7).astype(np.int32))
+    head = replace_mesh(
+        head,
+        uv_sets=(seam,),
+        normals=np.tile(np.float32([0, 0, 1]), (36, 1)),
+        colors=np.full((36, 3), 0.25, np.float32),
+        material="Skin",
+        material_faces=(p.MaterialFaces(material="Lips", faces=np.array([3, 4], np.int32)),),
+        double_sided=True,
+    )
+    times = np.array([0.0, 0.25, 1.0])
+    clip = p.Animation(
+        name="clip",
+        times=times,
+        joints=("root/jaw",),
+        translations=np.random.default_rng(1).random((3, 1, 3)).astype(np.float32),
+        rotations=np.tile(np.float32([0, 0, 0.6, 0.8]), (3, 1, 1)),
+        scales=np.full((3, 1, 3), 1.5, np.float32),
+        coefficients=np.random.default_rng(2).random((3, 1, 9)).astype(np.float32),
+        shapes=("jawOpen",),
+        shape_weights=np.float32([[0], [0.5], [1]]),
+    )
+    pose = replace(clip, name="pose", times=None, coefficients=None, shapes=(), shape_weights=None)
+    pose = replace(pose, translations=pose.translations[:1], rotations=pose.rotations[:1], scales=pose.scales[:1])
+    limits = np.tile(np.float32([1, 1, 1, 0.5, 0.5, 0.5, 2, 2, 2]), (3, 1))
+    return replace(
+        parts,
+        up_axis="Z",
+        meters_per_unit=0.1,
+        meshes=(head, teeth),
+        animations=(clip, pose),
+        sliders=(p.Slider(name="open", group="mouth", value=0.5, channels=(("root/jaw", "rx", 0.5),)),),
+        bone_limits=p.BoneLimits(lower=-limits, upper=limits),
+        materials=(
+            p.Material(name="Skin", diffuse_color=texture, roughness=0.75, normal=replace(texture, scale=(2, 2, 2, 1))),
+            p.Material(name="Lips", diffuse_color=(0.5, 0.25, 0.125), opacity=0.5, opacity_threshold=0.25, ior=1.25),
+        ),
+        attach_joint="root/spine/head",
+        attribution="(c) somebody, CC0",
+        photos=(full_photo(),),
+        recipe=p.Recipe(verb="import x", sources=("a",), digests=("sha256:0",), options={"b": [1, 2]}, version="0"),
+    )
+
+
+def assert_same(one: object, other: object, where: str = "parts") -> None:
+    """Equal dataclasses, arrays, mappings and values, float32 precision."""
+    if dataclasses.is_dataclass(one):
+        assert type(one) is type(other), where
+        for field in dataclasses.fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_allclose(other, one, atol=1e-7, err_msg=where)
+    elif isinstance(one, dict):
+        assert list(one) == list(other), where  # type: ignore[call-overload]
+        for key in one:
+            assert_same(one[key], other[key], f"{where}[{key}]")  # type: ignore[index]
+    elif isinstance(one, tuple) and one and not isinstance(one[0], float | str):
+        assert len(one) == len(other), where  # type: ignore[arg-type]
+        for i, (mine, its) in enumerate(zip(one, other, strict=True)):  # type: ignore[call-overload]
+            assert_same(mine, its, f"{where}[{i}]")
+    elif isinstance(one, float) or (isinstance(one, tuple) and one and isinstance(one[0], float)):
+        assert other == pytest.approx(one, abs=1e-7), where
+    else:
+        assert one == other, where
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd", ".usdz"])
+def test_round_trip_of_every_field(tmp_path: Path, suffix: str) -> None:
+    parts = full_face()
+    save_parts(parts, tmp_path / f"face{suffix}")
+    face = facepipe.open(tmp_path / f"face{suffix}")
+    assert_same(parts, face.parts())
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_same_parts_same_bytes(tmp_path: Path, suffix: str) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        save_parts(full_face(), tmp_path / folder / f"face{suffix}")
+        time.sleep(2.1 if suffix == ".usdz" else 0.01)  # zip times are even seconds
+    files = [(tmp_path / folder / f"face{suffix}").read_bytes() for folder in ("a", "b")]
+    assert files[0] == files[1]
+
+
+def test_conventions_on_the_stage(tmp_path: Path) -> None:
+    save_parts(full_face(), tmp_path / "face.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "face.usda"))
+    root = stage.GetDefaultPrim()
+    assert root.IsA(UsdSkel.Root)
+    assert "FacepipeFaceAPI" in root.GetAppliedSchemas()
+    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.1
+    head = stage.GetPrimAtPath("/Tiny/Head")
+    binding = UsdSkel.BindingAPI(head)
+    assert binding.GetJointIndicesPrimvar().GetElementSize() == binding.GetJointWeightsPrimvar().GetElementSize() == 3
+    assert binding.GetGeomBindTransformAttr().HasAuthoredValue()
+    assert UsdGeom.PrimvarsAPI(head).GetPrimvar("facepipe:region:mouth").GetInterpolation() == "vertex"
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/Tiny/Animations/pose"))
+    assert animation.GetScalesAttr().HasAuthoredValue()
+
+
+def test_override_layer_holds_only_what_changed(tmp_path: Path) -> None:
+    source, out = tmp_path / "face.usda", tmp_path / "deep" / "out.usda"
+    out.parent.mkdir()
+    save_parts(full_face(), source)
+    before = source.read_bytes()
+    face = facepipe.open(source)
+    with face.deriving(out) as derived:
+        derived.prim.GetAttribute("facepipe:attribution").Set("changed")
+    text = out.read_text()
+    assert "@../face.usda@" in text
+    assert "points" not in text
+    assert str(tmp_path) not in text
+    again = facepipe.open(out)
+    assert again.parts().attribution == "changed"
+    assert (again.up_axis, again.meters_per_unit) == ("Z", 0.1)
+    assert source.read_bytes() == before
+
+
+def test_flattened_derivation_stands_alone(tmp_path: Path) -> None:
+    save_parts(tiny_face(), tmp_path / "face.usda")
+    with facepipe.open(tmp_path / "face.usda").deriving(tmp_path / "out.usdc", flatten=True) as derived:
+        derived.prim.GetAttribute("facepipe:attribution").Set("changed")
+    (tmp_path / "face.usda").unlink()
+    assert len(facepipe.open(tmp_path / "out.usdc").evaluate()) == 45
+
+
+def test_a_failed_derivation_writes_nothing(tmp_path: Path) -> None:
+    save_parts(tiny_face(), tmp_path / "face.usda")
+    face = facepipe.open(tmp_path / "face.usda")
+    with pytest.raises(RuntimeError), face.deriving(tmp_path / "out.usda"):
+        raise RuntimeError
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["face.usda"]
+    with pytest.raises(InputError, match="the input itself"), face.deriving(tmp_path / "face.usda"):
+        pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_kill_in_the_middle_of_a_save_leaves_the_old_file_whole(tmp_path: Path) -> None:
+    """The saver kills itself before and after each step that the disk sees; the file is one of the two versions."""
+    target = tmp_path / "face.usda"
+    save_parts(replace(tiny_face(), attribution="old"), target)
+    program = (
+        "import os, signal, sys; sys.path.insert(0, sys.argv[2])\n"
+        "from dataclasses import replace\nfrom faces import tiny_face\nfrom facepipe.stage import save_parts\n"
+        "def die(*_): os.kill(os.getpid(), signal.SIGKILL)\n"
+        "def hook(event, arguments): event == 'os.rename' and die()\n"
+        "flush = os.fsync\n"
+        "if sys.argv[3] == 'flushed': os.fsync = lambda file: (flush(file), die())\n"
+        "if sys.argv[3] == 'renaming': sys.addaudithook(hook)\n"
+        "if sys.argv[3] == 'renamed':\n"
+        "    import facepipe.atomic; facepipe.atomic.sync_folder = die\n"
+        "save_parts(replace(tiny_face(), attribution='new ' * 40000), sys.argv[1])\n"
+    )
+    for moment in ("flushed", "renaming", "renamed"):
+        command = [sys.executable, "-c", program, str(target), str(SUPPORT), moment]
+        assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+        text = target.read_text()
+        assert text.rstrip().endswith("}"), "a half-written file"
+        assert ('"old"' in text, text.count("new ")) == ((False, 40000) if moment == "renamed" else (True, 0))
+        assert (len(list(tmp_path.iterdir())), len(list(tmp_path.glob(".facepipe-*")))) == (2, 1)
+    save_parts(tiny_face(), target)
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_textures_of_another_stage_are_not_overwritten(tmp_path: Path) -> None:
+    parts = full_face()
+    save_parts(parts, tmp_path / "face.usda")
+    other = p.Texture(name="skin.png", data=PNG + b"\0")
+    changed = replace(parts.materials[0], diffuse_color=p.TextureInput(texture=other), normal=None)
+    save_parts(replace(parts, materials=(changed, parts.materials[1])), tmp_path / "face.usdc")
+    assert_same(parts, facepipe.open(tmp_path / "face.usda").parts())
+    again = facepipe.open(tmp_path / "face.usdc").materials[0].diffuse_color
+    assert isinstance(again, p.TextureInput)
+    assert again.texture.data == PNG + b"\0"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.usda", b"", "can't be read as USD"),
+        ("empty.usdc", b"", "can't be read as USD"),
+        ("wrong.usdc", b"PXR-USDC" + bytes(100), "can't be read as USD"),
+        ("noface.usda", b'#usda 1.0\ndef Xform "A" {}\n', "FacepipeFaceAPI"),
+        ("loop.usda", b'#usda 1.0\n(defaultPrim="A")\ndef "A" (references=@./loop.usda@</A>){}\n', "Cycle"),
+        ("self.usda", b"#usda 1.0\n(subLayers=[@./self.usda@])\n", "composition error"),
+        ("gone.usda", b'#usda 1.0\ndef "A" (references=@./gone2.usda@){}\n', "gone2"),
+        ("data.txt", b"hello", "suffix"),
+    ],
+)
+def test_bad_files_are_one_line_errors(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FacepipeError, match=message) as caught:
+        facepipe.open(tmp_path / name)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_stage_without_face_names_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / "other.usda").write_text('#usda 1.0\ndef SkelRoot "A" {}\n')
+    with pytest.raises(SchemaError, match="facepipe import usd"):
+        facepipe.open(tmp_path / "other.usda")
+    with pytest.raises(InputError, match="no such file"):
+        facepipe.open(tmp_path / "gone.usda")
+
+
+def test_nan_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    parts = tiny_face()
+    points = parts.meshes[0].points.copy()
+    points[3, 1] = np.nan
+    bad = replace(parts, meshes=(replace_mesh(parts.meshes[0], points=points),))
+    with pytest.raises(InputError, match="Tiny -> Head -> points: NaN or infinity, expected finite"):
+        save_parts(bad, tmp_path / "face.usda")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("source", [".usdc", ".usdz"])
+@pytest.mark.parametrize("out", [".usda", ".usdz"])
+def test_standalone_files_can_be_moved(tmp_path: Path, source: str, out: str) -> None:
+    first, second, third = (tmp_path / name for name in ("one", "two", "three"))
+    first.mkdir()
+    second.mkdir()
+    save_parts(full_face(), first / f"face{source}")
+    with facepipe.open(first / f"face{source}").deriving(second / f"flat{out}", flatten=True) as face:
+        face.prim.GetAttribute("facepipe:attribution").Set("changed")
+    facepipe.open(first / f"face{source}").save(second / f"saved{out}")
+    shutil.rmtree(first)
+    second.rename(third)
+    assert_same(replace(full_face(), attribution="changed"), facepipe.open(third / f"flat{out}").parts())
+    assert_same(full_face(), facepipe.open(third / f"saved{out}").parts())
+    if out == ".usda":
+        assert str(tmp_path) not in (third / f"flat{out}").read_text()
+
+
+def test_recipe_sources_are_seen_from_the_stage(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "source.npz").write_bytes(b"x")
+    recipe = p.Recipe(verb="import x", sources=(str(tmp_path / "data" / "source.npz"), "gone.npz"))
+    (tmp_path / "out").mkdir()
+    save_parts(replace(tiny_face(), recipe=recipe), tmp_path / "out" / "face.usda")
+    again = facepipe.open(tmp_path / "out" / "face.usda").parts().recipe
+    assert again is not None
+    assert again.sources == ("../data/source.npz", "gone.npz")

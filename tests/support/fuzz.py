@@ -1,0 +1,70 @@
+"""Fuzzes what facepipe reads.
+
+usage: python tests/support/fuzz.py FORMAT|all --cases N --seed S [--work FOLDER]
+
+One table: cases, lines refused and accepted, and what broke the rule. Exit 1 where something did. `cases` and `usd` are
+what it calls itself with (fuzzing.py).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from pathlib import Path
+
+KINDS = ("cases", "refused", "accepted", "traceback", "line", "hang", "death", "partial", "killed in USD")
+
+
+def usd_alone(path: str) -> None:
+    """What our readers ask of USD, without them, in as much memory as they have."""
+    from fuzzing import limit_memory
+    from pxr import Tf, Usd
+
+    limit_memory()
+    with contextlib.suppress(Tf.ErrorException, UnicodeDecodeError, RuntimeError):
+        stage = Usd.Stage.Open(path)
+        stage.GetCompositionErrors()
+        for prim in stage.Traverse():
+            for attribute in prim.GetAttributes():
+                for time_code in [Usd.TimeCode.Default(), *map(Usd.TimeCode, attribute.GetTimeSamples())]:
+                    with contextlib.suppress(Tf.ErrorException, UnicodeDecodeError):
+                        attribute.Get(time_code)
+            for relationship in prim.GetRelationships():
+                relationship.GetForwardedTargets()
+
+
+def main() -> int:
+    if sys.argv[1:2] == ["usd"]:
+        usd_alone(sys.argv[2])
+        return 0
+    from fuzz_formats import FORMATS
+    from fuzzing import fuzz, put_good, run_cases
+
+    if sys.argv[1:2] == ["cases"]:
+        name, seed, first, count, folder = sys.argv[2], *map(int, sys.argv[3:6]), Path(sys.argv[6])
+        put_good(FORMATS[name], folder)
+        run_cases(name, FORMATS[name], seed, first, count, folder)
+        return 0
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("format", nargs="+", choices=["all", *FORMATS])
+    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--work", type=Path)
+    arguments = parser.parse_args()
+    names = list(FORMATS) if "all" in arguments.format else arguments.format
+    work = arguments.work or Path(tempfile.mkdtemp(prefix="fuzz"))
+    print("format".ljust(20), *(kind.rjust(max(8, len(kind))) for kind in KINDS), flush=True)
+    failed = False
+    for name in names:
+        found = fuzz(name, arguments.seed, arguments.cases, work / name, stages=FORMATS[name].stages)
+        print(name.ljust(20), *(str(found.counts[kind]).rjust(max(8, len(kind))) for kind in KINDS), flush=True)
+        for line in found.failures:
+            print(line, file=sys.stderr, flush=True)
+        failed |= bool(found.failures)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

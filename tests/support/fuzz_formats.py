@@ -1,0 +1,894 @@
+"""What facepipe reads, as good files, the damage that fits each kind, and the commands that read it."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.util
+import json
+import random
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import fuzz_damage as damage
+import neural_faces
+import numpy as np
+import photo_line
+import rebuild_stages
+import test_cook_verbs
+import test_fit_neutral
+import test_fuzz_gltf
+import test_import_obj
+import test_rebuild
+import test_rebuild_project
+import test_sliders_tables
+from blend_line import made
+from faces import tiny_face
+from fit_line import save_sources
+from fuzz_stage import damaged_stage
+from fuzzing import Format, Line
+from gltf_builder import PNG, glb
+from network_faces import network, networked
+from photo_booth import camera_at
+from photo_files import encoded, oriented, picture
+from PIL import Image
+from places import SHARED
+from region_painter import legend_of, paint
+from region_painter import save as save_map
+from test_import_makehuman import PACKED, _small
+from test_payload import tiny_payload
+from test_rename import clipped_face
+from test_scan_file import cube
+from test_slider_network_stage import saved as save_network
+from test_stage import full_face
+from test_validate import good_face
+
+import facepipe
+from facepipe.cli import main
+from facepipe.pipeline.verbs import VERBS
+from facepipe.processors.database import DatabaseOptions, create_database, save_database
+from facepipe.sample import make as make_sample
+from facepipe.stage import save_parts
+
+Rng = random.Random
+
+
+def change(name: str, how: Callable[[Rng, bytes], bytes], rng: Rng) -> None:
+    """One file damaged."""
+    path = Path(name)
+    path.write_bytes(how(rng, path.read_bytes()))
+
+
+def one_of(
+    lines: Sequence[Sequence[str]], how: Callable[[Rng, bytes], bytes], *names: str
+) -> Callable[[Rng, str], list[Line]]:
+    """Damage to one of the files, and one of the commands."""
+
+    def damaged(rng: Rng, part: str) -> list[Line]:
+        change(rng.choice(names), how, rng)
+        return [rng.choice(lines)]
+
+    return damaged
+
+
+def put_face(name: str = "face.usda") -> None:
+    save_parts(made(0), Path(name))
+
+
+def put_text(name: str, content: Any) -> Callable[[], None]:
+    """The face, and a file of a text or JSON."""
+
+    def put() -> None:
+        put_face()
+        Path(name).write_text(content if isinstance(content, str) else json.dumps(content))
+
+    return put
+
+
+# ---- stages
+
+
+STAGE_LINES = [
+    ("inspect", "{}"),
+    ("validate", "{}"),
+    ("import", "usd", "{}", "out.usda"),
+    ("sliders", "{}"),
+    ("regions", "{}"),
+    ("cook", "{}"),
+    ("export", "{}", "-o", "out.glb"),
+    ("export", "{}", "-o", "out.onnx"),
+    ("render", "{}", "-o", "out.png", "--size", "32"),
+    ("bake", "{}", "-o", "out.usda"),
+]
+
+
+def stage_lines(rng: Rng, name: str) -> list[Line]:
+    chosen = [*rng.sample(STAGE_LINES[:3], 1), rng.choice(STAGE_LINES)]
+    return [[word.format(name) for word in line] for line in dict.fromkeys(chosen)]
+
+
+def damage_stage(rng: Rng, part: str) -> list[Line]:
+    name = f"face{part}"
+    if part == ".usda" and rng.random() < 0.6:
+        text = Path(name).read_text()
+        damaged_stage(rng, text).Export(name)
+    elif part == ".usda":
+        change(name, damage.damaged_text, rng)
+    elif rng.random() < 0.5:  # the header, and the tables at the end
+        data = bytearray(Path(name).read_bytes())
+        for _ in range(damage.some(rng)):
+            at = rng.choice([rng.randrange(88), len(data) - 1 - rng.randrange(2500)])
+            data[at] = rng.choice([0, 127, 128, 255, rng.randrange(256)])
+        Path(name).write_bytes(data)
+    else:
+        change(name, damage.damaged_bytes, rng)
+    return stage_lines(rng, name)
+
+
+def put_package() -> None:
+    """A package of layers, one below another, and pictures."""
+    save_parts(full_face(), Path("base.usda"))
+    Path("sub").mkdir()
+    Path("sub/base.usda").write_bytes(Path("base.usda").read_bytes())
+    Path("face.usda").write_text('#usda 1.0\n(\n    defaultPrim = "Rich"\n    subLayers = [@./sub/base.usda@]\n)\n')
+    files = [
+        "face.usda",
+        *sorted(
+            str(path)
+            for path in Path().rglob("*")
+            if path.is_file() and path.name != "base.usda" and path.name != "face.usda"
+        ),
+        "sub/base.usda",
+    ]
+    Path("face.usdz").write_bytes(damage.zipped([(Path(name).as_posix(), Path(name).read_bytes()) for name in files]))
+
+
+def damage_member(rng: Rng, name: str, data: bytes) -> bytes:
+    if name.endswith(".usda"):
+        if rng.random() < 0.5:
+            return str(damaged_stage(rng, data.decode()).ExportToString()).encode()
+        return damage.damaged_text(rng, data)
+    if name.endswith((".png", ".jpg")) and rng.random() < 0.7:
+        return (
+            damage.damaged_picture(rng, data)
+            if data[:4] != PNG[:4] or len(data) > 200
+            else damage.damaged_bytes(rng, data)
+        )
+    return damage.damaged_bytes(rng, data)
+
+
+def damage_package(rng: Rng, part: str) -> list[Line]:
+    change("face.usdz", lambda rng, data: damage.damaged_zip(rng, data, damage_member), rng)
+    return stage_lines(rng, "face.usdz")
+
+
+# ---- recipes
+
+
+def put_recipe(name: str) -> Callable[[], None]:
+    case = test_cook_verbs.CASES[name]
+
+    def put() -> None:
+        case.put(Path())
+        assert main([*case.line, "-o", "out.usda"]) == case.code
+
+    return put
+
+
+def command(words: Iterable[object]) -> None:
+    assert main([*map(str, words)]) in (0, 1)
+
+
+def put_stage(verb: str) -> Callable[[], None]:
+    """A stage of a rebuild, after those before it."""
+
+    def put() -> None:
+        files = rebuild_stages.put_scans(Path())
+        if verb != "personal-template":
+            command([*files.personal()[:-1], "personal.usda"])
+        if verb == "split-shapes":
+            for name in rebuild_stages.SEEN:
+                command(files.register(name))
+        last = {"personal-template": files.personal, "register-scan": lambda: files.register("open")}
+        words = list(last.get(verb, files.split)())
+        words[words.index("-o") + 1] = "out.usda"
+        command(words)
+
+    return put
+
+
+def put_neutral(verb: str) -> Callable[[], None]:
+    def put() -> None:
+        files = test_fit_neutral.Files(Path())
+        save_parts(test_fit_neutral.scan_domes.face(), Path("head.usda"))
+        save_database(test_fit_neutral.scan_domes.database(), Path("faces.fpdb"))
+        files.put(*test_fit_neutral.scan_domes.scan(test_fit_neutral.PERSON))
+        command(files.words())
+        if verb == "refine-neutral":
+            Path("out.usda").rename("anna.usda")
+            command([verb, "anna.usda", "scan.ply", "-o", "out.usda"])
+
+    return put
+
+
+def put_fitted() -> None:
+    save_parts(make_sample(0), Path("head.usdc"))
+    photo_line.write_photos(facepipe.open("head.usdc").parts(), Path())
+    words = ("fit-photo", "front.png", "head.usdc", "--landmarks", "front.json", "-o", "out.usda", *photo_line.SOON)
+    command(words)
+
+
+def damage_recipe(rng: Rng, part: str) -> list[Line]:
+    """Attributes of the recipe changed, and the result read, cooked, or edited."""
+    from pxr import Sdf, Tf
+
+    layer = Sdf.Layer.FindOrOpen("out.usda")
+    specs = {
+        name: layer.GetAttributeAtPath(f"/{layer.defaultPrim}.facepipe:recipe:{name}")
+        for name in ("options", "sources", "digests", "verb", "version")
+    }
+    for _ in range(rng.choice([1, 1, 2])):
+        name = rng.choice(["options"] * 6 + ["sources", "sources", "digests", "verb", "version"])
+        with contextlib.suppress(Tf.ErrorException, TypeError, ValueError):  # no value of that kind
+            _damage_attribute(rng, name, specs[name])
+    layer.Save()
+    del layer, specs
+    verb = part.split()[0]
+    lines = [["cook", "out.usda", "--force"]] * 6 + [["cook", "out.usda", "--dry-run"], ["inspect", "out.usda"]]
+    if verb in ("blend", "fit-bones", "fit-photo"):
+        lines += [[verb, "--edit", "out.usda", "-o", "out2.usda"]] * 6
+    return [rng.choice(lines)]
+
+
+def _damage_attribute(rng: Rng, name: str, spec: Any) -> None:
+    if spec is None or spec.default is None:
+        return
+    if rng.random() < 0.03:
+        spec.ClearDefaultValue()
+    elif name == "options":
+        text = damage.damaged_json(rng, spec.default.encode())
+        spec.default = text.decode("utf-8", "replace").replace("\0", "")
+    elif name in ("verb", "version"):
+        spec.default = rng.choice([*VERBS, *damage.NAMES, "0.0", "99.0.0", "0.1.0", "1.x"])
+    else:
+        items = list(spec.default)
+        at = rng.randrange(len(items) + 1)
+        own = [path.name for path in Path().iterdir()]
+        item = rng.choice([*damage.NAMES, *own, "sha256:0", "sha256:" + "0" * 64])
+        items[at : at + rng.choice([0, 1])] = [item] * rng.choice([0, 1, 1, 1, 3])
+        spec.default = type(spec.default)(items)
+
+
+# ---- projects of rebuilds
+
+
+def put_project() -> None:
+    for name in ("head.usda", "faces.fpdb", "neutral.ply", "smile.ply", "wink.ply", "smile.landmarks.json"):
+        Path(name).write_text("")
+    text = test_rebuild_project._HEAD.replace("\n[neutral]", '\nwork = "work"\njoint = true\n[neutral]')
+    text += "weights = { eyeBlink_L = 1 }\n"
+    text += '[expressions.smile]\nscan = "smile.ply"\n[expressions.wink]\nscan = "wink.ply"\nweights = { blink = 1 }\n'
+    text += "[options.neutral]\nunit = 'mm'\n[options.refinement]\nregions = ['nose', 'mouth']\ndetail_mm = 8\n"
+    text += "[options.template]\n[options.expressions]\nweight_sigma = 0.01\n[options.split]\nnoise = 0.2\n"
+    Path("anna.toml").write_text(text)
+
+
+def read_project() -> None:
+    from facepipe.processors.rebuild import read_project as read
+
+    read(Path("anna.toml"))
+
+
+def damage_project(rng: Rng, part: str) -> list[Line]:
+    change("anna.toml", damage.damaged_toml, rng)
+    return [rng.choice([read_project, read_project, read_project, ["rebuild", "anna.toml", "-o", "out.usda"]])]
+
+
+# ---- array files with their sums: .fpdb, .fpnr, .fpstage, trainings
+
+
+def damaged_arrays(rng: Rng, data: bytes) -> bytes:
+    """Another header, other content, or other numbers; the sum is right."""
+    if rng.random() < 0.15:
+        return damage.damaged_bytes(rng, data)
+    size = int.from_bytes(data[:8], "little")
+    head, arrays = json.loads(data[8 : 8 + size]), bytearray(data[8 + size :])
+    about = head["__metadata__"]
+    way = rng.randrange(10)
+    if way < 5:
+        about["content"] = damage.json_text(rng, damage.damaged_value(rng, json.loads(about["content"]))).decode(
+            "utf-8", "replace"
+        )
+    elif way < 7:
+        head = damage.damaged_value(rng, head)
+    elif way < 9 and arrays:
+        for _ in range(damage.some(rng)):
+            at = 4 * rng.randrange(len(arrays) // 4)
+            number = rng.choice(
+                [b"\xff" * 4, b"\0\0\xc0\x7f", b"\0\0\x80\x7f", struct.pack("<f", 1e11), b"\0" * 4, b"\xff\xff\xff\x7f"]
+            )
+            arrays[at : at + 4] = number
+    else:
+        _resized(rng, head, arrays)
+    return _summed(head, bytes(arrays))
+
+
+def _resized(rng: Rng, head: dict[str, Any], arrays: bytearray) -> None:
+    """One array is shorter, of another shape, or gone; those behind it follow."""
+    names = sorted((name for name in head if name != "__metadata__"), key=lambda name: head[name]["data_offsets"])
+    chosen = rng.choice(names)
+    first, last = head[chosen]["data_offsets"]
+    shape = head[chosen]["shape"]
+    row = (last - first) // max(1, shape[0]) if shape else last - first
+    cut = row if rng.random() < 0.7 and shape and shape[0] else last - first
+    if rng.random() < 0.3:
+        head[chosen]["shape"] = [1, *shape] if rng.random() < 0.5 else [int(np.prod(shape))]
+        return
+    del arrays[last - cut : last]
+    head[chosen]["shape"] = [shape[0] - cut // max(1, row), *shape[1:]] if shape else [0]
+    for name in names:
+        start, end = head[name]["data_offsets"]
+        head[name]["data_offsets"] = [start - cut * (start >= last), end - cut * (end >= last)]
+    if rng.random() < 0.3 and cut == last - first:
+        del head[chosen]
+
+
+def _summed(head: Any, arrays: bytes) -> bytes:
+    blank = "0" * 64
+    if isinstance(head, dict) and isinstance(head.get("__metadata__"), dict) and "sha256" in head["__metadata__"]:
+        head["__metadata__"]["sha256"] = blank
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 8)
+    data = struct.pack("<Q", len(text)) + text + arrays
+    return data.replace(f'"sha256": "{blank}"'.encode(), f'"sha256": "{hashlib.sha256(data).hexdigest()}"'.encode(), 1)
+
+
+def put_database() -> None:
+    from database_faces import sources
+
+    save_database(create_database(sources(3), DatabaseOptions(tolerance_mm=5.0)).database, Path("faces.fpdb"))
+
+
+DATABASE_LINES = [
+    ["database", "info", "faces.fpdb"],
+    ["database", "info", "faces.fpdb", "--json"],
+    ["database", "remove", "faces.fpdb", "face2", "-o", "out.fpdb"],
+]
+
+
+def put_neural() -> None:
+    from facepipe.processors.neural_rig import save_neural_rig
+
+    save_parts(neural_faces.face(), Path("face.usda"))
+    parts = facepipe.open("face.usda").parts()
+    save_neural_rig(neural_faces.neural_rig(parts, bones=True), Path("rig.fpnr"), {})
+
+
+NEURAL_LINES = [
+    ["neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "out.usda"],
+    ["export", "face.usda", "--neural", "rig.fpnr", "-o", "out.onnx"],
+]
+
+
+def put_rebuilt() -> None:
+    """A rebuild whose stages are all in its work folder."""
+    test_rebuild.put_drawer(Path())
+    Path("anna.toml").write_text(f'work = "work"\n{test_rebuild.PROJECT}')
+    command(["rebuild", "anna.toml", "-o", "out.usda"])
+
+
+def damage_rebuilt(rng: Rng, part: str) -> list[Line]:
+    stages = sorted(str(path) for path in Path("work").rglob("*.fpstage"))
+    change(rng.choice(stages), damaged_arrays, rng)
+    return [["rebuild", "anna.toml", "-o", "out.usda", "--force"]]
+
+
+# ---- payloads of bones
+
+
+def put_payload() -> None:
+    put_face()
+    tiny_payload(Path("pose.fpb"), frames=2)
+
+
+def damaged_payload(rng: Rng, data: bytes) -> bytes:
+    """Mostly with the right sum."""
+    found = damage.damaged_bytes(rng, data[:-4])
+    return found + struct.pack("<I", zlib.crc32(found)) if rng.random() < 0.8 else found + data[-4:]
+
+
+# ---- networks
+
+
+def put_models() -> None:
+    save_parts(networked(network()), Path("face.usda"))
+    assert main(["export", "face.usda", "-o", "head.onnx"]) == 0
+    assert main(["export", "face.usda", "--sliders", "-o", "sliders.onnx"]) == 0
+
+
+def damage_model(rng: Rng, part: str) -> list[Line]:
+    name = rng.choice(["head", "sliders"])
+    if rng.random() < 0.3:
+        change(f"{name}.onnx.json", damage.damaged_json, rng)
+    else:
+        change(f"{name}.onnx", damaged_graph, rng)
+    return [rng.choice([["validate", f"{name}.onnx"], ["eval", f"{name}.onnx", "-o", "out.npz"]])]
+
+
+def damaged_graph(rng: Rng, data: bytes) -> bytes:
+    """Another node, tensor, input or text of the metadata."""
+    import onnx
+
+    if rng.random() < 0.3:
+        return damage.damaged_bytes(rng, data)
+    model = onnx.load_from_string(data)
+    for _ in range(damage.some(rng)):
+        way = rng.randrange(7)
+        nodes, tensors = model.graph.node, model.graph.initializer
+        if way == 0 and len(nodes):
+            rng.choice(nodes).op_type = rng.choice(
+                ["Add", "Loop", "If", "Nonsense", "MatMul", "Identity", "", "Gather", "Reshape"]
+            )
+        elif way == 1 and len(nodes):
+            node = rng.choice(nodes)
+            if len(node.input):
+                node.input[rng.randrange(len(node.input))] = rng.choice(
+                    ["", "gone", rng.choice(tensors).name, node.output[0]]
+                )
+        elif way == 2:
+            tensor = rng.choice(tensors)
+            tensor.dims[:] = rng.choice([[], [0], [-1], [2**40], [2**31, 2**31], [*tensor.dims, 1], [1]])
+        elif way == 3:
+            rng.choice(tensors).data_type = rng.choice([0, 1, 7, 8, 10, 11, 99])
+        elif way == 4 and len(model.metadata_props):
+            one = rng.choice(model.metadata_props)
+            try:
+                one.value = damage.json_text(rng, damage.damaged_value(rng, json.loads(one.value))).decode(
+                    "utf-8", "ignore"
+                )
+            except ValueError:
+                one.value = rng.choice(["", "[", "null", "1e999"])
+        elif way == 5:
+            tensor = rng.choice(tensors)
+            if tensor.raw_data:
+                tensor.raw_data = damage.damaged_bytes(rng, tensor.raw_data)
+            tensor.data_location = rng.choice([0, 0, 1])
+        else:
+            model.ir_version = rng.choice([0, 8, 99, 2**40])
+            model.opset_import[0].version = rng.choice([0, -1, 15, 999])
+    return model.SerializeToString()
+
+
+# ---- glTF
+
+
+def put_gltf(suffix: str, *flags: str) -> Callable[[], None]:
+    def put() -> None:
+        save_parts(clipped_face(), Path("source.usda"))
+        assert main(["export", "source.usda", "-o", f"face{suffix}", *flags]) == 0
+        Path("source.usda").unlink()
+
+    return put
+
+
+def damage_gltf(rng: Rng, part: str) -> list[Line]:
+    path = next(Path().glob("face.*[fbm]"))
+    data = path.read_bytes()
+    if rng.random() < 0.2:
+        data = damage.damaged_bytes(rng, data)
+    elif path.suffix == ".gltf":
+        data = damage.damaged_json(rng, data)
+    else:
+        size = int.from_bytes(data[12:16], "little")
+        root, binary = data[20 : 20 + size], data[28 + size :]
+        if rng.random() < 0.8:
+            root = damage.damaged_json(rng, root)
+        else:
+            binary = damage.damaged_bytes(rng, binary)
+        data = glb(root, binary)
+    path.write_bytes(data)
+    return [rng.choice([["import", "gltf", path.name, "out.usda"], ["validate", path.name]])]
+
+
+# ---- meshes of text
+
+
+def put_obj() -> None:
+    folder = Path("shapes")
+    folder.mkdir()
+    (folder / "neutral.obj").write_text(test_import_obj.NEUTRAL)
+    (folder / "jawOpen.obj").write_text(test_import_obj.NEUTRAL.replace("v 1 1 0", "v 1 1 0.5"))
+    (folder / "face.mtl").write_text(test_import_obj.MTL)
+    (folder / "maps").mkdir()
+    Image.fromarray(picture(16, 16)).save(folder / "maps" / "eye 1.png")
+    (folder / "landmarks.json").write_text(json.dumps({"multipie68": [3, 0], "eyes": {"tip": 7}}))
+
+
+def damage_obj(rng: Rng, part: str) -> list[Line]:
+    name = rng.choice(["neutral.obj", "neutral.obj", "jawOpen.obj", "face.mtl", "landmarks.json"])
+    how = damage.damaged_json if name.endswith(".json") else damage.damaged_text
+    change(f"shapes/{name}", how, rng)
+    return [
+        rng.choice(
+            [
+                ["import", "obj", "shapes", "out.usda"],
+                ["import", "obj", "shapes/neutral.obj", "out.usda"],
+                read_obj_scan,
+            ]
+        )
+    ]
+
+
+def read_obj_scan() -> None:
+    from facepipe.importers.scan_file import read_scan
+
+    read_scan(Path("shapes/neutral.obj"))
+
+
+def put_ply(**form: str) -> Callable[[], None]:
+    return lambda: Path("scan.ply").write_bytes(cube(**form)) and None
+
+
+def damage_ply(rng: Rng, part: str) -> list[Line]:
+    change("scan.ply", damage.damaged_text, rng)
+    return [read_ply_scan]
+
+
+def read_ply_scan() -> None:
+    from facepipe.importers.scan_file import read_scan
+
+    read_scan(Path("scan.ply"))
+
+
+# ---- arrays
+
+
+def put_network() -> None:
+    save_parts(networked(None), Path("face.usda"))
+    save_network(Path("net.npz"), network())
+
+
+def put_makehuman() -> None:
+    Path("head.npz").write_bytes(_small())
+
+
+def put_ict() -> None:
+    Path("head.npz").write_bytes((SHARED / "ict_facekit" / "ict_facekit.npz").read_bytes())
+
+
+# ---- pictures and what goes with them
+
+
+def put_map() -> None:
+    put_face()
+    head = tiny_face().meshes[0]
+    save_map(paint(head, 16), Path("map.png"))
+    Path("legend.json").write_text(json.dumps(legend_of(list(head.regions))))
+
+
+def damage_map(rng: Rng, part: str) -> list[Line]:
+    if rng.random() < 0.5:
+        change("map.png", damage.damaged_picture, rng)
+    else:
+        change("legend.json", damage.damaged_json, rng)
+    return [["regions", "face.usda", "--map", "map.png", "--legend", "legend.json", "-o", "out.usda"]]
+
+
+def put_photo(kind: str, **options: Any) -> Callable[[], None]:
+    def put() -> None:
+        Path("a.png").write_bytes(
+            oriented(picture(), 6, kind) if kind == "JPEG" else encoded(Image.fromarray(picture()), kind, **options)
+        )
+        (Path("a.landmarks.json")).write_text(
+            json.dumps({"multipie68": [[i % 9 * 8 + 5, i // 9 * 8 + 5] for i in range(68)], "units": "pixels"})
+        )
+
+    return put
+
+
+def read_photo() -> None:
+    from facepipe.processors.photo_fit import read_photo as read
+
+    read(Path("a.png"))
+
+
+def read_photos() -> None:
+    from facepipe.processors.scan_photos.photos import read_photos as read
+
+    read([Path("a.png")], 64)
+
+
+def read_landmarks() -> None:
+    from facepipe.processors.photo_fit import read_photo as read
+    from facepipe.processors.photo_fit.landmark_file import read_landmarks as landmarks
+
+    landmarks(Path("a.landmarks.json"), read(Path("a.png")))
+
+
+def damage_photo(rng: Rng, part: str) -> list[Line]:
+    if rng.random() < 0.7:
+        change("a.png", damage.damaged_picture, rng)
+        return [rng.choice([read_photo, read_photos, read_landmarks])]
+    change("a.landmarks.json", damage.damaged_json, rng)
+    return [read_landmarks]
+
+
+def put_textured() -> None:
+    """A face of which a picture covers the mesh."""
+    folder = Path("shapes")
+    put_obj()
+    (folder / "face.mtl").write_text("newmtl skin\nmap_Kd maps/a.png\nnewmtl eye\nmap_Kd maps/a.png\n")
+    (folder / "maps" / "a.png").write_bytes(encoded(Image.fromarray(picture(32, 32)), "PNG"))
+    assert main(["import", "obj", "shapes", "face.usda"]) == 0
+
+
+def damage_texture(rng: Rng, part: str) -> list[Line]:
+    change(str(rng.choice(sorted(Path().rglob("a.png")))), damage.damaged_picture, rng)
+    lines: list[Line] = [
+        ["export", "face.usda", "-o", "out.glb"],
+        ["render", "face.usda", "-o", "out.png", "--size", "32"],
+    ]
+    return [rng.choice([*lines, ["import", "obj", "shapes", "out.usda"], read_obj_scan, ["validate", "face.usda"]])]
+
+
+def put_cameras() -> None:
+    from facepipe.processors.scan_photos.cameras_file import Cameras, write_cameras
+
+    one = camera_at(np.array([120.0, 60.0, 700.0]), 0.4, distortion=(-0.11, 0.05, 0.002, -0.003))
+    write_cameras(Path("rig.json"), Cameras(cameras={"a.jpg": one, "b.jpg": one}, unit="cm"))
+    Path("markers.json").write_text('{"photos": {"a": {"m": [1, 2], "n": [3.5, 4]}, "b": {"m": [1, 2]}}}')
+    points = [None if i in (3, 67) else [i, 2.5, -i] for i in range(68)]
+    marks = {"scheme": "multipie68", "points": points, "markers": {"cheek": [1, 2.5, -3]}, "sigma_mm": [0.5] * 68}
+    Path("scan.landmarks.json").write_text(json.dumps(marks))
+
+
+def read_cameras() -> None:
+    from facepipe.processors.scan_photos.cameras_file import read_cameras as read
+
+    read(Path("rig.json"))
+
+
+def read_markers() -> None:
+    from facepipe.processors.scan_photos.triangulation import read_markers as read
+
+    read(Path("markers.json"))
+
+
+def read_scan_marks() -> None:
+    from facepipe.importers.scan_landmarks import read_scan_landmarks as read
+
+    read(Path("scan.landmarks.json"))
+
+
+def damage_cameras(rng: Rng, part: str) -> list[Line]:
+    name, read = rng.choice(
+        [("rig.json", read_cameras), ("markers.json", read_markers), ("scan.landmarks.json", read_scan_marks)]
+    )
+    change(name, damage.damaged_json, rng)
+    return [read]
+
+
+# ---- small files of words and numbers
+
+
+JOINTS = {
+    "unit": "mm",
+    "joints": {
+        "head": {"position": [0, 40, -20]},
+        "head/jaw": {"position": [0, 10, -15], "radius": 300, "rotation": [0, 0, 0, 1], "surface": True},
+        "head/brow": {"position": [0, 80, 5], "regions": ["mouth"]},
+    },
+    "parts": {"Teeth*": "head/jaw"},
+}
+LANDMARKS = {"multipie68": list(range(20)), "mine": {"a": 1, "b": 2}}
+RULES = {
+    "joints": {"*": {"t": [-1, 1], "s": [0.5, 2]}, "jaw": {"rx": [0, 0.4], "tz": [None, 0]}},
+    "lock": ["root:*"],
+    "units": "cm",
+}
+WEIGHTS = {"regions": {"mouth": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"neck": 2}}
+
+
+def put_skinnable() -> None:
+    from bone_faces import skeletonless
+
+    save_parts(skeletonless(made(0)), Path("face.usda"))
+    Path("joints.json").write_text(json.dumps(JOINTS))
+
+
+def put_tables() -> None:
+    put_face("own.usda")
+    parts = facepipe.open("own.usda").parts()
+    joints = replace(parts.skeleton, joints=("root", "root/jaw", "root/lidLeft"))
+    save_parts(replace(parts, skeleton=joints), Path("face.usda"))
+    for name, text in (
+        ("a.toml", test_sliders_tables.TOML),
+        ("b.csv", test_sliders_tables.LIST),
+        ("c.csv", test_sliders_tables.MATRIX),
+    ):
+        text = text.replace("lidRight", "jaw").replace("smileLeft", "jawOpen").replace("smileRight", "mouthSmileLeft")
+        Path(name).write_text(text)
+
+
+def damage_table(rng: Rng, part: str) -> list[Line]:
+    name = rng.choice(["a.toml", "b.csv", "c.csv"])
+    change(name, damage.damaged_toml if name == "a.toml" else damage.damaged_text, rng)
+    return [["sliders", "face.usda", "--from", name, "-o", "out.usda"]]
+
+
+def put_renames() -> None:
+    save_parts(clipped_face(), Path("face.usda"))
+    Path("names.json").write_text(
+        json.dumps({"jawOpen": "Mund auf", "mouthSmileLeft": "smile", "jaw": "mixamorig:Jaw"})
+    )
+    Path("names.csv").write_text("old,new\njawOpen,open\nroot/jaw/lip,DEF-lip.001\n")
+
+
+def damage_renames(rng: Rng, part: str) -> list[Line]:
+    name = rng.choice(["names.json", "names.csv"])
+    change(name, damage.damaged_json if name == "names.json" else damage.damaged_text, rng)
+    return [["export", "face.usda", "--rename", name, "-o", "out.glb"]]
+
+
+def put_clips() -> None:
+    put_face()
+    Path("take.csv").write_text(
+        "Timecode,jawOpen,mouthSmileLeft,HeadYaw\n00:00:00:00,0,0.5,0.1\n00:00:00:01,0.25,0,0\n00:00:00:02,1,0,0\n"
+    )
+    Path("talk.csv").write_text("jawOpen\n0\n0.25\n1\n")
+    Path("take.json").write_text(json.dumps(CLIPS))
+    Path("matrix.json").write_text(json.dumps(MATRIX))
+
+
+CLIPS = {
+    "fps": 30,
+    "frames": [
+        {"time": 0.0, "blendShapes": {"jawOpen": 0.2}, "HeadYaw": 0.1},
+        {"time": 0.1, "blendShapes": {"jawOpen": 0.5}, "HeadYaw": 0.2},
+    ],
+}
+MATRIX = {"exportFps": 60, "facsNames": ["jawOpen", "mouthSmileLeft"], "weightMat": [[0.1, 0.2], [0.3, 0.4]]}
+
+
+def damage_clip(rng: Rng, part: str) -> list[Line]:
+    name = rng.choice(["take.csv", "talk.csv", "take.json", "matrix.json"])
+    change(name, damage.damaged_json if name.endswith(".json") else damage.damaged_text, rng)
+    return [["animate", "face.usda", name, "-o", "out.usda"]]
+
+
+def put_settings() -> None:
+    save_sources(Path())
+    put_face("face.usda")
+    save_parts(made(1), Path("other.usda"))
+    Path("limits.json").write_text(json.dumps(RULES))
+    Path("weights.json").write_text(json.dumps(WEIGHTS))
+
+
+def damage_settings(rng: Rng, part: str) -> list[Line]:
+    if rng.random() < 0.5:
+        change("weights.json", damage.damaged_json, rng)
+        return [["blend", "face.usda", "other.usda", "--weights", "weights.json", "-o", "out.usda"]]
+    change("limits.json", damage.damaged_json, rng)
+    return [
+        ["sliders", "face.usda", "--from-shapes", "jawOpen", "--limits", "limits.json", "--residual", "-o", "out.usda"]
+    ]
+
+
+# ---- trainings that were broken off
+
+
+def put_training() -> None:
+    from test_neural_checkpoint import turning_face
+
+    save_parts(turning_face(), Path("head.usda"))
+    train()
+
+
+def train() -> None:
+    from test_neural_checkpoint import RIG, SAMPLES
+
+    from facepipe.processors.neural_rig import SampleMotion, TrainNeuralRig
+
+    motion = SampleMotion(options=SAMPLES)(facepipe.open("head.usda").parts(), "head.usda")
+    TrainNeuralRig(options=RIG)(motion, checkpoint=Path("head.training"))
+
+
+def damage_training(rng: Rng, part: str) -> list[Line]:
+    change("head.training", damaged_arrays, rng)
+    return [train]
+
+
+FORMATS: dict[str, Format] = {
+    "usda": Format({".usda": lambda: save_parts(good_face(), Path("face.usda"))}, damage_stage, stages=True),
+    "usdc": Format({".usdc": lambda: save_parts(good_face(), Path("face.usdc"))}, damage_stage, stages=True),
+    "usdz": Format(
+        {"saved": lambda: save_parts(full_face(), Path("face.usdz")), "layers": put_package},
+        damage_package,
+        stages=True,
+    ),
+    "recipes": Format({name: put_recipe(name) for name in test_cook_verbs.CASES}, damage_recipe),
+    "long recipes": Format(
+        {
+            **{verb: put_stage(verb) for verb in ("personal-template", "register-scan", "split-shapes")},
+            **{verb: put_neutral(verb) for verb in ("fit-neutral", "refine-neutral")},
+            "rebuild": lambda: put_rebuilt(),
+            **({"fit-photo": put_fitted} if importlib.util.find_spec("torch") else {}),
+        },
+        damage_recipe,
+        writes=("out", "work"),
+        keeps=("work",),
+    ),
+    "projects": Format({"project": put_project}, damage_project, keeps=("work",)),
+    "databases": Format({"database": put_database}, one_of(DATABASE_LINES, damaged_arrays, "faces.fpdb")),
+    "neural rigs": Format({"rig": put_neural}, one_of(NEURAL_LINES, damaged_arrays, "rig.fpnr")),
+    "rebuild stages": Format({"project": put_rebuilt}, damage_rebuilt, writes=("out", "work"), keeps=("work",)),
+    "payloads": Format(
+        {"payload": put_payload},
+        one_of(
+            [
+                ["apply-bones", "face.usda", "--info", "pose.fpb"],
+                ["apply-bones", "face.usda", "pose.fpb", "-o", "out.usda"],
+            ],
+            damaged_payload,
+            "pose.fpb",
+        ),
+    ),
+    "onnx": Format({"models": put_models}, damage_model),
+    "gltf": Format(
+        {
+            "full": lambda: Path("face.glb").write_bytes(test_fuzz_gltf.full().glb()),
+            "glb": put_gltf(".glb"),
+            "gltf": put_gltf(".gltf"),
+            "quantised": put_gltf(".glb", "--quantize"),
+            "vrm": put_gltf(".vrm", "--stub-body", "--authors", "me", "--license-url", "https://vrm.dev/licenses/1.0/"),
+        },
+        damage_gltf,
+    ),
+    "obj": Format({"shapes": put_obj}, damage_obj),
+    "ply": Format(
+        {form: put_ply(form=form) for form in ("ascii", "binary_little_endian", "binary_big_endian")}, damage_ply
+    ),
+    "slider networks": Format(
+        {"network": put_network},
+        one_of(
+            [["sliders", "face.usda", "--from-network", "net.npz", "-o", "out.usda"]], damage.damaged_npz, "net.npz"
+        ),
+    ),
+    "maps": Format({"map": put_map}, damage_map),
+    "photos": Format(
+        {"png": put_photo("PNG"), "jpeg": put_photo("JPEG"), "tiff": put_photo("TIFF"), "webp": put_photo("WEBP")},
+        damage_photo,
+    ),
+    "textures": Format({"face": put_textured}, damage_texture),
+    "cameras": Format({"rig": put_cameras}, damage_cameras),
+    "joints": Format(
+        {"joints": put_skinnable},
+        one_of(
+            [["skin", "face.usda", "--joints", "joints.json", "-o", "out.usda"]], damage.damaged_json, "joints.json"
+        ),
+    ),
+    "slider tables": Format({"tables": put_tables}, damage_table),
+    "rename tables": Format({"tables": put_renames}, damage_renames),
+    "landmarks": Format(
+        {"landmarks": put_text("points.json", LANDMARKS)},
+        one_of(
+            [["landmarks", "face.usda", "--from", "points.json", "-o", "out.usda"]], damage.damaged_json, "points.json"
+        ),
+    ),
+    "clips": Format({"clips": put_clips}, damage_clip),
+    "settings": Format({"settings": put_settings}, damage_settings),
+}
+if importlib.util.find_spec("torch"):
+    FORMATS["trainings"] = Format({"training": put_training}, damage_training, writes=("head.training",))
+if (SHARED / PACKED).is_file():
+    FORMATS["makehuman"] = Format(
+        {"head": put_makehuman},
+        one_of([["import", "makehuman", "head.npz", "out.usda"]], damage.damaged_npz, "head.npz"),
+    )
+    FORMATS["ict"] = Format(
+        {"head": put_ict}, one_of([["import", "ict", "head.npz", "out.usda"]], damage.damaged_npz, "head.npz")
+    )
