@@ -69,12 +69,17 @@ def read_bytes(path: Path, most: int) -> bytes:
 def read_json(path: Path, most: int) -> object:
     """The JSON in a file of at most `most` bytes, as people write it: a key twice is a mistake.
 
-    :raises InputError: not readable, not JSON, or a key twice
+    :raises InputError: not readable, not JSON, a key twice, or text that is no Unicode
     """
     try:
         data = read_bytes(path, most)
         check_values(path, data)
-        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=_object)
+        content = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_object)
+        if b"\\u" in data:  # an escape can be half a surrogate pair
+            json.dumps(content, ensure_ascii=False).encode()
+        return content
+    except UnicodeEncodeError:
+        raise InputError(path, "text with half a surrogate pair, expected Unicode") from None
     except (ValueError, RecursionError) as error:  # bad UTF-8 too
         raise InputError(path, f"is not JSON ({error})") from None
     except _TwiceError as error:

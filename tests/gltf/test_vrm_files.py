@@ -50,11 +50,12 @@ def test_what_cannot_be_is_refused(change: dict[str, str], words: str, tmp_path:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[]", "no JSON object"),
-        ('{"name": ', "no readable JSON"),
+        ("[]", "expected a JSON object"),
+        ('{"name": ', "is not JSON"),
         ('{"comercialUsage": "corporation"}', "did you mean 'commercialUsage'"),
         ('{"commercialUsage": "always"}', "expected personalNonProfit or personalProfit or corporation"),
         ('{"allowRedistribution": "yes"}', "expected true or false"),
+        ('{"name": "\\ud800"}', "half a surrogate pair"),
         ('{"authors": []}', "expected a list of texts"),
         ('{"thumbnailImage": 0}', "thumbnailImage"),
     ],

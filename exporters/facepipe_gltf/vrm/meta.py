@@ -8,7 +8,7 @@ from typing import Any
 
 from facepipe.errors import InputError
 from facepipe.names import did_you_mean
-from facepipe.reading import read_bytes
+from facepipe.reading import read_json_object
 from facepipe_gltf.vrm.options import Options
 
 Json = dict[str, Any]
@@ -88,12 +88,7 @@ def _expected(field: str, value: Any) -> str | None:
 
 
 def _read(path: Path) -> Json:
-    try:
-        found = json.loads(read_bytes(path, _LARGEST).decode("utf-8-sig"))
-    except (ValueError, RecursionError):
-        raise InputError(path, "no readable JSON, expected an object of VRM's meta fields") from None
-    if not isinstance(found, dict):
-        raise InputError(path, "no JSON object, expected one of VRM's meta fields")
+    found: Json = read_json_object(path, _LARGEST)
     if "thumbnailImage" in found:
         raise InputError(
             path, "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
