@@ -1,9 +1,9 @@
 """Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
 
-SCAN is a mesh or a cloud of points (.ply .obj .glb .gltf .usd), of any pose and unit, whole or in part. Eyes, teeth
-and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the scan's own
-coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan, which needs
-`pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
+SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of any pose and unit, whole or in part.
+Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
+scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
+which needs `pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
 
 The neutral has open eyes and a mouth at rest. Where SCAN shows something else, such as closed eyes, --weights says so
 with the template's shapes; the neutral is without them, the picture with them.
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     from facepipe.processors.rebuild import FitNeutralOptions
 
     add = parser.add_argument
-    add("scan", type=Path, metavar="SCAN", help="scan of the neutral: .ply .obj .glb .gltf .usda .usdc .usd .usdz")
+    add("scan", type=Path, metavar="SCAN", help="scan of the neutral: .ply .obj .stl .off .glb .gltf or USD")
     add("--template", type=Path, required=True, metavar="FACE", help="face stage with multipie68 landmarks")
     add("--database", type=Path, required=True, metavar="FPDB", help="faces of the template's topology: .fpdb")
     add("--landmarks", type=Path, metavar="JSON", help="landmarks of the scan (default SCAN's .landmarks.json)")

@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
     add = parser.add_argument
     add("neutral", type=Path, metavar="NEUTRAL", help="face stage with the person's neutral")
-    add("scan", type=Path, metavar="SCAN", help="its scan: .ply .obj .glb .gltf .usda .usdc .usd .usdz")
+    add("scan", type=Path, metavar="SCAN", help="its scan: .ply .obj .stl .off .glb .gltf or USD")
     add("--region", nargs="+", action="extend", default=[], metavar="NAME", help="what may follow (default all)")
     add("--landmarks", type=Path, metavar="JSON", help="landmarks of the scan (default SCAN's .landmarks.json)")
     text = "shapes that the scan shows besides the neutral, weights above 0 up to 2 (default as NEUTRAL was fitted)"

@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     from facepipe.processors.rebuild import RegisterScansOptions
 
     add = parser.add_argument
-    add("scan", type=Path, metavar="SCAN", help="scan of an expression: .ply .obj .glb .gltf .usda .usdc .usd .usdz")
+    add("scan", type=Path, metavar="SCAN", help="scan of an expression: .ply .obj .stl .off .glb .gltf or USD")
     add("--personal", type=Path, required=True, metavar="FACE", help="what `facepipe personal-template` made")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--composite", metavar="NAME", help="what the scan shows, as the table of composites has it")

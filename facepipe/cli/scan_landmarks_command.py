@@ -1,7 +1,7 @@
 """Find the 68 landmarks of a scanned face; OUT is the JSON file that rebuilding takes, to be mended by hand.
 
-SCAN is a mesh or point cloud in any pose and unit, with colours or without: .ply .obj .glb .gltf .usda .usdc .usd
-.usdz. facepipe's own network searches pictures of it from all around; landmarks are in the coordinates of SCAN, null
+SCAN is a mesh or point cloud in any pose and unit, with colours or without: .ply .obj .stl .off .glb .gltf or USD.
+facepipe's own network searches pictures of it from all around; landmarks are in the coordinates of SCAN, null
 where views disagree. It needs `pip install 'facepipe[train]'`. Exit code 1: done, but some landmarks are null.
 
 example: facepipe scan-landmarks neutral.ply -o neutral.landmarks.json --picture neutral.png

@@ -1,4 +1,4 @@
-"""Scans from files: PLY, OBJ, glTF and USD, meshes or point clouds.
+"""Scans from files: PLY, OBJ, STL, OFF, glTF and USD, meshes or point clouds.
 
 Coordinates, and so the unit, are those of the file, in its world space. Points at one place are one point, so that
 seams of texture coordinates don't tear the surface. Skins, shapes and animations of a file are left out.
@@ -21,6 +21,7 @@ from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import material_faces
 from facepipe.importers.scan_ply import read_ply
 from facepipe.importers.scan_texture import point_colors
+from facepipe.importers.scan_trimesh import read_off, read_stl
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.parts import FloatArray, Material, Mesh, UvSet
 from facepipe.scans import Scan
@@ -30,7 +31,7 @@ _PLAIN = 1e-3  # colours that differ less are a material, no picture of a face
 
 
 def read_scan(path: Path) -> Scan:
-    """The scan in `path`: ``.ply``, ``.obj``, ``.glb``, ``.gltf``, ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
+    """The scan in `path`: PLY, OBJ, STL, OFF, glTF or USD, by its suffix (`READERS`).
 
     Colours come from the points, or else from the texture or colour of the material at each point.
 
@@ -149,6 +150,8 @@ def _joined_colors(colors: list[FloatArray | None], counts: list[int]) -> FloatA
 READERS: dict[str, Callable[[Path], Scan]] = {
     ".ply": read_ply,
     ".obj": _read_obj,
+    ".stl": read_stl,
+    ".off": read_off,
     ".glb": _read_gltf,
     ".gltf": _read_gltf,
     ".usda": _read_usd,

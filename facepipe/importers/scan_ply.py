@@ -1,8 +1,9 @@
 """PLY files: meshes and point clouds with normals and colours, as scanners and photogrammetry write them.
 
-Own, since trimesh's reader follows counts of the header without a bound, turns quads and colours its own way and lets
-NaN through. Elements other than ``vertex`` and ``face`` are read over. Format: Turk, "The PLY Polygon File Format",
-1994; property names as MeshLab, CloudCompare, Open3D and Blender write them.
+Own, since trimesh's reader refuses binary files whose faces differ in size, follows counts of the header without a
+bound, splits points by texture coordinates, knows fewer kinds of colours and lets NaN through. Elements other than
+``vertex`` and ``face`` are read over. Format: Turk, "The PLY Polygon File Format", 1994; property names as MeshLab,
+CloudCompare, Open3D and Blender write them.
 """
 
 from __future__ import annotations
