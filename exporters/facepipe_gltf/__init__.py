@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts
@@ -15,6 +16,10 @@ from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.options import Options
 from facepipe_gltf.validation import validate
+
+if TYPE_CHECKING:
+    from facepipe_gltf.buffers import Chunk
+    from facepipe_gltf.objects import Json, OnDocument
 
 __all__ = ["Document", "Options", "export", "outputs", "save", "validate", "write"]
 
@@ -26,10 +31,18 @@ class HasParts(Protocol):
         """The face as arrays."""
 
 
-def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:
+def export(
+    face: HasParts,
+    path: str | os.PathLike[str],
+    options: Options | None = None,
+    *,
+    on_document: OnDocument | None = None,
+) -> ExportReport:
     """Write a face as glTF 2.0, to .glb or .gltf by the suffix of `path`.
 
-    :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights
+    :param on_document: gets the document as a `pygltflib.GLTF2`, to change it before it is saved
+    :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights; or
+        `on_document` leaves a document that is damaged
     :raises InputError: another suffix, a folder that does not exist, a shape glob that matches nothing, or no such pose
     """
     start = time.perf_counter()
@@ -37,7 +50,7 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     options = options or Options()
     delivered = set_face(face.parts(), options.pose)
     document = write(delivered.parts, options)
-    files = save(document, target)
+    files = save(document, target, on_document=on_document)
     return ExportReport(
         path=target,
         files=tuple(files),
@@ -60,15 +73,29 @@ def outputs(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     return (_target(path),)
 
 
-def save(document: Document, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a document; the paths of all files, the .glb or .gltf first."""
+def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDocument | None = None) -> list[Path]:
+    """Write a document; the paths of all files, the .glb or .gltf first.
+
+    :param on_document: as of `export`
+    :raises ExportError: `on_document` leaves a document that is damaged
+    """
     from facepipe_gltf.files import write_glb, write_gltf
     from facepipe_gltf.packing import embedded, separate
 
     target = _target(path)
     if target.suffix.lower() == ".glb":
-        return write_glb(target, *embedded(document))
-    return write_gltf(target, *separate(document, target))
+        json, binary = embedded(document)
+        return write_glb(target, _changed(json, on_document, target, binary), binary)
+    json, sidecars = separate(document, target)
+    return write_gltf(target, _changed(json, on_document, target, document.binary), sidecars)
+
+
+def _changed(json: Json, on_document: OnDocument | None, target: Path, binary: Sequence[Chunk]) -> Json:
+    if on_document is None:
+        return json
+    from facepipe_gltf.objects import changed
+
+    return changed(json, on_document, target, b"".join(binary))
 
 
 def _target(path: str | os.PathLike[str]) -> Path:

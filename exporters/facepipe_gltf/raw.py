@@ -55,6 +55,14 @@ class RawDocument:
         self._decoded: dict[int, bytes] = {}  # of compressed buffer views
         self._left = _FREE_BYTES
 
+    @classmethod
+    def of(cls, path: Path, document: Json, buffer: bytes) -> RawDocument:
+        """A document that is not yet the file at `path`, and what its buffer 0 holds."""
+        self = cls.__new__(cls)
+        self.path, self.binary, self.json = path, None, document
+        self._buffers, self._decoded, self._left = {0: buffer}, {}, _FREE_BYTES + _PER_BYTE * len(buffer)
+        return self
+
     def _container(self, data: bytes) -> bytes:
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != _GLB_MAGIC:
             raise InputError(self.path, "no GLB header, expected a binary glTF 2.0 file")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -33,6 +33,14 @@ CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
     ("GltfJointOrder", skin.joint_order, "error"),
     ("GltfSkinnedNode", skin.skinned_nodes, "warning"),
 )
+
+
+def errors(document: RawDocument) -> Iterator[tuple[str, str]]:
+    """Where a document is wrong, and how."""
+    with np.errstate(all="ignore"):  # NaN and overflow are what some checks look for
+        for _, check, severity in CHECKS:
+            if severity == "error":
+                yield from check(document)
 
 
 def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:

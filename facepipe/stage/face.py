@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
@@ -51,6 +51,9 @@ from facepipe.stage.slider_network import check_face_network, read_slider_networ
 from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, check_kinds, prims_below
 from facepipe.stage.units import check_units
+
+if TYPE_CHECKING:
+    import trimesh
 
 Read = TypeVar("Read")
 
@@ -301,6 +304,23 @@ class Face:
         if not 0 <= index < count:
             raise InputError(f"{self.where} -> {name}", f"no sample {index}, expected 0 to {count - 1}")
         return sample_transforms(self.skeleton, animation, index), sample_weights(animation, index)
+
+    def to_trimesh(self, pose: str = "set") -> trimesh.Scene:
+        """The meshes that have faces as a `trimesh.Scene`, at rest as exporters deliver them: metres, Y up.
+
+        Each geometry is called as its mesh and has the mesh's points as vertices, one each and in their order. Faces
+        are fans of triangles; display colours become vertex colours. UVs and materials are left out: they would split
+        points at seams.
+
+        :param pose: who it is, as of `person`
+        :raises InputError: no such pose
+        """
+        from facepipe.stage.to_trimesh import scene_of
+
+        points = self.evaluate(pose=pose) * self.meters_per_unit
+        if self.up_axis == "Z":
+            points = points[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+        return scene_of(self.meshes, self.split(points), self.skeleton)
 
     def split(self, points: FloatArray) -> dict[str, FloatArray]:
         """Per-mesh views of (n, ...) values of all points."""
