@@ -144,7 +144,11 @@ def json_text(rng: random.Random, root: Any) -> bytes:
 
 def damaged_json(rng: random.Random, data: bytes) -> bytes:
     """Values changed, seldom the text."""
-    return damaged_text(rng, data) if rng.random() < 0.1 else json_text(rng, damaged_value(rng, json.loads(data)))
+    try:
+        content = json.loads(data)
+    except RecursionError:  # damaged before
+        return damaged_text(rng, data)
+    return damaged_text(rng, data) if rng.random() < 0.1 else json_text(rng, damaged_value(rng, content))
 
 
 def damaged_toml(rng: random.Random, data: bytes) -> bytes:
