@@ -1,105 +1,15 @@
 """glTF 2.0 writer: a face as .glb, or as .gltf with its buffer and images beside."""
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-import os
-import time
-from collections.abc import Sequence
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-from facepipe.errors import InputError
-from facepipe.parts import FaceParts
-from facepipe.reports import ExportReport
-from facepipe.rig import set_face
-from facepipe_gltf.document import Document, write
-from facepipe_gltf.options import Options
-from facepipe_gltf.validation import validate
+from facepipe.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe_gltf.buffers import Chunk
-    from facepipe_gltf.objects import Json, OnDocument
+    from facepipe_gltf.document import Document, write
+    from facepipe_gltf.options import Options
+    from facepipe_gltf.validation import validate
+    from facepipe_gltf.writer import export, outputs, save
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["Document", "Options", "export", "outputs", "save", "validate", "write"]
-
-
-class HasParts(Protocol):
-    """What the writer needs of a face; `facepipe.stage.Face` has it."""
-
-    def parts(self) -> FaceParts:
-        """The face as arrays."""
-
-
-def export(
-    face: HasParts,
-    path: str | os.PathLike[str],
-    options: Options | None = None,
-    *,
-    on_document: OnDocument | None = None,
-) -> ExportReport:
-    """Write a face as glTF 2.0, to .glb or .gltf by the suffix of `path`.
-
-    :param on_document: gets the document as a `pygltflib.GLTF2`, to change it before it is saved
-    :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights; or
-        `on_document` leaves a document that is damaged
-    :raises InputError: another suffix, a folder that does not exist, a shape glob that matches nothing, or no such pose
-    """
-    start = time.perf_counter()
-    target = _target(path)
-    options = options or Options()
-    delivered = set_face(face.parts(), options.pose)
-    document = write(delivered.parts, options)
-    files = save(document, target, on_document=on_document)
-    return ExportReport(
-        path=target,
-        files=tuple(files),
-        counts=document.counts,
-        bytes=sum(file.stat().st_size for file in files),
-        seconds=time.perf_counter() - start,
-        warnings=document.warnings,
-        dropped=document.dropped,
-        error_mm=document.error_mm,
-        pose=delivered.pose,
-        pose_error=None if delivered.error is None else asdict(delivered.error),
-    )
-
-
-def outputs(path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """The files that `export` to `path` writes whatever the face holds.
-
-    :raises InputError: another suffix than .glb and .gltf
-    """
-    return (_target(path),)
-
-
-def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDocument | None = None) -> list[Path]:
-    """Write a document; the paths of all files, the .glb or .gltf first.
-
-    :param on_document: as of `export`
-    :raises ExportError: `on_document` leaves a document that is damaged
-    """
-    from facepipe_gltf.files import write_glb, write_gltf
-    from facepipe_gltf.packing import embedded, separate
-
-    target = _target(path)
-    if target.suffix.lower() == ".glb":
-        json, binary = embedded(document)
-        return write_glb(target, _changed(json, on_document, target, binary), binary)
-    json, sidecars = separate(document, target)
-    return write_gltf(target, _changed(json, on_document, target, document.binary), sidecars)
-
-
-def _changed(json: Json, on_document: OnDocument | None, target: Path, binary: Sequence[Chunk]) -> Json:
-    if on_document is None:
-        return json
-    from facepipe_gltf.objects import changed
-
-    return changed(json, on_document, target, b"".join(binary))
-
-
-def _target(path: str | os.PathLike[str]) -> Path:
-    target = Path(path)
-    if target.suffix.lower() not in (".glb", ".gltf"):
-        raise InputError(target, f"suffix '{target.suffix}', expected .glb or .gltf")
-    return target

@@ -4,10 +4,17 @@
 onnxruntime; `validate` checks a file.
 """
 
-from facepipe_onnx.encoder_writer import export_encoder
-from facepipe_onnx.options import Options
-from facepipe_onnx.runtime import Deformer
-from facepipe_onnx.verify import validate
-from facepipe_onnx.writer import export, export_parts, outputs
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe_onnx.encoder_writer import export_encoder
+    from facepipe_onnx.options import Options
+    from facepipe_onnx.runtime import Deformer
+    from facepipe_onnx.verify import validate
+    from facepipe_onnx.writer import export, export_parts, outputs
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["Deformer", "Options", "export", "export_encoder", "export_parts", "outputs", "validate"]

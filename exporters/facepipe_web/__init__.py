@@ -5,7 +5,14 @@
 
 from __future__ import annotations
 
-from facepipe_web.options import Options
-from facepipe_web.viewer import Viewer, view
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe_web.options import Options
+    from facepipe_web.viewer import Viewer, view
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["Options", "Viewer", "view"]

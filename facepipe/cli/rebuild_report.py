@@ -81,7 +81,7 @@ class RebuildPictures:
 
     def _turntables(self, drawn: Callable[[], object]) -> Iterator[tuple[str, Turntable]]:
         """Scans are read twice: all are measured before the first is drawn, for one scale of colours."""
-        from facepipe.processors.database.whole_face import whole_parts
+        from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
         from facepipe.render.fit_sheet import round_above
         from facepipe.render.turntable import Turntable
@@ -136,7 +136,7 @@ class RebuildPictures:
         return tuple(lines)
 
     def _draw_shapes(self, folder: Path, drawn: Callable[[], object]) -> None:
-        from facepipe.processors.database.whole_face import whole_parts
+        from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.render import save_png
         from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
         from facepipe.render.shapes_table import shapes_table

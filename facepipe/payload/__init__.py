@@ -1,9 +1,16 @@
 """Bone coefficients as a compact payload (.fpb): what is sent to a device that has the face already."""
 
-from facepipe.payload.content import Encoded, PayloadContent, Precision
-from facepipe.payload.decoding import decode, read_header
-from facepipe.payload.encoding import encode
-from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, as_stored, joints_hash
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.payload.content import Encoded, PayloadContent, Precision
+    from facepipe.payload.decoding import decode, read_header
+    from facepipe.payload.encoding import encode
+    from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, as_stored, joints_hash
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "LARGEST",

@@ -1,10 +1,17 @@
 """Pictures of faces on a headless CPU."""
 
-from facepipe.render.heatmap import HeatMap
-from facepipe.render.photo_sheet import PhotoSheet, SheetPhoto, photo_sheet
-from facepipe.render.picture import PictureOptions, picture, save_png
-from facepipe.render.regions import RegionColors
-from facepipe.render.sheet import contact_sheet
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.render.face_picture import PictureOptions, picture, save_png
+    from facepipe.render.heatmap import HeatMap
+    from facepipe.render.photo_sheets import PhotoSheet, SheetPhoto, photo_sheet
+    from facepipe.render.regions import RegionColors
+    from facepipe.render.sheet import contact_sheet
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "HeatMap",

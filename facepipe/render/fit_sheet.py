@@ -13,8 +13,8 @@ from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
 from facepipe.render import overlay
 from facepipe.render.camera import Camera, Frame, View, portrait
+from facepipe.render.face_picture import PictureOptions, picture
 from facepipe.render.heatmap import HeatMap
-from facepipe.render.picture import PictureOptions, picture
 from facepipe.render.sheet import contact_sheet
 from facepipe.scans import Scan
 

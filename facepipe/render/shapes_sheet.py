@@ -13,9 +13,9 @@ from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.render.camera import Frame, portrait
 from facepipe.render.color_scale import color_scale
+from facepipe.render.face_picture import PictureOptions, picture
 from facepipe.render.fit_sheet import round_above
 from facepipe.render.heatmap import HeatMap
-from facepipe.render.picture import PictureOptions, picture
 from facepipe.render.typesetting import MUTED, SMALL, below, beside, block, heading, write
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.render.curves import loss_curves
-from facepipe.render.picture import save_png
+from facepipe.render.face_picture import save_png
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from facepipe.parts import FaceParts
 from facepipe.render.camera import Frame, View, portrait
 from facepipe.render.color_scale import color_scale
+from facepipe.render.face_picture import PictureOptions, pictures
 from facepipe.render.fit_sheet import opaque, scan_parts
 from facepipe.render.heatmap import HeatMap
 from facepipe.render.lighting import PORTRAIT
-from facepipe.render.picture import PictureOptions, pictures
 from facepipe.render.typesetting import MUTED, SMALL, below, beside, block, heading, write
 from facepipe.scans import Scan
 

@@ -1,13 +1,20 @@
 """The rig: the one definition of what a rig parameter does to the points of a face."""
 
-from facepipe.rig.animation import sample_transforms, sample_weights
-from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.build import build, mesh_spaces
-from facepipe.rig.person import Person, person_of
-from facepipe.rig.plausibility import implausible
-from facepipe.rig.rig import Rig, Target
-from facepipe.rig.set_face import SetFace, set_face
-from facepipe.rig.sliders import slide
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.rig.animation import sample_transforms, sample_weights
+    from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
+    from facepipe.rig.build_rig import build, mesh_spaces
+    from facepipe.rig.person import Person, person_of
+    from facepipe.rig.plausibility import implausible
+    from facepipe.rig.rig import Rig, Target
+    from facepipe.rig.set_person import SetFace, set_face
+    from facepipe.rig.sliders import slide
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "CHANNELS",

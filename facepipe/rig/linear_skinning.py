@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.parts import FaceParts
 from facepipe.rig.animation import sample_transforms, sample_weights
-from facepipe.rig.build import build
+from facepipe.rig.build_rig import build
 
 _POSES = 20  # of each animation, evenly spread
 

@@ -6,6 +6,13 @@ modules: no scan or model of anyone is in it.
 
 from __future__ import annotations
 
-from facepipe.sample.build import make
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.sample.build import make
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["make"]

@@ -7,7 +7,6 @@ import functools
 import io
 import json
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -68,13 +67,13 @@ class Call(Line):
 @functools.cache
 def quicken() -> None:
     """What takes long and writes nothing is done once: sample heads; pixels of rendered faces are black."""
+    import facepipe.render.face_picture
     import facepipe.render.scan_sheet
     import facepipe.sample
 
     facepipe.sample.make = functools.cache(facepipe.sample.make)
     facepipe.sample.make(0)
-    drawing: Any = sys.modules["facepipe.render.picture"]  # the package has a function of that name
-    drawing.draw = lambda shader, size, *_: np.zeros((size, size, 3), np.uint8)
+    facepipe.render.face_picture.draw = lambda shader, size, *_: np.zeros((size, size, 3), np.uint8)
     facepipe.render.scan_sheet.draw_surface = lambda look, view: (
         np.zeros((view.size, view.size, 3)),
         np.zeros((view.size, view.size)),

@@ -1,11 +1,18 @@
 """Faces fitted to scans: a model's modes, the scan's place and a smooth residual, all solved together."""
 
-from facepipe.geometry.registration.anchors import Anchors
-from facepipe.geometry.registration.options import RegistrationOptions
-from facepipe.geometry.registration.register import register, register_together
-from facepipe.geometry.registration.surface import DeformableSurface, Shown
-from facepipe.geometry.registration.target import ScanTarget
-from facepipe.geometry.registration.view import Registered, View
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.geometry.registration.anchors import Anchors
+    from facepipe.geometry.registration.options import RegistrationOptions
+    from facepipe.geometry.registration.solve import register, register_together
+    from facepipe.geometry.registration.surface import DeformableSurface, Shown
+    from facepipe.geometry.registration.target import ScanTarget
+    from facepipe.geometry.registration.view import Registered, View
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "Anchors",

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from facepipe.learn.networks.face_search import FoundFace, find_landmarks
-from facepipe.learn.networks.files import feature_model, landmark_model
-from facepipe.learn.networks.own_extractors import own_extractors
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.learn.networks.extractors import own_extractors
+    from facepipe.learn.networks.face_search import FoundFace, find_landmarks
+    from facepipe.learn.networks.files import feature_model, landmark_model
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["FoundFace", "feature_model", "find_landmarks", "landmark_model", "own_extractors"]

@@ -19,7 +19,7 @@ from facepipe.processors.database.face_checks import Facts, check_faces, facts_o
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
 from facepipe.processors.database.quality import Quality, QualityLimits, misses
 from facepipe.processors.database.shape_names import Shapes, shapes_in_common
-from facepipe.processors.database.whole_face import WholeFace
+from facepipe.processors.database.whole_faces import WholeFace
 from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]

@@ -18,7 +18,7 @@ from facepipe.options import json_value
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.database.content_json import Header, header_of
 from facepipe.processors.database.face_database import FaceDatabase
-from facepipe.processors.database.whole_face import Topology
+from facepipe.processors.database.whole_faces import Topology
 
 Array = npt.NDArray[Any]
 

@@ -12,7 +12,7 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.database.face_database import FaceDatabase
-from facepipe.processors.database.whole_face import Topology, WholeFace
+from facepipe.processors.database.whole_faces import Topology, WholeFace
 
 FloatArray = npt.NDArray[np.floating]
 

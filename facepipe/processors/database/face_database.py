@@ -11,7 +11,7 @@ import numpy.typing as npt
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.processors.database.quality import Quality
-from facepipe.processors.database.whole_face import Topology
+from facepipe.processors.database.whole_faces import Topology
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from facepipe.errors import InputError
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.quality import Quality, quality_from
-from facepipe.processors.database.whole_face import Topology, WholeFace, whole_face
+from facepipe.processors.database.whole_faces import Topology, WholeFace, whole_face
 from facepipe.rig import set_face
 from facepipe.stage import open_face
 from facepipe.stage.recipes import file_recipe, source_digest

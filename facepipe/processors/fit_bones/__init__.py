@@ -1,13 +1,20 @@
 """Bone fit: 9-DOF bone coefficients, within limits, that bring a skinned face to a target."""
 
-from facepipe.processors.fit_bones.fit_bones import FitBones
-from facepipe.processors.fit_bones.initial import initial_coefficients
-from facepipe.processors.fit_bones.limits import LimitRules, read_limits
-from facepipe.processors.fit_bones.options import FitBonesOptions
-from facepipe.processors.fit_bones.recipe import FitBonesRecipe, fit_bones_recipe, read_fit_bones_recipe
-from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
-from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.targets import Target, read_targets
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.fit_bones.fit_bones import FitBones
+    from facepipe.processors.fit_bones.initial import initial_coefficients
+    from facepipe.processors.fit_bones.limits import LimitRules, read_limits
+    from facepipe.processors.fit_bones.options import FitBonesOptions
+    from facepipe.processors.fit_bones.recipe import FitBonesRecipe, fit_bones_recipe, read_fit_bones_recipe
+    from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
+    from facepipe.processors.fit_bones.session import BoneFit
+    from facepipe.processors.fit_bones.targets import Target, read_targets
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "BoneFit",

@@ -1,12 +1,19 @@
 """Photo fit: the photo and its landmarks in, a face with fitted sliders out."""
 
-from facepipe.processors.photo_fit.author import AuthorPhotoFit
-from facepipe.processors.photo_fit.landmark_file import read_landmarks, write_landmarks
-from facepipe.processors.photo_fit.landmarker import mediapipe_landmarks, own_landmarks
-from facepipe.processors.photo_fit.landmarks68 import Landmarks68
-from facepipe.processors.photo_fit.photo_file import Photo, read_photo
-from facepipe.processors.photo_fit.recipe import PhotoRecipe, photo_recipe, read_photo_recipe
-from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.photo_fit.author import AuthorPhotoFit
+    from facepipe.processors.photo_fit.landmark_file import read_landmarks, write_landmarks
+    from facepipe.processors.photo_fit.landmarker import mediapipe_landmarks, own_landmarks
+    from facepipe.processors.photo_fit.landmarks68 import Landmarks68
+    from facepipe.processors.photo_fit.photo_file import Photo, read_photo
+    from facepipe.processors.photo_fit.recipe import PhotoRecipe, photo_recipe, read_photo_recipe
+    from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "AuthorPhotoFit",

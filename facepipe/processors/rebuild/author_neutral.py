@@ -14,7 +14,7 @@ from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import FaceParts, Mesh, Recipe
 from facepipe.processors.blend.animations import rebase_animations
 from facepipe.processors.blend.normals import blend_normals
-from facepipe.processors.database.whole_face import to_millimetres
+from facepipe.processors.database.whole_faces import to_millimetres
 from facepipe.processors.rebuild.carried_joints import carried_skeleton
 from facepipe.processors.rebuild.neutral_shapes import STILL_MM, mesh_shapes
 from facepipe.processors.same_topology import check_spaces

@@ -14,7 +14,7 @@ from facepipe.geometry.polygons import components
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.visibility import seen_from_outside
 from facepipe.parts import FaceParts
-from facepipe.processors.database.whole_face import Topology, whole_points
+from facepipe.processors.database.whole_faces import Topology, whole_points
 from facepipe.processors.skin.slits import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 

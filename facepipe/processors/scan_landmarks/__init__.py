@@ -1,5 +1,12 @@
 """The landmarks of a scanned face, found by facepipe's own network in pictures of the scan."""
 
-from facepipe.processors.scan_landmarks.find import FindScanLandmarks, FoundScanLandmarks, ScanLandmarksReport
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.scan_landmarks.find import FindScanLandmarks, FoundScanLandmarks, ScanLandmarksReport
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["FindScanLandmarks", "FoundScanLandmarks", "ScanLandmarksReport"]

@@ -1,11 +1,18 @@
 """Scans from photos: cameras and matches by COLMAP, depth by OpenCV, a surface by Poisson reconstruction."""
 
-from facepipe.processors.scan_photos.camera import PhotoCamera
-from facepipe.processors.scan_photos.cameras_file import Cameras, read_cameras, write_cameras
-from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
-from facepipe.processors.scan_photos.report import ScanPhotosReport
-from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos
-from facepipe.processors.scan_photos.triangulation import read_markers, triangulate
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.scan_photos.camera import PhotoCamera
+    from facepipe.processors.scan_photos.cameras_file import Cameras, read_cameras, write_cameras
+    from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
+    from facepipe.processors.scan_photos.report import ScanPhotosReport
+    from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos
+    from facepipe.processors.scan_photos.triangulation import read_markers, triangulate
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "FEWEST_PHOTOS",

@@ -1,10 +1,17 @@
 """Skin: a skeleton and smooth weights for a face that has none, from joint positions or from another face."""
 
-from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
-from facepipe.processors.skin.options import SkinOptions
-from facepipe.processors.skin.recipe import SkinRecipe, read_skin_recipe, skin_recipe
-from facepipe.processors.skin.report import SkinReport
-from facepipe.processors.skin.skin_face import SkinFace
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
+    from facepipe.processors.skin.options import SkinOptions
+    from facepipe.processors.skin.recipe import SkinRecipe, read_skin_recipe, skin_recipe
+    from facepipe.processors.skin.report import SkinReport
+    from facepipe.processors.skin.skin_face import SkinFace
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "JointSet",

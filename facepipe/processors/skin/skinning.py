@@ -13,7 +13,7 @@ from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton, Skin
 from facepipe.processors.skin.report import TransferReport
 from facepipe.processors.skin.surface import Surface
 from facepipe.rig.animation import local_transforms
-from facepipe.rig.build import mesh_spaces
+from facepipe.rig.build_rig import mesh_spaces
 from facepipe.rig.trs import decompose
 from facepipe.stage.differences import same
 

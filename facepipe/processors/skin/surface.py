@@ -13,7 +13,7 @@ from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
 from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles
 from facepipe.geometry.seams import welded_points
 from facepipe.parts import FaceParts, FloatArray, IntArray
-from facepipe.rig.build import mesh_spaces
+from facepipe.rig.build_rig import mesh_spaces
 
 LANDMARKS = "multipie68"
 _SAME = 1e-6  # border points nearer than this share of the face's size are one

@@ -1,15 +1,22 @@
 """Sliders of a face: authored from tables, made from its blendshapes, learned by a small network, and set."""
 
-from facepipe.processors.sliders.author_network import AuthorNetwork, AuthorNetworkReport
-from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
-from facepipe.processors.sliders.distil import DistilReport, DistilSliders
-from facepipe.processors.sliders.from_shapes import SlidersFromShapes
-from facepipe.processors.sliders.recipe import SliderRecipe, read_slider_recipe, slider_recipe
-from facepipe.processors.sliders.rules import Drive, SliderRule
-from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
-from facepipe.processors.sliders.shape_options import ShapeSliderOptions
-from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
-from facepipe.processors.sliders.tables import SliderTable, read_table
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.sliders.author_network import AuthorNetwork, AuthorNetworkReport
+    from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
+    from facepipe.processors.sliders.distil import DistilReport, DistilSliders
+    from facepipe.processors.sliders.from_shapes import SlidersFromShapes
+    from facepipe.processors.sliders.recipe import SliderRecipe, read_slider_recipe, slider_recipe
+    from facepipe.processors.sliders.rules import Drive, SliderRule
+    from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
+    from facepipe.processors.sliders.shape_options import ShapeSliderOptions
+    from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
+    from facepipe.processors.sliders.tables import SliderTable, read_table
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "AuthorNetwork",

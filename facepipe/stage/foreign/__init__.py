@@ -4,6 +4,13 @@ What such a stage leaves out or does differently is mended in its session layer,
 readers of our own stages read it.
 """
 
-from facepipe.stage.foreign.read import Foreign, read_foreign
+from typing import TYPE_CHECKING
+
+from facepipe.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.stage.foreign.read import Foreign, read_foreign
+else:
+    __getattr__, __dir__ = lazy(__name__)
 
 __all__ = ["Foreign", "read_foreign"]

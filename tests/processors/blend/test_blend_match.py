@@ -8,7 +8,7 @@ from blend_faces import by_region, kinds, misaligned, session, two
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.processors.blend import Blend, BlendSession, Weights
-from facepipe.processors.blend.match import match
+from facepipe.processors.blend.matching import match
 from facepipe.stage import Face
 
 

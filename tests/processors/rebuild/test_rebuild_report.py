@@ -23,8 +23,8 @@ from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_la
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
+from facepipe.render.face_picture import PictureOptions, picture, pictures
 from facepipe.render.heatmap import HeatMap
-from facepipe.render.picture import PictureOptions, picture, pictures
 from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
 from facepipe.render.shapes_table import ShapeRow, shapes_table, some_of
 from facepipe.render.slider_table import ABOVE, ROW

@@ -16,7 +16,7 @@ from facepipe.parts import FaceParts
 from facepipe.render import photo_pictures as pictures
 from facepipe.render.camera import View
 from facepipe.render.curves import TOTAL, loss_curves
-from facepipe.render.picture import PictureOptions, picture
+from facepipe.render.face_picture import PictureOptions, picture
 from facepipe.render.rasterise import NEAR
 from facepipe.render.slider_table import shape_table, slider_table
 from facepipe.render.typesetting import BODY, MUTED, SMALL, TITLE, below, beside, block, write

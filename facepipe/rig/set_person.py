@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts, Skeleton
-from facepipe.rig.build import build
+from facepipe.rig.build_rig import build
 from facepipe.rig.on_person import NewRest, animations_on, limits_on, network_on, sliders_on
 from facepipe.rig.person import Person, person_of
 from facepipe.rig.rig import Rig

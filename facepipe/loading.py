@@ -1,0 +1,48 @@
+"""Packages that load what they give when it is first asked for (PEP 562), so that importing one costs next to nothing.
+
+What a package gives stands in its `__init__` once, where type checkers read it too:
+
+    if TYPE_CHECKING:
+        from facepipe.stage.face import Face
+    else:
+        __getattr__, __dir__ = lazy(__name__)
+
+    __all__ = ["Face"]
+
+No module of a package may be called as a name that it gives: once imported, it would stand in its place.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+
+def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package for what its `__init__` imports under ``if TYPE_CHECKING``."""
+
+    @functools.cache
+    def homes() -> dict[str, tuple[str, str]]:
+        return _homes(package)
+
+    def load(name: str) -> Any:
+        if name.startswith("__") or name not in homes():
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, original = homes()[name]
+        value = getattr(importlib.import_module(module), original)
+        setattr(sys.modules[package], name, value)  # asked for once
+        return value
+
+    return load, lambda: sorted({*vars(sys.modules[package]), *homes()})
+
+
+def _homes(package: str) -> dict[str, tuple[str, str]]:
+    """Name -> module that it is in, and its name there."""
+    source = sys.modules[package].__loader__.get_source(package)  # type: ignore[union-attr]
+    checked = [part for part in ast.parse(source).body if isinstance(part, ast.If)]
+    imports = [line for part in checked for line in part.body if isinstance(line, ast.ImportFrom)]
+    return {one.asname or one.name: (str(line.module), one.name) for line in imports for one in line.names}
