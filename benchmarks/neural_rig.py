@@ -111,7 +111,8 @@ def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     from facepipe.geometry.deformation_transfer import Transfer
     from facepipe.processors.neural_rig import SampleMotionOptions
     from facepipe.processors.neural_rig.carried_rig import Subject, carried
-    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, RetargetOptions
+    from facepipe.processors.neural_rig.options import RetargetOptions
+    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)

@@ -17,6 +17,9 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[\d¹²³])\s*
 _FEW = 6  # right names in a message
 _SHOWN = 60  # characters of a wrong name in a message
 _LONGEST_LIKE = 200  # characters of a wrong name that are compared
+_SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))  # anywhere in a name
+_LETTERS = re.compile(r"(?<![A-Za-z0-9])([lLrR])(?![A-Za-z0-9])|(?<=[_.\-])([lLrR])(?=\d)")  # as words of their own
+_OPPOSITE = str.maketrans("lLrR", "rRlL")
 
 
 def identifier(text: str, fallback: str = "unnamed") -> str:
@@ -166,3 +169,22 @@ def find_joint(name: str, joints: Sequence[str], names: Sequence[str], where: ob
             paths = ", ".join(joints[i] for i in found[:3])
             raise InputError(where, f"{len(found)} joints called '{name}', expected a path: {paths}")
     raise InputError(where, unknown(name, list(dict.fromkeys([*names, *ways[2]])), "joint"))
+
+
+def mirrored_name(name: str) -> str:
+    """The name on the other side; the same for one in the middle.
+
+    >>> [mirrored_name(name) for name in ("eye_L", "browInnerLeft", "r_lip.02", "jaw")]
+    ['eye_R', 'browInnerRight', 'l_lip.02', 'jaw']
+    """
+    return next(iter(mirrored_names(name)), name)
+
+
+def mirrored_names(name: str) -> list[str]:
+    """What the name on the other side may be, likelier ones first: ``upright_L`` has a side, but not two."""
+    found = []
+    for one, other in _SIDES:
+        if one in name or other in name:
+            found.append(other.join(part.replace(other, one) for part in name.split(one)))
+    found.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
+    return [other for other in found if other != name]

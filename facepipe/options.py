@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options", bound="DataclassInstance")
 
+POSE_HELP = (
+    "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the same in joint "
+    "transforms alone: exact, for engines that keep scaled joints), rest (the template), or an animation of the face"
+)
+
 
 def check_ranges(options: DataclassInstance) -> None:
     """Check `options` against their fields' ``metadata``: "range", a pair (lowest, highest), and "choices".

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from facepipe.options import check_ranges
 
 Optimiser = Literal["adam", "gradient-descent"]
+
+# option of a network -> kind of features, and the weight of their term
+MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
+    "content_model": "content",
+    "identity_model": "identity",
+    "attribute_model": "attributes",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
@@ -54,9 +52,5 @@ class Finding:
     message: str  # one line: what was found, what was expected
 
 
-def _plain(value: object) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value)
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)  # arrays and numbers of numpy

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from facepipe.rig.person import POSE_HELP
+from facepipe.options import POSE_HELP
 from facepipe_gltf.engines import ANY, ENGINES, Engine
 
 

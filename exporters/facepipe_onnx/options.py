@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from facepipe.errors import InputError
-from facepipe.rig.person import POSE_HELP
+from facepipe.options import POSE_HELP
 
 INPUTS = ("coefficients", "matrices")
 BATCHES = (1, 256)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from facepipe.errors import InputError
-from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
 
 if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
     from facepipe.processors.sliders import DistilReport
     from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage import Face

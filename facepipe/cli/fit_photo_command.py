@@ -52,8 +52,7 @@ INTERMIXED = True  # photos and their landmarks may be given in turn
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.photo_options import PhotoFitOptions
-    from facepipe.pipeline.photo_job import MODELS
+    from facepipe.photo_options import MODELS, PhotoFitOptions
 
     add, absent = parser.add_argument, argparse.SUPPRESS
     add("files", nargs="*", type=Path, metavar="PHOTO ... FACE", help="photos of one person, then the face stage")

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from facepipe.cli.report_folder import REPORT, check_report_folder
 
 if TYPE_CHECKING:
@@ -52,6 +50,7 @@ def write_folder(
 
 def render_image(one: SheetPhoto) -> Image:
     """The face as the camera of the photo sees it, sRGB, transparent around it."""
+    import numpy as np
     from PIL import Image
 
     from facepipe.render.textures import linear_to_srgb
@@ -63,6 +62,8 @@ def render_image(one: SheetPhoto) -> Image:
 
 def overlay_image(one: SheetPhoto, sheet: PhotoSheet) -> Image:
     """The photo, darker, with the edges of the fitted face, its landmarks, and those that it was given as rings."""
+    import numpy as np
+
     from facepipe.render import photo_pictures as pictures
 
     height, width = one.photo.shape[:2]

@@ -66,7 +66,8 @@ def request_of(arguments: argparse.Namespace) -> Request:
 
 
 def _recipe(arguments: argparse.Namespace) -> PhotoRecipe | None:
-    from facepipe.pipeline.photo_job import LANDMARKER, MODELS, START
+    from facepipe.photo_options import MODELS
+    from facepipe.pipeline.photo_job import LANDMARKER, START
     from facepipe.processors.photo_fit import read_photo_recipe
 
     if arguments.edit is None:
@@ -112,7 +113,7 @@ def _landmarks(
 
 
 def _models(arguments: argparse.Namespace, recipe: PhotoRecipe | None) -> dict[str, Path]:
-    from facepipe.pipeline.photo_job import MODELS
+    from facepipe.photo_options import MODELS
 
     kept = recipe.files if recipe else {}
     found = {name: getattr(arguments, name) or kept.get(name) for name in MODELS}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from facepipe.cli.fit_photo_text import ENDS
 from facepipe.parts import FaceParts, FloatArray, Material, TextureInput
 from facepipe.rig import Rig, build, slide
 
@@ -16,12 +17,6 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.result import FittedView, PhotoFit
     from facepipe.processors.photo_fit import Photo
     from facepipe.render import PhotoSheet, SheetPhoto
-
-ENDS = {
-    "iterations": "all steps made",
-    "loss-threshold": "ended at the loss asked for",
-    "not-finite": "ended by a loss that was not finite",
-}
 
 
 def report_sheet(

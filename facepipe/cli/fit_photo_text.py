@@ -6,13 +6,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.fit_photo_sheet import ENDS
 from facepipe.cli.show import table
 
 if TYPE_CHECKING:
     from facepipe.parts import Slider
     from facepipe.processors.photo_fit import PhotoFitReport
 
+ENDS = {
+    "iterations": "all steps made",
+    "loss-threshold": "ended at the loss asked for",
+    "not-finite": "ended by a loss that was not finite",
+}
 _SHOWN = 5  # names of a list
 _OFF = 0.01  # of a slider's range, or a weight: what counts as set
 

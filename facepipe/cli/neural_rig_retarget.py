@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def add_retarget(actions: argparse._SubParsersAction[Parser]) -> None:
     """The action and its arguments."""
-    from facepipe.processors.neural_rig.retarget import RetargetOptions
+    from facepipe.processors.neural_rig.options import RetargetOptions
 
     example = "example: facepipe neural-rig retarget head.fpnr anna.usda --frames anna_clip.usdc -o anna.fpnr"
     text = "carry a neural rig to another person, of some frames of that person"
@@ -39,7 +39,8 @@ def retarget(arguments: argparse.Namespace) -> int:
     from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
     from facepipe.processors.neural_rig.carried_rig import Subject
     from facepipe.processors.neural_rig.neural_rig_file import SUFFIX
-    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, RetargetOptions
+    from facepipe.processors.neural_rig.options import RetargetOptions
+    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
     from facepipe.processors.neural_rig.subject_frames import read_subject_frames
 
     out = output_of(arguments, [arguments.rig, arguments.face, arguments.frames])

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from facepipe.cli.report_folder import REPORT, check_report_folder
 
 if TYPE_CHECKING:
@@ -81,6 +79,8 @@ class RebuildPictures:
 
     def _turntables(self, drawn: Callable[[], object]) -> Iterator[tuple[str, Turntable]]:
         """Scans are read twice: all are measured before the first is drawn, for one scale of colours."""
+        import numpy as np
+
         from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
         from facepipe.render.fit_sheet import round_above
@@ -110,6 +110,8 @@ class RebuildPictures:
 
     def _framing(self) -> FloatArray:
         """(k, 3) points of the neutral's head, and of all expressions' landmarks: a chin goes down with the jaw."""
+        import numpy as np
+
         rows = self.template.rows
         skin, marks = self.rebuilt.neutral[rows], rows[self.template.landmarks]
         seen = np.concatenate([self.rebuilt.neutral[marks], *(one[marks] for one in self.rebuilt.composites.values())])

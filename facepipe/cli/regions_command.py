@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.geometry.region_map import MapSampling
+    from facepipe.geometry.map_sampling import MapSampling
 
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     parser.add_argument("--map", type=Path, metavar="PNG", help="regions painted over the UV layout, a colour each")
@@ -87,7 +87,7 @@ def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> in
 
 def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> int:
     from facepipe.atomic import together
-    from facepipe.geometry.region_map import MapSampling
+    from facepipe.geometry.map_sampling import MapSampling
     from facepipe.pipeline.regions import RegionJob, RegionPlace, make
 
     job = RegionJob(

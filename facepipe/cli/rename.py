@@ -61,14 +61,14 @@ def rename_of(arguments: argparse.Namespace) -> Rename | None:
 
     :raises InputError: neither a convention nor a table, or a damaged table
     """
-    from facepipe.importers.rename_table import read_rename_table
-    from facepipe.names import did_you_mean
-
     given: str | None = arguments.rename
     if given is None:
         return None
     if given.lower() in CONVENTIONS:
         return Rename(given.lower(), None)
+    from facepipe.importers.rename_table import read_rename_table
+    from facepipe.names import did_you_mean
+
     if not Path(given).suffix:
         near = did_you_mean(given, CONVENTIONS)
         raise InputError(

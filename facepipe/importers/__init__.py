@@ -1,8 +1,4 @@
-"""Readers of other formats: kind -> module with a frozen `Options` dataclass and ``read(source, options) -> Imported``.
-
-An option's field metadata holds ``help``, and where they apply ``range`` (lowest, highest), ``unit``, and ``parse``
-(a function from the text a user types to the option's value).
-"""
+"""Readers of other formats: kind -> module with an `Options` dataclass and ``read(source, options) -> Imported``."""
 
 from __future__ import annotations
 
@@ -11,17 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.errors import InputError
+from facepipe.importers.options import OPTIONS
 
 if TYPE_CHECKING:
     from facepipe.importers.imported import Imported
-
-IMPORTERS: dict[str, str] = {
-    "ict": "facepipe.importers.ict",
-    "makehuman": "facepipe.importers.makehuman",
-    "obj": "facepipe.importers.obj",
-    "gltf": "facepipe.importers.gltf",
-    "usd": "facepipe.importers.usd",
-}
 
 
 def importer(kind: str) -> Any:
@@ -29,9 +18,9 @@ def importer(kind: str) -> Any:
 
     :raises InputError: no such kind
     """
-    if kind not in IMPORTERS:
-        raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted(IMPORTERS))}")
-    return importlib.import_module(IMPORTERS[kind])
+    if kind not in OPTIONS:
+        raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted(OPTIONS))}")
+    return importlib.import_module(f"facepipe.importers.{kind}")
 
 
 def load(kind: str, source: str | Path, options: object | None = None) -> Imported:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -14,32 +13,12 @@ from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document
 from facepipe.importers.gltf_losses import note_losses
-from facepipe.importers.imported import UNIT_HELP, UP_HELP, Imported, as_told, import_recipe
+from facepipe.importers.imported import Imported, as_told, import_recipe
+from facepipe.importers.options import GltfOptions
 from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, Mesh
 
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """What to read, and how."""
-
-    weld: bool = field(
-        default=True,
-        metadata={"help": "join vertices that were split at UV and normal seams into one point"},
-    )
-    scene: int | None = field(
-        default=None,
-        metadata={"help": "number of the scene to read; the file's default scene where not given"},
-    )
-    fps: float | None = field(
-        default=None,
-        metadata={
-            "help": "frames per second that animations are sampled at; their own keys where not given",
-            "range": (1.0, 1000.0),
-        },
-    )
-    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
-    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
+Options = GltfOptions
 
 
 def read(source: Path, options: Options) -> Imported:

@@ -7,7 +7,6 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,51 +26,18 @@ from facepipe.importers.mesh_pieces import (
     sparse_shape,
     whole_region,
 )
+from facepipe.importers.options import IctOptions
 from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
 from facepipe.reading import read_json
+
+Options = IctOptions
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 _MOST_BYTES = 1 << 20  # of a file of weights
 _LARGEST_WEIGHT = 1e3  # standard deviations; far beyond any face, small enough for sums
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """How to read an ICT-FaceKit model."""
-
-    identity: Path | None = field(
-        default=None,
-        metadata={
-            "help": 'JSON file of identity weights: {"identity003": 1.2, ...} or a list of up to 100 numbers',
-            "unit": "standard deviations",
-        },
-    )
-    identity_seed: int | None = field(
-        default=None,
-        metadata={"help": "draw all 100 identity weights from N(0, 1) with this seed", "range": (0, 2**63 - 1)},
-    )
-    arkit_names: bool = field(
-        default=True,
-        metadata={
-            "help": "sides in shape names as ARKit writes them: eyeBlink_L becomes eyeBlinkLeft. browInnerUp and "
-            "cheekPuff, one shape each in ARKit, stay split in Left and Right"
-        },
-    )
-    extras: bool = field(
-        default=False, metadata={"help": "also read the shapes beyond the 53: PupilDilate and cheekRaiser, by side"}
-    )
-    threshold: float = field(
-        default=2e-4,
-        metadata={
-            "help": "point offsets up to this length are dropped from shapes: six-digit OBJ files hold coordinates "
-            "over 10 to 1e-4, so that rounding alone gives offsets up to 1.7e-4",
-            "range": (0.0, 1.0),
-            "unit": "cm",
-        },
-    )
 
 
 def read(source: Path, options: Options) -> Imported:

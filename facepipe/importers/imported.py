@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from facepipe import __version__
 from facepipe.digests import digest
@@ -22,17 +22,6 @@ class Imported:
 
     parts: FaceParts
     warnings: tuple[str, ...] = ()
-
-
-UNIT_HELP: dict[str, Any] = {
-    "help": "metres in a unit of the file, where it is not as the file says",
-    "range": (1e-6, 1e3),
-    "unit": "m",
-}
-UP_HELP: dict[str, Any] = {
-    "help": "axis that points up in the file, where it is not as the file says",
-    "choices": ("Y", "Z"),
-}
 
 
 def as_told(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:

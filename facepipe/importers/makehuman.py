@@ -9,9 +9,7 @@ import fnmatch
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +24,12 @@ from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
 from facepipe.importers.makehuman_sliders import arkit_sliders, unit_sliders
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
+from facepipe.importers.options import MakeHumanOptions
 from facepipe.names import identifier
 from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
+
+Options = MakeHumanOptions
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -60,52 +61,6 @@ MATERIALS = (
 )
 
 SLIDERS = {"units": unit_sliders, "arkit": arkit_sliders}
-
-
-def parse_targets(text: str) -> dict[str, float]:
-    """``name=value,...`` as a mapping.
-
-    :raises InputError: not of that form
-    """
-    result: dict[str, float] = {}
-    for item in filter(None, (part.strip() for part in text.split(","))):
-        name, _, value = item.partition("=")
-        try:
-            result[name.strip()] = float(value)
-        except ValueError:
-            raise InputError(f"option targets -> {name[:40]}", f"weight is {value[:40]!r}, expected a number") from None
-    return result
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """How to read the MakeHuman head."""
-
-    targets: Mapping[str, float] = field(
-        default_factory=dict,
-        metadata={
-            "help": "targets to apply, name=value,...: full names (nose/nose-point-up) or their last part where only "
-            "one target has it; values are usually 0..1",
-            "parse": parse_targets,
-        },
-    )
-    shapes: str = field(
-        default="",
-        metadata={
-            "help": "targets to keep as blendshapes: patterns of full names, comma between "
-            "(expression/caucasian/*); none by default, since the face moves by its joints"
-        },
-    )
-    sliders: Literal["units", "arkit"] = field(
-        default="units",
-        metadata={
-            "help": "sliders over the joints: one of each pose unit, or of the ARKit shapes that pose units make",
-            "choices": ("units", "arkit"),
-        },
-    )
-    meters_per_unit: float = field(
-        default=0.1, metadata={"help": "metres in a unit of the base mesh", "range": (1e-6, 1e3), "unit": "m"}
-    )
 
 
 def read(source: Path, options: Options) -> Imported:

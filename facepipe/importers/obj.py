@@ -7,9 +7,9 @@ Normals are left out: they'd belong to the neutral alone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,36 +20,16 @@ from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
 from facepipe.importers.obj_shapes import read_offsets
+from facepipe.importers.options import ObjOptions
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.names import handles
 from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 
+Options = ObjOptions
+
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """How to read a folder of OBJ files."""
-
-    neutral: str = field(
-        default="neutral", metadata={"help": "file of the neutral in the folder, .obj may be left out; any case"}
-    )
-    meters_per_unit: float = field(
-        default=0.01, metadata={"help": "metres in a unit of the files", "range": (1e-6, 1e3), "unit": "m"}
-    )
-    up_axis: Literal["Y", "Z"] = field(
-        default="Y", metadata={"help": "axis that points up in the files", "choices": ("Y", "Z")}
-    )
-    threshold: float = field(
-        default=0.0,
-        metadata={
-            "help": "point offsets up to this length are dropped from shapes",
-            "range": (0.0, 1e6),
-            "unit": "units of the files",
-        },
-    )
 
 
 def read(source: Path, options: Options) -> Imported:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from facepipe.errors import InputError, SchemaError, TopologyError
-from facepipe.importers.imported import UNIT_HELP, UP_HELP, Imported, as_told, import_recipe
+from facepipe.errors import SchemaError, TopologyError
+from facepipe.importers.imported import Imported, as_told, import_recipe
+from facepipe.importers.options import UsdOptions
 from facepipe.names import unique_identifiers
 from facepipe.options import check_ranges
 from facepipe.parts import (
@@ -29,46 +29,9 @@ from facepipe.parts import (
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 
+Options = UsdOptions
+
 _WEIGHT_SUM_TOLERANCE = 1e-5
-
-
-def parse_variants(text: str) -> dict[str, str]:
-    """``SET=NAME,...`` as a mapping.
-
-    :raises InputError: not of that form
-    """
-    result: dict[str, str] = {}
-    for item in filter(None, (part.strip() for part in text.split(","))):
-        name, equals, variant = (part.strip() for part in item.partition("="))
-        if not (name and equals and variant):
-            raise InputError("option variant", f"{item[:40]!r}, expected SET=NAME,...")
-        if name in result:
-            raise InputError("option variant", f"the set {name[:40]!r} twice, expected each once")
-        result[name] = variant
-    return result
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """What of a stage to read."""
-
-    prim: str | None = field(
-        default=None,
-        metadata={"help": "path of the prim to read below; the default prim, or else the whole stage, where not given"},
-    )
-    skeleton: str | None = field(
-        default=None,
-        metadata={"help": "path of the Skeleton of the face, where meshes are bound to several"},
-    )
-    variant: Mapping[str, str] = field(
-        default_factory=dict,
-        metadata={
-            "help": "variants to read, SET=NAME,...; those that the file selects where not given",
-            "parse": parse_variants,
-        },
-    )
-    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
-    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
 
 
 def read(source: Path, options: Options) -> Imported:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.errors import FacepipeError
 from facepipe.parts import FaceParts, Recipe
-from facepipe.pipeline.photo_job import MODELS, PhotoJob, recipe_job
+from facepipe.photo_options import MODELS
+from facepipe.pipeline.photo_job import PhotoJob, recipe_job
 from facepipe.pipeline.verbs import Cooked, Watch, under_source
 from facepipe.processors.photo_fit import AuthorPhotoFit, Landmarks68, Photo, PhotoFitReport, read_photo
 from facepipe.processors.photo_fit.report import off_landmarks

@@ -5,20 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
 
 from facepipe.errors import InputError
 from facepipe.options import from_json, to_json
 from facepipe.parts import Recipe
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo_options import MODELS, PhotoFitOptions
 from facepipe.processors.photo_fit import PhotoRecipe, photo_recipe, read_photo_recipe
 
-# option -> kind of features, and the weight of their term
-MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
-    "content_model": "content",
-    "identity_model": "identity",
-    "attribute_model": "attributes",
-}
 LANDMARKER, START = "landmarker", "start"
 _THRESHOLD = 8.0  # percent of the distance of the outer eye corners
 _SETTINGS = ("faces", "expressions", "landmark_threshold", "fit")

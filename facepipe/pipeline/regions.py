@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from facepipe.geometry.region_map import MapSampling
+from facepipe.geometry.map_sampling import MapSampling
 from facepipe.importers.region_image import read_region_image
 from facepipe.options import from_json
 from facepipe.pipeline.verbs import Cooked, Watch, under_source

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.geometry.region_map import MapSampling, region_masks
+from facepipe.geometry.map_sampling import MapSampling
+from facepipe.geometry.region_map import region_masks
 from facepipe.geometry.region_texels import Image8
 from facepipe.names import identifier, select
 from facepipe.parts import FloatArray, IntArray, Mesh, UvSet

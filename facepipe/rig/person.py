@@ -22,10 +22,6 @@ from facepipe.rig.sliders import slide
 FloatArray = npt.NDArray[np.floating]
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
-POSE_HELP = (
-    "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the same in joint "
-    "transforms alone: exact, for engines that keep scaled joints), rest (the template), or an animation of the face"
-)
 
 _SHOWN = 3  # sliders of a description
 _SAME = 1e-6

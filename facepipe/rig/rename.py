@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from facepipe.errors import InputError
 from facepipe.names import did_you_mean
-from facepipe.parts import Animation, FaceParts, Mesh, Slider
 from facepipe.rig.conventions import CONVENTIONS, meaning
+
+if TYPE_CHECKING:
+    from facepipe.parts import Animation, FaceParts, Mesh, Slider
 
 
 def shapes_of(parts: FaceParts) -> tuple[str, ...]:

@@ -15,9 +15,10 @@ from import_data import damaged, packed, refused, shared, wrong_array
 
 from facepipe.errors import InputError
 from facepipe.importers import load
-from facepipe.importers.makehuman import Options, parse_targets, read
+from facepipe.importers.makehuman import Options, read
 from facepipe.importers.makehuman_landmarks import BASE_VERTICES
 from facepipe.importers.makehuman_sliders import ARKIT_UNITS
+from facepipe.importers.options import parse_targets
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES

@@ -13,7 +13,8 @@ from test_import_usd import HEAD, TEETH, foreign_stage, read, rich_face, warned,
 
 from facepipe.errors import InputError
 from facepipe.importers import load
-from facepipe.importers.usd import Options, parse_variants
+from facepipe.importers.options import parse_variants
+from facepipe.importers.usd import Options
 from facepipe.stage import Face
 from facepipe.stage.values import to_vec3f
 

@@ -22,7 +22,8 @@ from region_painter import COLORS, legend_of, paint, save
 import facepipe
 from facepipe.cli import main
 from facepipe.errors import InputError, TopologyError
-from facepipe.geometry.region_map import MapSampling, region_masks
+from facepipe.geometry.map_sampling import MapSampling
+from facepipe.geometry.region_map import region_masks
 from facepipe.importers.region_image import read_region_image
 from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.processors.region_legend import RegionLegend, read_legend

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +12,11 @@ from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.polygons import components, edges, point_triangles
 from facepipe.processors.blend.anchors import find_anchor
 from facepipe.processors.blend.masks import region_masks
+from facepipe.processors.blend.options import EdgeWeights
 from facepipe.processors.blend.sources import Sources
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-EdgeWeights = Literal["uniform", "cotangent"]
 
 
 @dataclass(frozen=True, kw_only=True)

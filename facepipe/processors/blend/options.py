@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from facepipe.geometry.factor import Solver
-from facepipe.processors.blend.network import EdgeWeights
-from facepipe.processors.blend.sculpts import Missing
-
+EdgeWeights = Literal["uniform", "cotangent"]
+Missing = Literal["error", "transfer", "skip"]
 Expressions = Literal["static", "document"]
 
 
@@ -65,7 +63,7 @@ class BlendOptions:
         default=None,
         metadata={"help": "MESH:POINT that stays where it is in the first source; default its authored anchor"},
     )
-    solver: Solver = field(
+    solver: Literal["auto", "cholespy", "splu"] = field(
         default="auto",
         metadata={
             "help": "sparse factorisation: cholespy where installed, otherwise splu (scipy)",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +12,13 @@ from facepipe.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.names import unique_identifiers
 from facepipe.parts import Blendshape, FaceParts
+from facepipe.processors.blend.options import Missing
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
 from facepipe.rig.activation import curves
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-Missing = Literal["error", "transfer", "skip"]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 from facepipe.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.database.create import AddOptions, DatabaseOptions, Made, add_faces, create_database
+    from facepipe.processors.database.create import Made, add_faces, create_database
     from facepipe.processors.database.database_file import check_suffix, load_database, save_database
     from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
+    from facepipe.processors.database.options import AddOptions, DatabaseOptions
     from facepipe.processors.database.predict import carried_mean, predicted_shapes
     from facepipe.processors.database.quality import Quality, QualityLimits, misses, quality_from
     from facepipe.processors.database.remove import remove_faces

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,8 @@ from facepipe.geometry.spatial_basis import hold, no_basis
 from facepipe.options import check_ranges
 from facepipe.processors.database.face_checks import Facts, check_faces, facts_of, mesh_warnings
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
-from facepipe.processors.database.quality import Quality, QualityLimits, misses
+from facepipe.processors.database.options import AddOptions, DatabaseOptions
+from facepipe.processors.database.quality import Quality, misses
 from facepipe.processors.database.shape_names import Shapes, shapes_in_common
 from facepipe.processors.database.whole_faces import WholeFace
 from facepipe.threads import one_thread
@@ -25,33 +25,6 @@ from facepipe.threads import one_thread
 FloatArray = npt.NDArray[np.floating]
 
 Source = Callable[[], WholeFace]  # reads a face: once to check it, once to add it
-
-
-@dataclass(frozen=True, kw_only=True)
-class DatabaseOptions:
-    """How a database is made."""
-
-    tolerance_mm: float = field(
-        default=0.1,
-        metadata={
-            "help": "RMS error over all points to which each expression is held; less makes the file larger",
-            "unit": "mm",
-            "range": (1e-4, 10.0),
-        },
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AddOptions(QualityLimits):
-    """What may be added to a database."""
-
-    ignore_quality: bool = field(
-        default=False, metadata={"help": "add faces that miss the limits too; the history says so"}
-    )
-    drop_shapes: bool = field(
-        default=False,
-        metadata={"help": "shapes of the database that a face lacks leave it; otherwise the face is refused"},
-    )
 
 
 class Made(NamedTuple):

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
+from facepipe.names import mirrored_names
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 BoolArray = npt.NDArray[np.bool_]
 
-_SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))  # anywhere in a name
-_LETTERS = re.compile(r"(?<![A-Za-z0-9])([lLrR])(?![A-Za-z0-9])|(?<=[_.\-])([lLrR])(?=\d)")  # as words of their own
-_OPPOSITE = str.maketrans("lLrR", "rRlL")
 _OBLIQUE = 0.1  # how far a mirrored axis of a joint at rest may be off, of its length
 
 
@@ -96,31 +93,12 @@ def _partners(rig: Rig) -> list[int | None]:
         named.setdefault(name, []).append(number)
     found: list[int | None] = []
     for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
-        others = _mirrored_names(name)
+        others = mirrored_names(name)
         wanted = found[above] if above >= 0 else -1
         options = next((named[other] for other in others if other in named), [])
         below = [one for one in options if rig.parents[one] == wanted] or options
         found.append(number if not others else below[0] if len(below) == 1 else None)
     return [other if other is not None and found[other] == own else None for own, other in enumerate(found)]
-
-
-def mirrored_name(name: str) -> str:
-    """The name on the other side; the same for one in the middle.
-
-    >>> [mirrored_name(name) for name in ("eye_L", "browInnerLeft", "r_lip.02", "jaw")]
-    ['eye_R', 'browInnerRight', 'l_lip.02', 'jaw']
-    """
-    return next(iter(_mirrored_names(name)), name)
-
-
-def _mirrored_names(name: str) -> list[str]:
-    """What the name on the other side may be, likelier ones first: ``upright_L`` has a side, but not two."""
-    found = []
-    for one, other in _SIDES:
-        if one in name or other in name:
-            found.append(other.join(part.replace(other, one) for part in name.split(one)))
-    found.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
-    return [other for other in found if other != name]
 
 
 def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:

@@ -6,31 +6,26 @@ from facepipe.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport
-    from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, AttachOptions, with_neural_rig
+    from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, with_neural_rig
     from facepipe.processors.neural_rig.bake_motion import BakeMotion, BakeReport
-    from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
     from facepipe.processors.neural_rig.inverse_report import ControlReport, InverseReport
     from facepipe.processors.neural_rig.invert import InvertedMotion, InvertNeuralRig
-    from facepipe.processors.neural_rig.invert_options import InvertNeuralRigOptions
     from facepipe.processors.neural_rig.motion import Motion
     from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
-    from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
+    from facepipe.processors.neural_rig.options import (
+        AttachOptions,
+        FrameBlocksOptions,
+        InvertNeuralRigOptions,
+        SampleMotionOptions,
+        TrainEncoderOptions,
+        TrainNeuralRigOptions,
+    )
     from facepipe.processors.neural_rig.read_motion import ReadMotion
     from facepipe.processors.neural_rig.recipe import NeuralRigRecipe, neural_rig_recipe, read_neural_rig_recipe
     from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
     from facepipe.processors.neural_rig.sample_motion import SampleMotion
-    from facepipe.processors.neural_rig.train_encoder import (
-        EncoderReport,
-        TrainedEncoder,
-        TrainEncoder,
-        TrainEncoderOptions,
-    )
-    from facepipe.processors.neural_rig.train_neural_rig import (
-        NeuralRigReport,
-        TrainedNeuralRig,
-        TrainNeuralRig,
-        TrainNeuralRigOptions,
-    )
+    from facepipe.processors.neural_rig.train_encoder import EncoderReport, TrainedEncoder, TrainEncoder
+    from facepipe.processors.neural_rig.train_neural_rig import NeuralRigReport, TrainedNeuralRig, TrainNeuralRig
 else:
     __getattr__, __dir__ = lazy(__name__)
 

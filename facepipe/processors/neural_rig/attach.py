@@ -24,6 +24,7 @@ from facepipe.processors.neural_rig.kept_motion import (
     kept_sliders,
     own_shapes,
 )
+from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
 from facepipe.rig.bones import bones_in, most_influences, with_influences
@@ -37,27 +38,6 @@ FloatArray = npt.NDArray[np.floating]
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
 _MATRIX = 1e-3  # millimetres, or of a rotation, by which joints may differ
 _WEIGHT = 1e-5  # of a skin weight, float32 and half way between
-
-
-@dataclass(frozen=True, kw_only=True)
-class AttachOptions:
-    """What of the shapes is kept."""
-
-    offset_tolerance_mm: float = field(
-        default=1e-2,
-        metadata={
-            "help": "a shape leaves out points that it moves by less than this",
-            "range": (0.0, 1.0),
-            "unit": "mm",
-        },
-    )
-    keep_shapes: bool = field(
-        default=True,
-        metadata={
-            "help": "keep the face's own shapes beside the rig's, to be set as before and for clips that play them; "
-            "without them files are smaller"
-        },
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.parts import FaceParts
-from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions
 from facepipe.processors.neural_rig.motion import Motion
-from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions
+from facepipe.processors.neural_rig.options import FrameBlocksOptions, SampleMotionOptions
 from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
 from facepipe.processors.neural_rig.sample_motion import SampleMotion, controls_of
 from facepipe.reports import Report

@@ -3,38 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.options import check_ranges
+from facepipe.processors.neural_rig.options import FrameBlocksOptions
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 _GAP = 2.5  # steps
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameBlocksOptions:
-    """How clips are cut.
-
-    :raises InputError: a number out of range, or margins that leave little of a block
-    """
-
-    block: int = field(
-        default=30, metadata={"help": "frames of a clip that are held out together, about", "range": (2, 1e6)}
-    )
-    margin: int = field(
-        default=2, metadata={"help": "frames left out between two blocks of a clip", "range": (0, 1000)}
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        if not 2 * self.margin < self.block:
-            raise InputError("option margin", f"is {self.margin}, expected less than half of block {self.block}")
 
 
 def frame_blocks(codes: FloatArray, values: FloatArray, options: FrameBlocksOptions) -> tuple[IntArray, IntArray]:

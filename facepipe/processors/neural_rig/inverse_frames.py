@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.frames_in_a_box import Box, Data, Settled, Smoothness, settle
-from facepipe.processors.neural_rig.invert_options import InvertNeuralRigOptions
+from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
 from facepipe.rig.control_shares import share_limits
 from facepipe.rig.neural_rig import NeuralRig
 

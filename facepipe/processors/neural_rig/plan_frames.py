@@ -3,50 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.options import check_ranges
+from facepipe.processors.neural_rig.options import SampleMotionOptions
 from facepipe.rig.neural_rig import Control
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.integer]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SampleMotionOptions:
-    """How many frames of which kind.
-
-    :raises InputError: a number out of range
-    """
-
-    spread: int = field(
-        default=1000,
-        metadata={"help": "frames of many controls at once, spread evenly (latin hypercube)", "range": (0, 1e6)},
-    )
-    busy: float = field(
-        default=0.6,
-        metadata={
-            "help": "most of the controls that one of those frames moves, as a share; each draws its own, up to it",
-            "range": (0.01, 1.0),
-        },
-    )
-    sweep: int = field(
-        default=8, metadata={"help": "frames of each control alone, from one limit to the other", "range": (0, 1000)}
-    )
-    together: int = field(default=500, metadata={"help": "frames of two or three controls at once", "range": (0, 1e6)})
-    seed: int = field(default=0, metadata={"help": "another number draws other frames", "range": (0, 2**31)})
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
-    def count(self, controls: int) -> int:
-        """Frames of so many controls."""
-        return self.spread + self.sweep * controls + self.together
 
 
 def plan(controls: Sequence[Control], options: SampleMotionOptions) -> tuple[FloatArray, IntArray]:

@@ -14,8 +14,9 @@ from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.animated_face import AnimatedFace
-from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions, frame_blocks
+from facepipe.processors.neural_rig.frame_blocks import frame_blocks
 from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.control_track import ControlTrack

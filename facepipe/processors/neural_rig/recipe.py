@@ -10,7 +10,7 @@ from facepipe import __version__
 from facepipe.errors import InputError, SchemaError
 from facepipe.options import from_json, to_json
 from facepipe.parts import Recipe
-from facepipe.processors.neural_rig.attach import AttachOptions
+from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.stage.files import relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.processors.neural_rig.frame_blocks import FrameBlocksOptions, frame_blocks
+from facepipe.processors.neural_rig.frame_blocks import frame_blocks
+from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.control_track import Clip
 from facepipe.stage.read_controls import read_clips

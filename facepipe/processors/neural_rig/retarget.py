@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
-from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
+from facepipe.processors.neural_rig.options import RetargetOptions
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.processors.neural_rig.subject_examples import subject_examples
@@ -26,49 +25,6 @@ FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
-
-
-@dataclass(frozen=True, kw_only=True)
-class RetargetOptions:
-    """How a neural rig is carried to a subject.
-
-    :raises InputError: a number out of range
-    """
-
-    mode: Literal["points", "network"] = field(
-        default="points",
-        metadata={
-            "help": "point by point in closed form, or the published fully connected network of the whole deformation",
-            "choices": ("points", "network"),
-        },
-    )
-    noise_mm: float = field(
-        default=-1.0,
-        metadata={
-            "help": "noise on what the rig says while the subject is learned; -1: what does best on frames left out",
-            "unit": "mm",
-            "range": (-1.0, 100.0),
-        },
-    )
-    noise: float = field(
-        default=0.05,
-        metadata={"help": "noise at first, in deviations of the rig's deformations (network)", "range": (0.0, 100.0)},
-    )
-    steps: int = field(default=3000, metadata={"help": "most steps (network)", "range": (1, 1e7)})
-    rounds: int = field(
-        default=2, metadata={"help": "how often controls are found, where they aren't given", "range": (1, 20)}
-    )
-    held_out: float = field(
-        default=0.15,
-        metadata={"help": "share of the frames, the last ones, that the report is on", "range": (0.01, 0.9)},
-    )
-    shapes: int = field(default=256, metadata={"help": "most shapes of the subject's rig", "range": (1, 2048)})
-    tolerance_mm: float = field(
-        default=0.005, metadata={"help": "what those may leave, RMS", "unit": "mm", "range": (0.0, 10.0)}
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.geometry.motion_basis import motion_basis
+from facepipe.processors.neural_rig.options import SampleMotionOptions
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
-from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions, plan
+from facepipe.processors.neural_rig.plan_frames import plan
 from facepipe.rig.neural_basis import over
 from facepipe.rig.neural_rig import NeuralRig, from_default
 

@@ -12,7 +12,8 @@ from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.motion import Motion
-from facepipe.processors.neural_rig.plan_frames import SampleMotionOptions, plan
+from facepipe.processors.neural_rig.options import SampleMotionOptions
+from facepipe.processors.neural_rig.plan_frames import plan
 from facepipe.processors.neural_rig.recorded_clips import RecordedClips
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide

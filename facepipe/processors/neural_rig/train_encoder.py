@@ -13,9 +13,9 @@ import numpy.typing as npt
 from facepipe.errors import InputError
 from facepipe.geometry.ridge import ridge
 from facepipe.geometry.telling_points import well_placed
-from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.options import HEADS, TrainEncoderOptions
 from facepipe.reports import Report
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import inputs
@@ -28,43 +28,11 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
-HEADS = 4
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
 _CANDIDATES = 2048  # points that those of the encoder are chosen from
 _SEEN_WITH = 0.3  # mm of noise that points are chosen for: much less, and those of one place would tell all
 _CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
 _STILL = 1e-6  # mm: a point that moves no further does not move
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainEncoderOptions:
-    """How an encoder is trained.
-
-    :raises InputError: a number out of range
-    """
-
-    points: int = field(default=256, metadata={"help": "points that the encoder looks at", "range": (1, 16384)})
-    per_token: int = field(default=8, metadata={"help": "of them in one token, neighbours", "range": (1, 256)})
-    head_width: int = field(
-        default=8, metadata={"help": f"numbers of each of the {HEADS} heads of the attention", "range": (1, 256)}
-    )
-    layers: int = field(default=2, metadata={"help": "layers of the transformer", "range": (1, 24)})
-    reduced: int = field(default=64, metadata={"help": "numbers that a face is reduced to", "range": (1, 4096)})
-    noise_mm: float = field(
-        default=0.02,
-        metadata={"help": "noise on the points that it learns from; 0.1 for scans", "unit": "mm", "range": (0.0, 10.0)},
-    )
-    held_out: float = field(
-        default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
-    )
-    encoder_steps: int = field(default=2000, metadata={"help": "most steps of training", "range": (1, 1e7)})
-    encoder_patience: int = field(
-        default=1000, metadata={"help": "steps without a better check that end it", "range": (1, 1e7)}
-    )
-    seed: int = field(default=0, metadata={"help": "of the split, the network and the batches", "range": (0, 2**31)})
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

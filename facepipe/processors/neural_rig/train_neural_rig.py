@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.options import check_ranges
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.options import TrainNeuralRigOptions
 from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
 from facepipe.processors.neural_rig.straight_rig import straight_rig
@@ -29,51 +29,6 @@ FloatArray = npt.NDArray[np.floating]
 
 _WATCHED = 0.1  # of the frames to learn
 _STRAIGHT_MM = 1e-3  # more than blendshapes may be off where there is nothing to learn beside them
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainNeuralRigOptions:
-    """How a neural rig is trained.
-
-    :raises InputError: a number out of range
-    """
-
-    width: int = field(default=256, metadata={"help": "units of the hidden layer", "range": (1, 4096)})
-    shapes: int = field(default=128, metadata={"help": "most shapes that motion is a sum of", "range": (1, 2048)})
-    tolerance_mm: float = field(
-        default=0.01,
-        metadata={"help": "what those shapes may leave of all frames, RMS", "unit": "mm", "range": (0.0, 10.0)},
-    )
-    held_out: float = field(
-        default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
-    )
-    influences: Literal[4, 8, 0] = field(
-        default=4,
-        metadata={
-            "help": "largest number of joints that move a point, as engines and `export --influences` have it: shapes "
-            "make up for the others; 0 keeps all",
-            "choices": (4, 8, 0),
-        },
-    )
-    steps: int = field(default=6000, metadata={"help": "most steps of training", "range": (1, 1e7)})
-    detail: float = field(
-        default=1.0,
-        metadata={
-            "help": "what an error of differential coordinates, dents and bumps, counts beside one of points",
-            "range": (0.0, 1000.0),
-        },
-    )
-    sparsity: float = field(
-        default=0.2,
-        metadata={"help": "how strongly a unit of the hidden layer is held to few controls", "range": (0.0, 10.0)},
-    )
-    patience: int = field(
-        default=1000, metadata={"help": "steps without a better check that end it", "range": (1, 1e7)}
-    )
-    seed: int = field(default=0, metadata={"help": "of the split, the network and the batches", "range": (0, 2**31)})
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

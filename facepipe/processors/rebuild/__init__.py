@@ -6,16 +6,19 @@ from facepipe.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
-    from facepipe.processors.rebuild.fit_neutral import FitNeutral, FitNeutralOptions, NeutralFit, NeutralReport
+    from facepipe.processors.rebuild.fit_neutral import FitNeutral, NeutralFit, NeutralReport
     from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
-    from facepipe.processors.rebuild.personal_template import PersonalTemplate, PersonalTemplateOptions
+    from facepipe.processors.rebuild.options import (
+        FitNeutralOptions,
+        PersonalTemplateOptions,
+        RefineNeutralOptions,
+        RegisterScansOptions,
+        SplitExpressionsOptions,
+    )
+    from facepipe.processors.rebuild.personal_template import PersonalTemplate
     from facepipe.processors.rebuild.project import Project, ProjectScan, read_project
     from facepipe.processors.rebuild.rebuild import Rebuild, Rebuilt
-    from facepipe.processors.rebuild.refine_neutral import (
-        RefinedNeutral,
-        RefineNeutral,
-        RefineNeutralOptions,
-    )
+    from facepipe.processors.rebuild.refine_neutral import RefinedNeutral, RefineNeutral
     from facepipe.processors.rebuild.refine_report import RefineReport
     from facepipe.processors.rebuild.register_scans import (
         Composite,
@@ -24,16 +27,9 @@ if TYPE_CHECKING:
         NeutralScan,
         RegisteredComposite,
         RegisterScans,
-        RegisterScansOptions,
     )
     from facepipe.processors.rebuild.scan_fit import ScanFit
-    from facepipe.processors.rebuild.split_expressions import (
-        ShapeReport,
-        SplitExpressions,
-        SplitExpressionsOptions,
-        SplitFit,
-        SplitReport,
-    )
+    from facepipe.processors.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
     from facepipe.processors.rebuild.stages import Readers
     from facepipe.processors.rebuild.template import Template
 else:

@@ -14,7 +14,8 @@ from facepipe.options import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-from facepipe.processors.rebuild.personal_template import PersonalTemplate, PersonalTemplateOptions
+from facepipe.processors.rebuild.options import PersonalTemplateOptions
+from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.stage_recipe import stage_recipe
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report

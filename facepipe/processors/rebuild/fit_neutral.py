@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +12,12 @@ from facepipe.errors import FitError, InputError, TopologyError
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.mirrored import mirrored
-from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, RegistrationOptions, register
+from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.geometry.similarity import Similarity
-from facepipe.options import check_ranges
 from facepipe.processors.database import FaceDatabase, Quality
-from facepipe.processors.rebuild.scan_fit import UNITS, ScanFit, scan_fit, scan_target, unit_of
+from facepipe.processors.rebuild.options import UNITS, FitNeutralOptions
+from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
@@ -28,61 +27,6 @@ from facepipe.threads import one_thread
 FloatArray = npt.NDArray[np.floating]
 
 _FEWEST_LANDMARKS = 6
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitNeutralOptions:
-    """How a neutral is fitted.
-
-    :raises InputError: a number out of range
-    """
-
-    unit: Literal["auto", "mm", "cm", "m", "in"] = field(
-        default="auto",
-        metadata={
-            "help": "unit of the scan: auto fits the size with the rest, a unit holds it",
-            "choices": ("auto", *UNITS),
-        },
-    )
-    prior: float = field(
-        default=0.03,
-        metadata={
-            "help": "weight of the squared identity coefficients, in standard deviations, against the scan",
-            "range": (1e-6, 1e9),
-        },
-    )
-    membrane: float = field(
-        default=6.0,
-        metadata={"help": "stiffness of what the identity model can't show", "range": (1e-6, 1e9)},
-    )
-    landmark_sigma_mm: float = field(
-        default=0.16,
-        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
-    weight_sigma: float = field(
-        default=0.05,
-        metadata={
-            "help": "how far the weight of a shape that the scan shows may be from the given one",
-            "range": (1e-3, 10.0),
-        },
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
-    @property
-    def registration(self) -> RegistrationOptions:
-        """The same for the solver."""
-        return RegistrationOptions(
-            membrane=self.membrane,
-            anchor_sigma_mm=self.landmark_sigma_mm,
-            reach_mm=self.reach_mm,
-            scale=self.unit == "auto",
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

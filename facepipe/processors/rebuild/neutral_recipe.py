@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from facepipe.options import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
-from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
-from facepipe.processors.rebuild.refine_neutral import RefineNeutralOptions
+from facepipe.processors.rebuild.options import FitNeutralOptions, RefineNeutralOptions
 from facepipe.processors.rebuild.stage_recipe import stage_recipe
 
 VERB = "fit-neutral"

@@ -4,39 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.options import check_ranges
 from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
+from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.template import Template
 from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PersonalTemplateOptions:
-    """Where starting shapes come from.
-
-    :raises InputError: none of the choices
-    """
-
-    shapes_from: Literal["auto", "database", "template"] = field(
-        default="auto",
-        metadata={
-            "help": "database: its mean person's and what its people have in common, auto where it has shapes; "
-            "template: the template's own, carried over by deformation transfer",
-            "choices": ("auto", "database", "template"),
-        },
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

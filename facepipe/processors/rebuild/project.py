@@ -33,11 +33,13 @@ from facepipe.errors import InputError
 from facepipe.names import file_name
 from facepipe.options import from_json
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
-from facepipe.processors.rebuild.fit_neutral import FitNeutralOptions
-from facepipe.processors.rebuild.personal_template import PersonalTemplateOptions
-from facepipe.processors.rebuild.refine_neutral import RefineNeutralOptions
-from facepipe.processors.rebuild.register_scans import RegisterScansOptions
-from facepipe.processors.rebuild.split_expressions import SplitExpressionsOptions
+from facepipe.processors.rebuild.options import (
+    FitNeutralOptions,
+    PersonalTemplateOptions,
+    RefineNeutralOptions,
+    RegisterScansOptions,
+    SplitExpressionsOptions,
+)
 from facepipe.reading import is_file, read_toml
 from facepipe.trust import check_writable
 

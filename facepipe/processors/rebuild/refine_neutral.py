@@ -12,9 +12,9 @@ from facepipe.errors import InputError
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
 from facepipe.geometry.registration import Anchors, RegistrationOptions, View
 from facepipe.geometry.similarity import Similarity
-from facepipe.options import check_ranges
 from facepipe.processors.rebuild.fit_neutral import landmark_anchors
 from facepipe.processors.rebuild.neutral_place import neutral_place, neutral_surface
+from facepipe.processors.rebuild.options import RefineNeutralOptions
 from facepipe.processors.rebuild.refine_report import BeforeAndAfter, RefineReport
 from facepipe.processors.rebuild.scan_distances import row_distances
 from facepipe.processors.rebuild.scan_fit import scan_target
@@ -26,48 +26,6 @@ FloatArray = npt.NDArray[np.floating]
 
 _MUCH = 0.5  # of the points that a scan can show
 _STILL = 1e-9  # mm: rounding
-
-
-@dataclass(frozen=True, kw_only=True)
-class RefineNeutralOptions:
-    """How a neutral is refined.
-
-    :raises InputError: a number out of range
-    """
-
-    detail_mm: float = field(
-        default=10.0,
-        metadata={
-            "help": "waves of this length in the scan are followed by half, shorter ones less",
-            "unit": "mm",
-            "range": (0.1, 1e3),
-        },
-    )
-    drift_mm: float = field(
-        default=5.0,
-        metadata={
-            "help": "how far points may be off along the surface: smaller ones keep them where they are",
-            "unit": "mm",
-            "range": (1e-3, 1e3),
-        },
-    )
-    landmark_sigma_mm: float = field(
-        default=0.3,
-        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
-    @property
-    def refinement(self) -> RefinementOptions:
-        """The same for the solver."""
-        matching = RegistrationOptions(anchor_sigma_mm=self.landmark_sigma_mm, reach_mm=self.reach_mm)
-        return RefinementOptions(detail_mm=self.detail_mm, drift_mm=self.drift_mm, matching=matching)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +85,7 @@ class RefineNeutral:
         anchors = _anchors(template, landmarks, rows)
         view = View(scan=target, anchors=anchors, start=lies, name=f"{scan.name} -> scan")
         surface = neutral_surface(template, shown)
-        found = refine_locally(surface, view, rows, self.options.refinement, progress)
+        found = refine_locally(surface, view, rows, _refinement(self.options), progress)
         result = BeforeAndAfter(
             template=template,
             before=shown,
@@ -171,3 +129,9 @@ def _whole(template: Template, before: FloatArray, skin: FloatArray, follow: Flo
     kept = np.linalg.norm(result - before, axis=1) < _STILL
     kept[loose] |= staying[part[loose]]
     return np.where(kept[:, None], before, result)
+
+
+def _refinement(options: RefineNeutralOptions) -> RefinementOptions:
+    """The same for the solver."""
+    matching = RegistrationOptions(anchor_sigma_mm=options.landmark_sigma_mm, reach_mm=options.reach_mm)
+    return RefinementOptions(detail_mm=options.detail_mm, drift_mm=options.drift_mm, matching=matching)

@@ -14,8 +14,8 @@ from facepipe.geometry.mirrored import mirrored
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.geometry.similarity import Similarity
-from facepipe.options import check_ranges
 from facepipe.processors.rebuild.fit_neutral import landmark_anchors
+from facepipe.processors.rebuild.options import RegisterScansOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
@@ -28,44 +28,6 @@ BoolArray = npt.NDArray[np.bool_]
 _FEWEST = 4  # landmarks and markers
 _SAME_SIZE = 0.02  # scans nearer in scale than this are of one scale
 _REACH_OF_VARIATION = 0.01  # how much the residual's own variance counts per mm^2: about one number each 10 x 10 mm
-
-
-@dataclass(frozen=True, kw_only=True)
-class RegisterScansOptions:
-    """How expressions are registered.
-
-    :raises InputError: a number out of range
-    """
-
-    weight_sigma: float = field(
-        default=0.2,
-        metadata={"help": "how far a shape's weight may be from the given one", "range": (1e-3, 10.0)},
-    )
-    variation: float = field(
-        default=0.25,
-        metadata={
-            "help": "how far people's own motion is from the template's, as a share of it",
-            "range": (1e-3, 10.0),
-        },
-    )
-    still_mm: float = field(
-        default=0.1,
-        metadata={"help": "motion of what the expression does not move", "unit": "mm", "range": (1e-3, 10.0)},
-    )
-    membrane: float = field(
-        default=3.0, metadata={"help": "stiffness of what the shapes can't show", "range": (1e-6, 1e9)}
-    )
-    landmark_sigma_mm: float = field(
-        default=0.3,
-        metadata={"help": "smaller ones hold landmarks and markers harder", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from facepipe.geometry.registration import Registered, ScanTarget
 from facepipe.processors.clean_scan import CleanScan
+from facepipe.processors.rebuild.options import UNITS
 from facepipe.scans import Scan
 
 FloatArray = npt.NDArray[np.floating]
 
-UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 _ALIKE = 0.15  # a scale nearer than this to a unit's is told as that unit
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from facepipe.errors import InputError
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
+from facepipe.processors.rebuild.options import SplitExpressionsOptions
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
 from facepipe.reports import Report
@@ -18,16 +19,6 @@ from facepipe.threads import one_thread
 FloatArray = npt.NDArray[np.floating]
 
 _OBSERVED = 0.05  # shapes told less than this stay as the template has them
-
-
-@dataclass(frozen=True, kw_only=True)
-class SplitExpressionsOptions(SplitOptions):
-    """How registered expressions are split: they lie a little worse than what `SplitOptions` expects.
-
-    :raises InputError: a number out of range
-    """
-
-    noise: float = field(default=0.2, metadata=dict(SplitOptions.__dataclass_fields__["noise"].metadata))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from facepipe.errors import InputError
-from facepipe.names import unique_identifiers
-from facepipe.processors.fit_bones.symmetry import mirrored_name
+from facepipe.names import mirrored_name, unique_identifiers
 
 PAIRS = "decr:incr,down:up,in:out,backward:forward,concave:convex,compress:uncompress"
 

@@ -11,9 +11,10 @@ from faces import tiny_face
 from test_fit_bones_solver import MM, face_joints, head, limits, random_pose, small
 
 from facepipe.errors import InputError
+from facepipe.names import mirrored_name
 from facepipe.processors.fit_bones import symmetry as module
 from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.symmetry import mirrored_name, symmetry
+from facepipe.processors.fit_bones.symmetry import symmetry
 from facepipe.rig import Rig, build, rest_coefficients
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

@@ -12,9 +12,9 @@ from bone_faces import pose, saved, sculpt, small
 from fit_line import Capsys, failed, run, save_sources
 
 import facepipe
+from facepipe.names import mirrored_name
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.processors.fit_bones import FitBones, read_fit_bones_recipe, read_targets
-from facepipe.processors.fit_bones.symmetry import mirrored_name
 from facepipe.rig import Rig, build, rest_coefficients
 from facepipe.sample import make
 

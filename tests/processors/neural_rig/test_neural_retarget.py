@@ -26,7 +26,8 @@ from facepipe.processors.neural_rig import (
 )
 from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
-from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, RetargetOptions
+from facepipe.processors.neural_rig.options import RetargetOptions
+from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
 

@@ -21,9 +21,9 @@ from test_sliders_cli import done, failed, run
 import facepipe
 from facepipe.errors import InputError, SchemaError
 from facepipe.importers import makehuman
+from facepipe.names import mirrored_name
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Slider
 from facepipe.processors.fit_bones import LimitRules, read_limits
-from facepipe.processors.fit_bones.symmetry import mirrored_name
 from facepipe.processors.sliders import ShapeSlidersReport, SlidersFromShapes, read_slider_recipe
 from facepipe.processors.sliders import shape_names as names_module
 from facepipe.processors.sliders.effects import channel_effects

@@ -1,0 +1,60 @@
+"""How a painted map is looked up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from facepipe.errors import InputError
+
+LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
+WIDEST_EDGE, WIDEST_FOOTPRINT = 8, 256  # texels
+FIRST_TILE, LAST_TILE = 1001, 1999  # UDIM: 1001 + column + 10 row, ten columns
+
+
+def tile_number(text: str) -> int | None:
+    """A UDIM tile, or None for ``all``.
+
+    :raises InputError: neither
+    """
+    if text == "all":
+        return None
+    if not (text.isascii() and text.isdigit()):
+        raise InputError("tile", f"'{text[:20]}', expected a UDIM number like {FIRST_TILE}, or all")
+    return int(text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSampling:
+    """How a map is looked up.
+
+    :raises InputError: an option out of range
+    """
+
+    tolerance: float = field(
+        default=8.0,
+        metadata={"help": "distance to a legend colour that still is that colour", "unit": "RGB, 0 to 255 a channel"},
+    )
+    edge: int = field(
+        default=2,
+        metadata={"help": "how far antialiased borders run, and paint counts beyond its end", "unit": "texels"},
+    )
+    footprint: int = field(
+        default=1, metadata={"help": "side of the square averaged at a point; 1: its texel", "unit": "texels"}
+    )
+    tile: int | None = field(
+        default=FIRST_TILE,
+        metadata={"help": "UDIM tile that the map covers, or `all`: it repeats in every tile", "parse": tile_number},
+    )
+
+    def __post_init__(self) -> None:
+        _check("tolerance", self.tolerance, 0, LARGEST_RGB_DISTANCE)
+        _check("edge", self.edge, 0, WIDEST_EDGE)
+        _check("footprint", self.footprint, 1, WIDEST_FOOTPRINT)
+        if self.tile is not None:
+            _check("tile", self.tile, FIRST_TILE, LAST_TILE)
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InputError(name, f"{value}, expected {low:g} to {high:g}")
