@@ -23,6 +23,21 @@ _MOST_PARTS = 1000  # chunks of a PNG beside those of its pixels, segments of a 
 _BAND = 1 << 20  # pixels converted at once
 _HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_STARTS = (
+    b"\x89PNG\r\n\x1a\n",
+    b"\xff\xd8\xff",
+    b"BM",
+    b"RIFF",
+    b"II*\x00",
+    b"MM\x00*",
+    b"v/1\x01",
+    b"#?RADIANCE",
+)
+
+
+def is_image(data: bytes) -> bool:
+    """Whether bytes begin as an image does. Only images are copied or exported, whatever file a stage names."""
+    return data.startswith(_STARTS)
 
 
 def open_image(

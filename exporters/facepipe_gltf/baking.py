@@ -10,7 +10,6 @@ import numpy as np
 from facepipe.parts import FaceParts, FloatArray, Mesh
 from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
-from facepipe_gltf.morph_normals import with_normals
 from facepipe_gltf.morphs import Morphs, blocks, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Placement, place, smooth_normals
@@ -49,6 +48,8 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     normals, corner_normals = _normals(mesh, corners, points, placement)
     sculpts = sculpts_of(mesh, shapes)
     if options.with_target_normals and sculpts:
+        from facepipe_gltf.morph_normals import with_normals
+
         authored = corners.points[:, ::-1] if placement.mirrored else corners.points
         sculpts = with_normals(sculpts, mesh.points, authored)
     return Baked(

@@ -13,18 +13,14 @@ from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
 from facepipe.rig.linear_skinning import linear_skinning_notes
-from facepipe.rig.resample import resampled
-from facepipe_gltf.animations import AnimationWriter
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.engines import check_engine, engine_warnings
-from facepipe_gltf.influence_error import influence_error
 from facepipe_gltf.joints import JointNodes, joint_nodes
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
-from facepipe_gltf.meshopt import compressed
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.record import record_of, written
@@ -61,7 +57,11 @@ def write(parts: FaceParts, options: Options, *, tangents: bool = True) -> Docum
     check(parts)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
         document = _Writer(parts, options, tangents).document()
-    return compressed(document) if options.meshopt else document
+    if not options.meshopt:
+        return document
+    from facepipe_gltf.meshopt import compressed
+
+    return compressed(document)
 
 
 @dataclass
@@ -149,6 +149,8 @@ class _Writer:
         fps = self.options.fps
         if fps is None or not self.options.animations:
             return parts
+        from facepipe.rig.resample import resampled
+
         clips = []
         for one in parts.animations:
             clip, off = resampled(parts.skeleton, one, fps, parts.meters_per_unit * 1000)
@@ -158,6 +160,8 @@ class _Writer:
         return replace(parts, animations=tuple(clips), frames_per_second=fps)
 
     def _animations(self, joints: JointNodes | None) -> list[Json]:
+        from facepipe_gltf.animations import AnimationWriter
+
         writer = AnimationWriter(self.parts.skeleton, self.space, joints, self.targets, self.buffers, self.warnings)
         written = [writer.write(animation) for animation in self.parts.animations]
         for animation, result in zip(self.parts.animations, written, strict=True):
@@ -230,7 +234,11 @@ class _Writer:
         options = self.options
         encoding, smallest = Encoding(options.quantize), options.drop_deltas / 1000
         stored = [storage_error(one, encoding, smallest) for one in meshes] if options.quantize or smallest else []
-        fewer = influence_error(self.parts, meshes, self.space)
+        fewer = None
+        if any(one.influences is not None and one.influences.any_lost for one in meshes):
+            from facepipe_gltf.influence_error import influence_error
+
+            fewer = influence_error(self.parts, meshes, self.space)
         if not stored and fewer is None:
             return None
         error = max(stored, default=0.0) + (fewer or 0.0)

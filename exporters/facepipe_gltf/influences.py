@@ -21,6 +21,11 @@ class Influences(NamedTuple):
     weights: FloatArray
     lost: FloatArray  # (n,) part of the weight that went with the influences left out
 
+    @property
+    def any_lost(self) -> bool:
+        """Whether influences of some point were left out."""
+        return bool((self.lost > LOST).any())
+
 
 def limit(skin: Skin, most: int, where: str) -> Influences:
     """The `most` largest influences of every point, renormalised in float64.

@@ -10,8 +10,7 @@ import numpy as np
 
 from facepipe.errors import ExportError
 from facepipe.parts import Material, Mesh, TextureInput, exact
-from facepipe_gltf.channels import Channel, merged
-from facepipe_gltf.textures import Textures
+from facepipe_gltf.textures import Channel, Textures, merged
 
 Json = dict[str, Any]
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}

@@ -14,7 +14,6 @@ from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
 from facepipe_gltf.morphs import Morphs, Table, rows_of, table_of, without_small
 from facepipe_gltf.options import Options
-from facepipe_gltf.tangents import orientation, tangents
 from facepipe_gltf.vertices import Vertices, vertices_of
 
 Json = dict[str, Any]
@@ -51,6 +50,8 @@ class PrimitiveWriter:
         corners = self._baked.corners
         extra = None
         if chosen.tangent_uv is not None:
+            from facepipe_gltf.tangents import orientation
+
             uvs = corners.uvs[chosen.tangent_uv][corners.uv_indices[chosen.tangent_uv][chosen.triangles]]
             extra = orientation(uvs.astype(np.float64))
         return vertices_of(corners, chosen.triangles, extra)
@@ -81,6 +82,8 @@ class PrimitiveWriter:
             "NORMAL": self._add(encoding.directions(normals)),
         }
         if tangent_uv is not None:
+            from facepipe_gltf.tangents import tangents
+
             found = tangents(points, normals, uvs[tangent_uv], vertices.triangles)
             attributes["TANGENT"] = self._add(encoding.directions(found))
         for i, values in enumerate(uvs):

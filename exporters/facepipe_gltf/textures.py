@@ -1,11 +1,13 @@
-"""Images, samplers and textures of a glTF document."""
+"""Images, samplers and textures of a glTF document; new images from channels of others."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +16,6 @@ from facepipe.errors import InputError
 from facepipe.images import open_image
 from facepipe.images import pixels as decoded
 from facepipe.parts import Texture, TextureInput
-from facepipe_gltf.png import without_ignored_chunks
 
 Json = dict[str, Any]
 Pixels = npt.NDArray[np.uint8]
@@ -56,7 +57,7 @@ class Textures:
         if self._open(texture, decode=False) is None:
             return None
         if texture.data.startswith(_PNG):
-            return self._image(Image(_stem(texture), "image/png", without_ignored_chunks(texture.data)))
+            return self._image(Image(_stem(texture), "image/png", _without_ignored_chunks(texture.data)))
         if texture.data.startswith(_JPEG):
             return self._image(Image(_stem(texture), "image/jpeg", texture.data))
         pixels = self.pixels(texture)
@@ -126,3 +127,59 @@ def _place(entries: list[Json], entry: Json) -> int:
 def _stem(texture: Texture) -> str:
     name = texture.name.replace("\\", "/").rpartition("/")[2]
     return name.rpartition(".")[0] or name or "image"
+
+
+def _without_ignored_chunks(data: bytes) -> bytes:
+    """The same picture without colour profile, chromaticities and pixel aspect ratio.
+
+    glTF defines the colour space of every texture itself. Pixel bytes stay untouched; a file that has none of these
+    chunks is returned as it is.
+    """
+    kept, position = [_PNG], len(_PNG)
+    while position + 8 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        end = position + 12 + length
+        if not _is_ignored(kind, data[position + 8 : end]):
+            kept.append(data[position:end])
+        position = end
+    return b"".join(kept)
+
+
+def _is_ignored(kind: bytes, body: bytes) -> bool:
+    return kind in (b"cHRM", b"iCCP") or (kind == b"pHYs" and body[:4] != body[4:8])
+
+
+class Channel(NamedTuple):
+    """One channel of a new image: a texture's, or white."""
+
+    source: TextureInput | None
+    channel: int
+    inverted: bool = False
+
+
+def merged(channels: Sequence[Channel], textures: Textures) -> Pixels | None:
+    """(h, w, channels) pixels, as large as the largest texture; None where a texture can't be read."""
+    loaded = [None if one.source is None else _plane(textures, one.source, one.channel) for one in channels]
+    present = [plane for plane in loaded if plane is not None]
+    if len(present) < sum(one.source is not None for one in channels):
+        return None
+    height, width = max((plane.shape for plane in present), key=lambda size: size[0] * size[1])
+    planes = []
+    for one, found in zip(channels, loaded, strict=True):
+        white = np.full((height, width), 255, np.uint8)
+        plane = white if found is None else _resized(found, height, width)
+        planes.append(255 - plane if one.inverted else plane)
+    return np.stack(planes, axis=-1)
+
+
+def _plane(textures: Textures, source: TextureInput, channel: int) -> Pixels | None:
+    pixels = textures.pixels(source.texture)
+    return None if pixels is None else pixels[..., channel].copy()  # the others are let go
+
+
+def _resized(plane: Pixels, height: int, width: int) -> Pixels:
+    if plane.shape == (height, width):
+        return plane
+    from PIL import Image as Pillow
+
+    return np.asarray(Pillow.fromarray(plane).resize((width, height), Pillow.Resampling.BILINEAR))

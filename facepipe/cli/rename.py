@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from facepipe.cli.show import note, warn
 from facepipe.errors import InputError
 from facepipe.rig.conventions import CONVENTIONS, recognised
-from facepipe.rig.rename import convention_names, renamed, shapes_of, unknown_names
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
@@ -29,6 +28,8 @@ class Rename:
 
         :raises InputError: names that collide
         """
+        from facepipe.rig.rename import convention_names, renamed, shapes_of, unknown_names
+
         shapes = shapes_of(parts)
         names = dict(convention_names(self.given, shapes) if self.table is None else self.table)
         result = renamed(parts, names, f"--rename {self.given}")
@@ -79,6 +80,8 @@ def rename_of(arguments: argparse.Namespace) -> Rename | None:
 
 def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
     """The convention that a face's shapes are called as, as JSON values; None where they are called as in none."""
+    from facepipe.rig.rename import convention_names
+
     found = recognised(shapes)
     if found is None:
         return None

@@ -18,6 +18,7 @@ from facepipe.rig.bone_coefficients import (
     rest_coefficients,
 )
 from facepipe.rig.person import Person, is_person
+from facepipe.rig.rig import Rig
 from facepipe.rig.slider_network import evaluate
 from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, with_entries
 from facepipe.rig.trs import decompose
@@ -40,6 +41,29 @@ class NewRest:
         result = np.array(matrices, dtype=np.float64)
         result[..., :3, 3] = np.einsum("jab,...jb->...ja", self.stretch, result[..., :3, 3])
         return result
+
+
+def new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> NewRest:
+    """The person's rest: without the person's scales, or with `in_joints` the transforms alone."""
+    local = rig.rest @ person.matrices
+    if in_joints:
+        own = np.tile(np.eye(3), (len(local), 1, 1))
+        return NewRest(skeleton=replace(skeleton, rest_transforms=local), stretch=own)
+    world = rig.joint_worlds(local, np.eye(4))
+    before = _stretch(rig.joint_worlds(rig.rest.copy(), np.eye(4)))
+    after = _stretch(world)
+    stretch = np.linalg.solve(before, after)  # of the person alone, in each joint's own axes
+    unscaled = world.copy()
+    unscaled[:, :3, :3] = world[:, :3, :3] @ np.linalg.inv(stretch)
+    above = np.array([np.eye(4) if parent < 0 else unscaled[parent] for parent in rig.parents]).reshape(-1, 4, 4)
+    rest = np.linalg.solve(above, unscaled)
+    return NewRest(skeleton=replace(skeleton, bind_transforms=unscaled, rest_transforms=rest), stretch=stretch)
+
+
+def _stretch(worlds: FloatArray) -> FloatArray:
+    """(j, 3, 3) symmetric positive stretch K of the linear parts Q K (polar decomposition); mirrors stay in Q."""
+    _, scale, Vt = np.linalg.svd(worlds[:, :3, :3])
+    return np.asarray((np.swapaxes(Vt, -1, -2) * scale[:, None, :]) @ Vt)
 
 
 def animations_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Animation, ...]:

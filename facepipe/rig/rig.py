@@ -18,7 +18,6 @@ from facepipe.errors import InputError
 from facepipe.names import unknown
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
-from facepipe.rig.dual_quaternions import dual_quaternion_blend
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -127,6 +126,8 @@ class Rig:
         """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices."""
         blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
         if self.dual is not None:
+            from facepipe.rig.dual_quaternions import dual_quaternion_blend
+
             root = matrices[-1]  # quaternions blend in skeleton space: what scales the skeleton scales them all
             within = dual_quaternion_blend(self.influences[self.dual], np.linalg.inv(root) @ matrices)
             blended[self.dual] = root[:3, :3] @ within

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.errors import InputError
-from facepipe.parts import FaceParts, Skeleton
+from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
-from facepipe.rig.on_person import NewRest, animations_on, limits_on, network_on, sliders_on
 from facepipe.rig.person import Person, person_of
 from facepipe.rig.rig import Rig
-from facepipe.rig.set_error import SetError, set_error
-from facepipe.rig.set_mesh import set_mesh
+
+if TYPE_CHECKING:
+    from facepipe.rig.set_error import SetError
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -54,11 +55,19 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     person = person_of(parts, pose)
     if person.is_rest:
         return SetFace(parts=parts, pose=person.description, error=None)
+    return _set_face(parts, person, in_joints=pose == "set-joints")
+
+
+def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
+    from facepipe.rig.on_person import animations_on, limits_on, network_on, new_rest, sliders_on
+    from facepipe.rig.set_error import set_error
+    from facepipe.rig.set_mesh import set_mesh
+
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
     _refuse_flat(rig, person, parts.name)
-    new = _new_rest(rig, parts.skeleton, person, in_joints=pose == "set-joints")
-    moved = None if pose == "set-joints" else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
+    new = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
+    moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     bounds = rig.mesh_offsets
     animations = animations_on(parts, person, new)
     result = replace(
@@ -75,7 +84,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         bone_limits=limits_on(parts.bone_limits, person, new),
         person=None,
     )
-    where = " in the joints" if pose == "set-joints" else ""
+    where = " in the joints" if in_joints else ""
     error = set_error(rig, build(result), person, new, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error, stretch=new.stretch)
 
@@ -86,25 +95,3 @@ def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
     if flat.size:
         what = f"scaled to nothing by the person ({person.description}), expected scales other than 0"
         raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
-
-
-def _new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> NewRest:
-    local = rig.rest @ person.matrices
-    if in_joints:
-        own = np.tile(np.eye(3), (len(local), 1, 1))
-        return NewRest(skeleton=replace(skeleton, rest_transforms=local), stretch=own)
-    world = rig.joint_worlds(local, np.eye(4))
-    before = _stretch(rig.joint_worlds(rig.rest.copy(), np.eye(4)))
-    after = _stretch(world)
-    stretch = np.linalg.solve(before, after)  # of the person alone, in each joint's own axes
-    unscaled = world.copy()
-    unscaled[:, :3, :3] = world[:, :3, :3] @ np.linalg.inv(stretch)
-    above = np.array([np.eye(4) if parent < 0 else unscaled[parent] for parent in rig.parents]).reshape(-1, 4, 4)
-    rest = np.linalg.solve(above, unscaled)
-    return NewRest(skeleton=replace(skeleton, bind_transforms=unscaled, rest_transforms=rest), stretch=stretch)
-
-
-def _stretch(worlds: FloatArray) -> FloatArray:
-    """(j, 3, 3) symmetric positive stretch K of the linear parts Q K (polar decomposition); mirrors stay in Q."""
-    _, scale, Vt = np.linalg.svd(worlds[:, :3, :3])
-    return np.asarray((np.swapaxes(Vt, -1, -2) * scale[:, None, :]) @ Vt)

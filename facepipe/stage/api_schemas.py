@@ -12,8 +12,6 @@ from typing import Any
 import facepipe_schemas
 from pxr import Sdf, Usd
 
-from facepipe.stage.opinions import put
-
 _INSTANCE = "__INSTANCE_NAME__"  # in the names of a multiple-apply schema's attributes
 
 
@@ -44,6 +42,16 @@ def schema_attribute(prim: Usd.Prim, name: str) -> Usd.Attribute:
     attribute = prim.GetAttribute(name)
     declared = None if attribute else _attributes().get(_declared_name(name))
     return attribute if declared is None else prim.CreateAttribute(name, declared[0], False, declared[1])
+
+
+def put(attribute: Usd.Attribute, value: Any) -> None:
+    """Set the one value of an attribute, in place of all time samples; None hides what weaker layers say."""
+    if value is None:
+        if attribute and attribute.HasAuthoredValue():
+            attribute.Block()
+        return
+    attribute.Clear()
+    attribute.Set(value)
 
 
 def put_value(prim: Usd.Prim, name: str, value: Any) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from pxr import Ar, Sdf, Usd
 
 from facepipe.errors import InputError
+from facepipe.images import is_image
 from facepipe.reading import check_regular
-from facepipe.stage.textures import is_image
 from facepipe.trust import check_copied
 
 _DEFAULT = Usd.TimeCode.Default()

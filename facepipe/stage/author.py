@@ -19,8 +19,9 @@ from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.author_photos import author_photo_changes, check_photos
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider, check_sliders
+from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
-from facepipe.stage.slider_network import author_slider_network, check_face_network
+from facepipe.stage.read_slider_network import check_face_network
 from facepipe.stage.textures import TextureFolder, texture_home
 
 

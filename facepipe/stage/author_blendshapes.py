@@ -9,9 +9,10 @@ from pxr import Sdf, Usd, UsdSkel, Vt
 
 from facepipe.names import unique_identifiers
 from facepipe.parts import Blendshape, FloatArray, Inbetween
+from facepipe.stage.api_schemas import put
 from facepipe.stage.differences import same
 from facepipe.stage.display_names import author_name
-from facepipe.stage.opinions import editable, put
+from facepipe.stage.opinions import editable
 from facepipe.stage.values import ints, to_ints, to_vec3f
 
 

@@ -11,6 +11,7 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.parts import FaceParts, FloatArray
+from facepipe.stage.api_schemas import put
 from facepipe.stage.author_animations import author_animation_changes
 from facepipe.stage.author_mesh import author_point_values
 from facepipe.stage.author_mesh_changes import author_mesh_changes, check_mesh_change
@@ -23,13 +24,14 @@ from facepipe.stage.author_rig_changes import (
     check_skeleton_change,
 )
 from facepipe.stage.author_skeleton import check_sliders
+from facepipe.stage.author_slider_network import author_network_change
 from facepipe.stage.differences import same
 from facepipe.stage.face import Face
-from facepipe.stage.opinions import editable, put
+from facepipe.stage.opinions import editable
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.read_photos import is_photo
-from facepipe.stage.slider_network import author_network_change, check_face_network
+from facepipe.stage.read_slider_network import check_face_network
 from facepipe.stage.traversal import prims_below
 
 _FIXED = ("name", "meters_per_unit", "up_axis", "materials")

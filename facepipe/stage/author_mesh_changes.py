@@ -10,14 +10,14 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import Mesh
-from facepipe.stage.api_schemas import put_value, remove_schema
+from facepipe.stage.api_schemas import put, put_value, remove_schema
 from facepipe.stage.author_blendshapes import author_blendshape_changes
 from facepipe.stage.author_mesh import author_landmarks, author_normals, author_skin
 from facepipe.stage.author_regions import author_regions
 from facepipe.stage.bindings import inherited_skeleton
 from facepipe.stage.differences import same
-from facepipe.stage.opinions import editable, put
-from facepipe.stage.orientation import is_left_handed, turned
+from facepipe.stage.opinions import editable
+from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.values import to_vec3f
 
 _TOPOLOGY = ("face_vertex_counts", "face_vertex_indices")

@@ -10,10 +10,10 @@ from pxr import Gf, Usd, UsdGeom
 from facepipe import tokens
 from facepipe.errors import InputError
 from facepipe.parts import PhotoView
-from facepipe.stage.api_schemas import apply_schema, put_value
+from facepipe.stage.api_schemas import apply_schema, put, put_value
 from facepipe.stage.differences import same
 from facepipe.stage.film import to_film
-from facepipe.stage.opinions import editable, free_path, put
+from facepipe.stage.opinions import editable, free_path
 from facepipe.stage.photo_faults import photo_fault
 from facepipe.stage.values import matrix, to_matrix, to_vec3f
 

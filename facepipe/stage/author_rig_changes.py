@@ -12,10 +12,10 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe import tokens
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
-from facepipe.stage.api_schemas import put_value, remove_schema
+from facepipe.stage.api_schemas import put, put_value, remove_schema
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider
 from facepipe.stage.differences import same
-from facepipe.stage.opinions import editable, put
+from facepipe.stage.opinions import editable
 from facepipe.stage.values import to_matrices
 
 

@@ -38,19 +38,15 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.author import author
 from facepipe.stage.display_names import told_apart
-from facepipe.stage.files import derived_stage, open_stage, over
+from facepipe.stage.files import check_units, derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.read_materials import read_material
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.read_photos import is_photo, read_photo
 from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.read_slider_network import check_face_network, read_slider_network
 from facepipe.stage.read_sliders import read_sliders
-from facepipe.stage.slider_network import check_face_network, read_slider_network
-from facepipe.stage.standalone import save_standalone
 from facepipe.stage.traversal import INSTANCES, check_kinds, prims_below
-from facepipe.stage.units import check_units
 
 if TYPE_CHECKING:
     import trimesh
@@ -81,6 +77,8 @@ class Face:
     @classmethod
     def from_parts(cls, parts: FaceParts) -> Face:
         """A face authored on a stage in memory; one with textures needs a file (`save_parts`)."""
+        from facepipe.stage.author import author
+
         return cls(author(parts))
 
     @property
@@ -174,7 +172,12 @@ class Face:
     def photos(self) -> tuple[PhotoView, ...]:
         """Photos that it was fitted to."""
         with self._trail():
-            return self._finite(tuple(read_photo(one) for one in self._below() if is_photo(one)))
+            cameras = [one for one in self._below() if one.IsA(UsdGeom.Camera)]
+            if not cameras:
+                return ()
+            from facepipe.stage.read_photos import is_photo, read_photo
+
+            return self._finite(tuple(read_photo(one) for one in cameras if is_photo(one)))
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -349,14 +352,17 @@ class Face:
         """
         if flatten or Path(path).suffix.lower() == ".usdz":
             stage = Usd.Stage.Open(over(self.stage.GetRootLayer(), Path(path).absolute()))
-            yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
-            save_standalone(stage, path)
+            face = Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+            yield face
+            face.save(path)
             return
         with derived_stage(self.stage, path) as stage:
             yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""
+        from facepipe.stage.standalone import save_standalone
+
         save_standalone(self.stage, path)
 
     def mesh_prim(self, name: str) -> Usd.Prim:

@@ -14,7 +14,7 @@ import facepipe_schemas
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from facepipe.atomic import replacing, when_placed
-from facepipe.errors import ExportError, InputError
+from facepipe.errors import ExportError, InputError, SchemaError
 from facepipe.stage.composition import checked_layers, composable_layers
 from facepipe.stage.guard import USD_ERRORS, reason
 from facepipe.stage.stage_counts import check_counts
@@ -25,6 +25,7 @@ _METADATA = (
     *("metersPerUnit", "upAxis", "timeCodesPerSecond", "framesPerSecond", "defaultPrim"),
     *("startTimeCode", "endTimeCode"),
 )
+_LEAST, _LARGEST = 1e-9, 1e9  # metres in a unit
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -75,6 +76,15 @@ def _check_clocks(file: Path, stage: Usd.Stage) -> None:
         if not (math.isfinite(rate) and rate > 0):
             where = file if layer == stage.GetRootLayer() else f"{file} -> {layer.identifier}"
             raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
+
+
+def check_units(where: object, stage: Usd.Stage) -> None:
+    """:raises SchemaError: a unit that is no length, or an up axis that is neither Y nor Z"""
+    unit, up = float(UsdGeom.GetStageMetersPerUnit(stage)), str(UsdGeom.GetStageUpAxis(stage))
+    if not (math.isfinite(unit) and _LEAST <= unit <= _LARGEST):
+        raise SchemaError(where, f"metersPerUnit {unit:g}, expected a length above 0")
+    if up not in ("Y", "Z"):
+        raise SchemaError(where, f"upAxis '{up}', expected Y or Z")
 
 
 def dependencies(path: Path) -> set[Path]:

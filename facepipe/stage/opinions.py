@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pxr import Sdf, Usd, UsdGeom
 
 from facepipe.names import unique_identifiers
@@ -32,13 +30,3 @@ def free_path(face: Usd.Prim, folder: str, name: str) -> Sdf.Path:
     if name in children and not children[name].IsActive():
         children.pop(name).SetActive(True)
     return path.AppendChild(unique_identifiers([*children, name])[-1])
-
-
-def put(attribute: Usd.Attribute, value: Any) -> None:
-    """Set the one value of an attribute, in place of all time samples; None hides what weaker layers say."""
-    if value is None:
-        if attribute and attribute.HasAuthoredValue():
-            attribute.Block()
-        return
-    attribute.Clear()
-    attribute.Set(value)

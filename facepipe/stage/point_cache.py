@@ -16,12 +16,11 @@ from facepipe.errors import InputError, TopologyError
 from facepipe.finite import require_finite
 from facepipe.parts import Animation, FloatArray, IntArray, Mesh
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.files import open_stage
+from facepipe.stage.files import check_units, open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
-from facepipe.stage.orientation import is_left_handed, turned
+from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.read_skeleton import read_animation
 from facepipe.stage.traversal import prims_below
-from facepipe.stage.units import check_units
 from facepipe.stage.values import floats, ints, matrix
 
 MOST_SAMPLES = 100_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from facepipe.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.display_names import data_label, label
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.orientation import is_left_handed, turned
 from facepipe.stage.read_blendshapes import read_blendshapes
 from facepipe.stage.values import floats, ints, matrix
 
@@ -233,3 +233,24 @@ def _materials(prim: Usd.Prim, names: Mapping[str, str]) -> tuple[str | None, tu
 def _bound(prim: Usd.Prim) -> str:
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
     return str(material.GetPath()) if material else ""
+
+
+def is_left_handed(mesh: UsdGeom.Mesh) -> bool:
+    """Whether the faces of a Mesh prim are wound clockwise as seen from outside."""
+    return bool(mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded)
+
+
+def turned(mesh: Mesh) -> Mesh:
+    """The mesh with every face wound the other way round; what stands per corner follows."""
+    counts = np.asarray(mesh.face_vertex_counts, dtype=np.int64)
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    back = 2 * starts + np.repeat(counts, counts) - 1 - np.arange(counts.sum())
+    normals = mesh.normals
+    if normals is not None and len(normals) != len(mesh.points):
+        normals = normals[back]
+    return replace(
+        mesh,
+        face_vertex_indices=mesh.face_vertex_indices[back],
+        normals=normals,
+        uv_sets=tuple(uv if uv.indices is None else replace(uv, indices=uv.indices[back]) for uv in mesh.uv_sets),
+    )

@@ -11,22 +11,6 @@ from facepipe.errors import InputError
 from facepipe.names import file_name
 from facepipe.trust import check_beside
 
-_IMAGE_STARTS = (
-    b"\x89PNG\r\n\x1a\n",
-    b"\xff\xd8\xff",
-    b"BM",
-    b"RIFF",
-    b"II*\x00",
-    b"MM\x00*",
-    b"v/1\x01",
-    b"#?RADIANCE",
-)
-
-
-def is_image(data: bytes) -> bool:
-    """Whether bytes begin as an image does. Only images are copied or exported, whatever file a stage names."""
-    return data.startswith(_IMAGE_STARTS)
-
 
 class TextureFolder:
     """The folder ``<stem>_textures`` beside a stage file, made only if there are textures to write.

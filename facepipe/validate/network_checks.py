@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from facepipe import tokens
 from facepipe.errors import FacepipeError
 from facepipe.rig import CHANNELS
-from facepipe.stage.slider_network import read_slider_network
+from facepipe.stage.read_slider_network import read_slider_network
 from facepipe.validate.control_checks import slider_names
 from facepipe.validate.problem import Problem, at, some
 from facepipe.validate.views import FaceView

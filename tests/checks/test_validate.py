@@ -26,8 +26,8 @@ from facepipe.errors import InputError
 from facepipe.importers import load
 from facepipe.processors.neural_rig import save_neural_rig
 from facepipe.stage import Face, save_parts
+from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.neural_rig_link import author_neural_rig_link
-from facepipe.stage.slider_network import author_slider_network
 from facepipe.validate import CHECKS, validate, validate_stage
 from facepipe.validate.usd_registry import available, register
 

@@ -12,8 +12,8 @@ from facepipe.parts import BoneLimits, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.foreign.scene import Scene, ancestors
 from facepipe.stage.read_skeleton import read_limits
+from facepipe.stage.read_slider_network import read_slider_network
 from facepipe.stage.read_sliders import read_sliders
-from facepipe.stage.slider_network import read_slider_network
 
 
 def attribution(scene: Scene) -> str:
