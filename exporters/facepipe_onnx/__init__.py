@@ -10,10 +10,11 @@ from facepipe.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe_onnx.encoder_writer import export_encoder
+    from facepipe_onnx.model_file import outputs
     from facepipe_onnx.options import Options
     from facepipe_onnx.runtime import Deformer
     from facepipe_onnx.verify import validate
-    from facepipe_onnx.writer import export, export_parts, outputs
+    from facepipe_onnx.writer import export, export_parts
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -6,14 +6,13 @@ import os
 import time
 from collections.abc import Mapping
 
-from facepipe.atomic import together, write_bytes
 from facepipe.errors import TopologyError
 from facepipe.reports import ExportReport
 from facepipe.rig.neural_encoder import NeuralEncoder
-from facepipe_onnx import encoder_graph, sidecar
+from facepipe_onnx import encoder_graph
 from facepipe_onnx.describe_encoder import describe
 from facepipe_onnx.metadata_checks import operators
-from facepipe_onnx.writer import outputs, serialised
+from facepipe_onnx.model_file import outputs, write_model
 
 
 def export_encoder(
@@ -35,10 +34,7 @@ def export_encoder(
         raise TopologyError(f"{name} -> meshes", what)
     model = encoder_graph.build(encoder, name)
     metadata = describe(encoder, operators(model), meshes, name)
-    data = serialised(model, metadata, name)
-    with together(target):
-        write_bytes(target, data)
-        write_bytes(beside, sidecar.to_text(metadata).encode())
+    size = write_model(model, metadata, name, target)
     return ExportReport(
         path=target,
         files=(target, beside),
@@ -48,6 +44,6 @@ def export_encoder(
             "controls": len(encoder.controls),
             "nodes": len(model.graph.node),
         },
-        bytes=len(data),
+        bytes=size,
         seconds=time.perf_counter() - start,
     )

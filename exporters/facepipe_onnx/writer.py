@@ -6,12 +6,10 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from facepipe.atomic import together, write_bytes
 from facepipe.errors import ExportError, InputError
 from facepipe.finite import require_finite
 from facepipe.geometry.polygons import point_triangles
@@ -21,14 +19,14 @@ from facepipe.reports import ExportReport
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe.rig.linear_skinning import linear_skinning_notes
-from facepipe_onnx import sidecar, slider_graph
+from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe
+from facepipe_onnx.encoder_writer import export_encoder
 from facepipe_onnx.graph import build, select_shapes
 from facepipe_onnx.metadata_checks import operators
-from facepipe_onnx.operators import MAX_BYTES
+from facepipe_onnx.model_file import outputs, write_model
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_error import packed_error
-from facepipe_onnx.read import problems
 
 
 class HasParts(Protocol):
@@ -45,8 +43,6 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
     :raises InputError: another suffix than .onnx, a folder that does not exist, or a bad option
     """
     if options is not None and options.encoder:
-        from facepipe_onnx.encoder_writer import export_encoder  # which writes as this module does
-
         encoder, parts = getattr(face, "encoder", None), face.parts()
         if encoder is None:
             raise InputError("option encoder", "without one, expected --neural with a rig that has an encoder")
@@ -79,15 +75,12 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     if options.weights != "float32":
         packed = _packed_error(model, whole, rig, parts, options)
         metadata["packed_weights"] = {"type": options.weights, **packed}
-    data = serialised(model, metadata, parts.name)
-    with together(target):
-        write_bytes(target, data)
-        write_bytes(beside, sidecar.to_text(metadata).encode())
+    size = write_model(model, metadata, parts.name, target)
     return ExportReport(
         path=target,
         files=(target, beside),
         counts=_counts(rig, options, sliders, model),
-        bytes=len(data),
+        bytes=size,
         seconds=time.perf_counter() - start,
         warnings=linear_skinning_notes(parts),
         dropped=_dropped(parts, options, sliders),
@@ -95,32 +88,6 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         pose=delivered.pose,
         pose_error=None if delivered.error is None else asdict(delivered.error),
     )
-
-
-def outputs(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """The files that `export` to `path` writes: the model and its sidecar.
-
-    :raises InputError: another suffix than .onnx
-    """
-    target = Path(path)
-    if target.suffix.lower() != ".onnx":
-        raise InputError(target, f"suffix '{target.suffix}', expected .onnx")
-    return target, sidecar.path_of(target)
-
-
-def serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
-    """The bytes of a model with its metadata.
-
-    :raises ExportError: more than a file holds, or anything that `problems` finds
-    """
-    for key, value in sidecar.to_properties(metadata).items():
-        entry = model.metadata_props.add()
-        entry.key, entry.value = key, value
-    if model.ByteSize() > MAX_BYTES:
-        raise ExportError(name, f"{model.ByteSize()} bytes, expected at most {MAX_BYTES}: what an ONNX file holds")
-    for problem in problems(model):
-        raise ExportError(f"{name} -> {problem.where}", problem.message)
-    return bytes(model.SerializeToString(deterministic=True))
 
 
 def _packed_error(model: Any, whole: Rig, rig: Rig, parts: FaceParts, options: Options) -> dict[str, Any]:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
     from facepipe.processors.sliders.shape_options import ShapeSliderOptions
     from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
-    from facepipe.processors.sliders.tables import SliderTable, read_table
+    from facepipe.processors.sliders.slider_table import SliderTable
+    from facepipe.processors.sliders.tables import read_table
 else:
     __getattr__, __dir__ = lazy(__name__)
 

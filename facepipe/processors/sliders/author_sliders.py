@@ -12,7 +12,7 @@ from facepipe.errors import InputError
 from facepipe.parts import BoneLimits, Recipe, Slider
 from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.sliders.author_network import fitting_network
-from facepipe.processors.sliders.tables import SliderTable
+from facepipe.processors.sliders.slider_table import SliderTable
 from facepipe.reports import Report
 from facepipe.rig import CHANNELS, slide
 from facepipe.rig.sliders import sliders_fault

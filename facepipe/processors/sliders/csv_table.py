@@ -24,7 +24,7 @@ from facepipe.errors import InputError
 from facepipe.parts import Curve
 from facepipe.processors.sliders.bias import Bias
 from facepipe.processors.sliders.rules import Drive, SliderRule, check_number
-from facepipe.processors.sliders.tables import MOST_BYTES, SliderTable
+from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
 from facepipe.reading import read_bytes
 
 _LIST = ("slider", "target", "gain")

@@ -19,7 +19,7 @@ from typing import Any
 from facepipe.errors import InputError
 from facepipe.parts import Curve
 from facepipe.processors.sliders.rules import Drive, SliderRule
-from facepipe.processors.sliders.tables import MOST_BYTES, SliderTable
+from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
 from facepipe.reading import read_toml
 
 _KEYS = ("slider", "units")
