@@ -17,6 +17,7 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
+import inspect
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -41,8 +42,8 @@ def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
 
 
 def _homes(package: str) -> dict[str, tuple[str, str]]:
-    """Name -> module that it is in, and its name there."""
-    source = sys.modules[package].__loader__.get_source(package)  # type: ignore[union-attr]
-    checked = [part for part in ast.parse(source).body if isinstance(part, ast.If)]
+    """Name -> module that it is in, and its name there, as the source of the package says."""
+    source = ast.parse(inspect.getsource(sys.modules[package]))
+    checked = [part for part in source.body if isinstance(part, ast.If)]
     imports = [line for part in checked for line in part.body if isinstance(line, ast.ImportFrom)]
     return {one.asname or one.name: (str(line.module), one.name) for line in imports for one in line.names}

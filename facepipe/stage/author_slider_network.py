@@ -9,9 +9,8 @@ from pxr import Usd
 
 from facepipe import tokens
 from facepipe.parts import SliderNetwork
-from facepipe.stage.api_schemas import apply_schema, put_value, remove_schema
+from facepipe.stage.api_schemas import apply_schema, put, put_value, remove_schema
 from facepipe.stage.differences import same
-from facepipe.stage.opinions import put
 from facepipe.stage.values import to_floats
 
 _PREFIX = tokens.NETWORK_LAYERS.rpartition(":")[0]
