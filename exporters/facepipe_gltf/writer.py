@@ -14,9 +14,8 @@ from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
 from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
-from facepipe_gltf.files import write_glb, write_gltf
+from facepipe_gltf.files import embedded, separate, write_glb, write_gltf
 from facepipe_gltf.options import Options
-from facepipe_gltf.packing import embedded, separate
 
 if TYPE_CHECKING:
     from facepipe_gltf.buffers import Chunk

@@ -19,7 +19,7 @@ import facepipe.stage
 from facepipe.cli import COMMANDS, main
 
 OURS = ("facepipe", "facepipe_schemas", "facepipe_gltf", "facepipe_onnx", "facepipe_web", "facepipe_blender")
-MOST_FOR_HELP, MOST_FOR_EXPORT = 30, 91
+MOST_FOR_HELP, MOST_FOR_EXPORT = 30, 90
 
 _PROGRAM = """
 import json, sys

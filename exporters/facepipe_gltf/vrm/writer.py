@@ -12,8 +12,7 @@ from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.reports import ExportReport
 from facepipe.rig import set_face
-from facepipe_gltf.files import write_glb
-from facepipe_gltf.packing import embedded
+from facepipe_gltf.files import embedded, write_glb
 from facepipe_gltf.vrm.document import write_vrm
 from facepipe_gltf.vrm.options import Options
 
