@@ -8,6 +8,7 @@ Specification", 1989; "OFF Files" of Geomview's manual.
 from __future__ import annotations
 
 import io
+import logging
 import re
 import warnings
 from pathlib import Path
@@ -19,6 +20,7 @@ from facepipe.importers.wavefront import MAX_BYTES, read_text
 from facepipe.reading import read_bytes
 from facepipe.scans import Scan
 
+_NOWHERE = logging.NullHandler()
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
 _NEXT_SOLID = re.compile(rb"endsolid[^\n]*\n\s*solid[^\n]*", re.IGNORECASE)
 _OFF = re.compile(r"(?:ST)?C?N?OFF\s+([0-9]{1,10})\s+([0-9]{1,10})(?:\s+[0-9]{1,10})?\s*")
@@ -71,6 +73,7 @@ def _read(path: Path, data: bytes, kind: str, triangles: int) -> Scan:
 
     if not triangles:
         raise InputError(path, "no triangles, expected a surface")
+    logging.getLogger("trimesh").addHandler(_NOWHERE)  # else Python prints its notes where nobody has set up logging
     try:
         with warnings.catch_warnings():  # numpy's, of text at whose middle a number ends
             warnings.simplefilter("ignore")

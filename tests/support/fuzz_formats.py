@@ -533,15 +533,27 @@ def put_ply(**form: str) -> Callable[[], None]:
     return lambda: Path("scan.ply").write_bytes(cube(**form)) and None
 
 
-def damage_ply(rng: Rng, part: str) -> list[Line]:
-    change("scan.ply", damage.damaged_text, rng)
-    return [read_ply_scan]
+def put_box(name: str, kind: str) -> Callable[[], None]:
+    def put() -> None:
+        import trimesh
+
+        data = trimesh.creation.box().export(file_type=kind)
+        Path(name).write_bytes(data.encode() if isinstance(data, str) else data)
+
+    return put
 
 
-def read_ply_scan() -> None:
+def damage_scan(rng: Rng, part: str) -> list[Line]:
+    (file,) = Path().glob("scan.*")
+    change(file.name, damage.damaged_text, rng)
+    return [read_the_scan]
+
+
+def read_the_scan() -> None:
     from facepipe.importers.scan_file import read_scan
 
-    read_scan(Path("scan.ply"))
+    (file,) = Path().glob("scan.*")
+    read_scan(file)
 
 
 # ---- arrays
@@ -850,8 +862,10 @@ FORMATS: dict[str, Format] = {
     ),
     "obj": Format({"shapes": put_obj}, damage_obj),
     "ply": Format(
-        {form: put_ply(form=form) for form in ("ascii", "binary_little_endian", "binary_big_endian")}, damage_ply
+        {form: put_ply(form=form) for form in ("ascii", "binary_little_endian", "binary_big_endian")}, damage_scan
     ),
+    "stl": Format({kind: put_box("scan.stl", kind) for kind in ("stl", "stl_ascii")}, damage_scan),
+    "off": Format({"off": put_box("scan.off", "off")}, damage_scan),
     "slider networks": Format(
         {"network": put_network},
         one_of(
