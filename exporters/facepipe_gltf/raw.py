@@ -86,8 +86,10 @@ class RawDocument:
 
     def item(self, name: str, index: object) -> Json | None:
         """One object of a top-level array; None where there is none of that index."""
-        items = self.items(name)
-        return items[index] if is_index(index) and index < len(items) else None
+        found = self.json.get(name)
+        if not isinstance(found, list) or not is_index(index) or index >= len(found):
+            return None
+        return found[index] if isinstance(found[index], dict) else {}
 
     def accessor(self, index: object) -> FloatArray:
         """(count, width) float64 values, integers as they are unless normalised.

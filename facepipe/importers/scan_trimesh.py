@@ -55,12 +55,11 @@ def read_off(path: Path) -> Scan:
     points, faces = int(header[1]), int(header[2])
     if len(rows) - start < points + faces:
         raise InputError(path, f"cut short: {len(rows) - start} rows of {points} points and {faces} faces")
-    triangles = 0
-    for number, row in enumerate(rows[start + points : start + points + faces]):
-        words = row.split()
-        if words[0] not in ("3", "4") or len(words) <= int(words[0]):
-            raise InputError(f"{path} -> face {number}", f"{row[:40]!r}, expected 3 or 4 and as many points")
-        triangles += int(words[0]) - 2
+    corners = [row.split(None, 1)[0] for row in rows[start + points : start + points + faces]]
+    other = next((number for number, one in enumerate(corners) if one not in ("3", "4")), None)
+    if other is not None:
+        raise InputError(f"{path} -> face {other}", f"{corners[other][:40]!r} corners, expected 3 or 4")
+    triangles = corners.count("3") + 2 * corners.count("4")
     return _read(path, "\n".join(rows).encode(), "off", triangles)
 
 
