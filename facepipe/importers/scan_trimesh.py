@@ -48,9 +48,9 @@ def read_off(path: Path) -> Scan:
     :raises InputError: no text of that format, cut short, faces of other sizes or without points, NaN or infinity
     """
     rows = [row for line in read_text(path).split("\n") if (row := line.partition("#")[0].strip())]
-    start = next((i for i in (1, 2) if _OFF.fullmatch(" ".join(rows[:i]))), None)
+    start = 1 if _OFF.fullmatch(rows[0] if rows else "") else 2  # the counts may have a row of their own
     header = _OFF.fullmatch(" ".join(rows[:start]))
-    if start is None or header is None:
+    if header is None:
         raise InputError(path, "no OFF header, expected 'OFF' and the numbers of points and faces")
     points, faces = int(header[1]), int(header[2])
     if len(rows) - start < points + faces:

@@ -121,6 +121,8 @@ def test_trimesh_reads_our_ply_point_by_point(tmp_path: Path) -> None:
     ("cube.off", b"0 0 1\n", b"0 nan 1\n", "NaN"),
     ("cube.off", b"8 6 12", b"8 0 12", "no triangles"),
     ("cube.off", b"OFF", b"OFF\0BINARY", "binary"),
+    ("cube.off", FILES["cube.off"], b"# nothing", "no OFF header"),
+    ("cube.off", FILES["cube.off"], b"OFF", "no OFF header"),
 ])  # fmt: skip
 def test_broken_files_are_one_line(name: str, old: bytes, new: bytes, message: str, tmp_path: Path) -> None:
     assert old in FILES[name]
