@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
-from blend_line import made
-from rebuild_stages import Files, put_scans
+from small_sources import made
 from threadpoolctl import threadpool_limits
 
 from facepipe.render import PictureOptions
@@ -45,25 +44,3 @@ def one_sample_a_pixel() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(defaults, "samples", 1)
         yield
-
-
-@pytest.fixture(scope="session")
-def stages(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """All stages of a rebuild, one after another; not to be changed."""
-    from facepipe.cli import main
-
-    files = put_scans(tmp_path_factory.mktemp("stages"))
-    words = list(files.personal())
-    words[words.index(files["p.usda"])] = files["personal.usda"]
-    for command in (words, files.register("open"), files.register("both"), files.split()):
-        assert main([str(word) for word in command]) == 0
-    return files
-
-
-@pytest.fixture
-def files(stages: Files, tmp_path: Path) -> Files:
-    """A copy to work in, without the actor."""
-    for path in stages.folder.iterdir():
-        if path.name != "actor.usda":
-            (tmp_path / path.name).write_bytes(path.read_bytes())
-    return Files(tmp_path)

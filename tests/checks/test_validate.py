@@ -13,10 +13,10 @@ import facepipe_gltf
 import numpy as np
 import pytest
 from faces import tiny_face
+from full_faces import good_face
 from import_data import shared
 from neural_faces import neural_rig
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
-from test_stage import full_face
 
 import facepipe
 from facepipe import parts as p
@@ -33,15 +33,6 @@ from facepipe.validate.usd_registry import available, register
 
 NAN = float("nan")
 RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link
-
-
-def good_face() -> p.FaceParts:
-    """Every field of the parts filled, each as the convention asks."""
-    parts = full_face()
-    skin, lips = parts.materials
-    assert isinstance(skin.normal, p.TextureInput)
-    normal = replace(skin.normal, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
-    return replace(parts, materials=(replace(skin, normal=normal), lips))
 
 
 def attribute(stage: Usd.Stage, path: str) -> Usd.Attribute:

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from faces import tiny_face
 
 import facepipe
-from facepipe.cli import COMMANDS, main
+from facepipe.cli import COMMANDS
 from facepipe.stage import save_parts
 
 
@@ -21,16 +22,6 @@ def face(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.usda"
     save_parts(tiny_face(), path)
     return path
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    try:
-        code = main([str(word) for word in words])
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -227,7 +218,7 @@ def test_ordinary_mistakes(
 
 
 def test_what_a_stage_needs_is_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    from test_stage import full_face
+    from full_faces import full_face
 
     head, layer, points = tmp_path / "head.usda", tmp_path / "layer.usda", tmp_path / "points.json"
     save_parts(full_face(), head)

@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from blend_line import content
+from command_line import content
 from cook_chain import CHAIN, LINES, actions, change, cook, layer, make_chain, refused, why
 from faces import grid_mesh, tiny_face
 from places import REPOSITORY, SUPPORT

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from blend_line import content, made
+from command_line import content
 from cook_chain import TABLE, actions, change, cook, layer, refused
 from faces import tiny_face
 from pxr import Usd
+from small_sources import made
 
 import facepipe
 from facepipe import pipeline

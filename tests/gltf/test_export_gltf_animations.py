@@ -11,7 +11,7 @@ import pytest
 from facepipe_gltf import Options, export
 from facepipe_gltf.space import decompose, rotation_matrices
 from faces import tiny_face
-from gltf_builder import make_model
+from gltf_builder import animated, make_model
 from gltf_export import (
     TOLERANCE,
     Writing,
@@ -26,9 +26,8 @@ from gltf_export import (
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import shared
+from placed_faces import FACES
 from pxr import Usd, UsdSkel
-from test_export_gltf import FACES
-from test_import_gltf import animated
 
 import facepipe
 from facepipe.importers import gltf, load

@@ -26,8 +26,8 @@ from gltf_export import (
 from gltf_reader import Gltf, local_matrix
 from import_data import shared
 from node import node_packages, three_load
+from placed_faces import FACES
 from places import REPOSITORY
-from test_export_gltf import FACES
 
 from facepipe.cli import main
 from facepipe.importers import load

@@ -15,7 +15,7 @@ from faces import grid_mesh, replace_mesh, tiny_face
 from gltf_export import Parts, Writing, difference, reference, writing, written
 from gltf_reader import read
 from node import node_packages, validate
-from test_export_gltf_materials import COLORS, picture, textured
+from textures import COLORS, picture, textured
 
 import facepipe
 from facepipe.errors import ExportError, FacepipeError, InputError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from dataclasses import replace
@@ -14,25 +13,14 @@ from faces import grid_mesh, replace_mesh, tiny_face
 from gltf_export import Writing, writing, written
 from gltf_reader import Gltf
 from PIL import Image
+from textures import COLORS, RNG, picture, textured
 
-from facepipe.parts import FaceParts, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
+from facepipe.parts import FaceParts, Material, MaterialFaces, Mesh, Texture, UvSet
 
 __all__ = ["writing", "written"]
 
-RNG = np.random.default_rng(0)
-COLORS = RNG.integers(0, 256, (8, 8, 3), np.uint8)
 MASK = RNG.integers(0, 256, (8, 8), np.uint8)
 PACKED = RNG.integers(0, 256, (8, 8, 3), np.uint8)
-
-
-def picture(name: str, pixels: np.ndarray, kind: str = "PNG") -> Texture:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, format=kind)
-    return Texture(name=name, data=stream.getvalue())
-
-
-def textured(texture: Texture, channels: Any = "rgb", **options: Any) -> TextureInput:
-    return TextureInput(texture=texture, channels=channels, **options)
 
 
 def face(material: Material, **changes: Any) -> FaceParts:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_builder import PNG, Builder, Json, build, glb, make_model
+from gltf_builder import Builder, Json, build, full_document, glb, make_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,49 +22,6 @@ from facepipe.errors import FacepipeError, InputError
 from facepipe.importers import gltf
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
-
-
-def full() -> Builder:
-    """A document with everything the reader knows."""
-    builder = build(make_model(), encoding="odd")
-    attributes = builder.root["meshes"][0]["primitives"][0]["attributes"]
-    attributes["COLOR_0"] = builder.array(np.full((54, 4), 255), "u1", normalized=True)
-    attributes["_FACEPIPE_POINT"] = builder.array(np.arange(54.0))
-    builder.add("images", {"bufferView": builder.view(PNG), "name": "tone"})
-    builder.add("samplers", {"wrapS": 33071})
-    builder.add("textures", {"source": 0, "sampler": 0})
-    move = {"KHR_texture_transform": {"offset": [0.5, 0], "scale": [1, 1], "rotation": 0.1, "texCoord": 0}}
-    builder.root["materials"][0] |= {
-        "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": move}, "baseColorFactor": [1, 1, 1, 1]},
-        "normalTexture": {"index": 0, "scale": 1.0},
-        "alphaMode": "MASK",
-        "emissiveFactor": [1, 1, 1],
-        "extensions": {"KHR_materials_ior": {"ior": 1.4}},
-    }
-    facepipe = {"inbetweens": {"browUp": {"shape": "jawOpen", "weight": 0.5}}}
-    builder.root["meshes"][0]["extras"]["facepipe"] = facepipe
-    times = builder.array(np.array([0.0, 1.0]))
-    turns = builder.array(np.tile([0, 0, 0, 1.0], (6, 1)))
-    outputs = [(turns, "CUBICSPLINE"), (builder.array(np.zeros(6)), "LINEAR")]
-    builder.add(
-        "animations",
-        {
-            "samplers": [{"input": times, "output": output, "interpolation": mode} for output, mode in outputs],
-            "channels": [
-                {"sampler": 0, "target": {"node": 1, "path": "rotation"}},
-                {"sampler": 1, "target": {"node": 11, "path": "weights"}},
-            ],
-        },
-    )
-    builder.root["nodes"][2] = {
-        "matrix": np.eye(4).ravel().tolist(),
-        "children": builder.root["nodes"][2]["children"],
-        "name": "offset",
-    }
-    builder.root["scene"] = 0
-    builder.root["extensionsUsed"] = ["KHR_texture_transform", "KHR_materials_ior"]
-    builder.root["asset"]["copyright"] = "nobody"
-    return builder
 
 
 def attempt(data: bytes, folder: Path | None = None, name: str = "face.glb") -> FacepipeError | None:
@@ -92,13 +49,13 @@ def expect(data: bytes | Builder, *words: str, **where: Any) -> None:
 
 
 def test_the_whole_document_reads() -> None:
-    assert attempt(full().glb()) is None
+    assert attempt(full_document().glb()) is None
 
 
 # containers
 
 
-GOOD = full().glb()
+GOOD = full_document().glb()
 
 
 @pytest.mark.parametrize(
@@ -136,7 +93,7 @@ def test_second_binary_chunk() -> None:
 
 @pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "KHR_meshopt_compression", "KHR_texture_basisu"])
 def test_required_extensions_that_are_not_supported(name: str) -> None:
-    builder = full()
+    builder = full_document()
     builder.root["extensionsRequired"] = [name]
     expect(builder, "extensionsRequired[0]", name)
 
@@ -218,7 +175,7 @@ def put(root: Json, path: str, value: Any) -> Json:
 
 @pytest.mark.parametrize(("path", "value", "trail"), _TRAILS)
 def test_wrong_values_are_named_by_their_trail(path: str, value: Any, trail: str) -> None:
-    builder = full()
+    builder = full_document()
     builder.glb()
     expect(glb(put(builder.root, path, value), bytes(builder.binary)), "face.glb -> ", trail)
 
@@ -228,7 +185,7 @@ def test_wrong_values_are_named_by_their_trail(path: str, value: Any, trail: str
 
 def with_floats(kind: str, bad: float) -> Builder:
     """The document with one wrong float in the accessor of one use."""
-    builder = full()
+    builder = full_document()
     primitive = builder.root["meshes"][0]["primitives"][0]
     sampler = builder.root["animations"][0]["samplers"][0]
     accessor = {
@@ -266,7 +223,7 @@ def test_key_times_that_descend() -> None:
 
 
 def test_singular_inverse_bind() -> None:
-    builder = full()
+    builder = full_document()
     binds = np.tile(np.eye(4), (9, 1, 1))
     binds[4, 1, 1] = 0.0
     builder.root["skins"][0]["inverseBindMatrices"] = builder.array(binds.reshape(-1, 16))
@@ -412,7 +369,7 @@ def test_uris_stay_in_the_roots(uri: str, word: str, tmp_path: Path) -> None:
 
 
 def test_images_of_unknown_type() -> None:
-    builder = full()
+    builder = full_document()
     builder.root["images"][0] = {"bufferView": builder.view(b"RIFF....WEBP")}
     expect(builder, "images[0]", "PNG or JPEG")
 
@@ -433,7 +390,7 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found + [one for key, child in items for one in leaves(child, (*path, key))]
 
 
-_BUILDER = full()
+_BUILDER = full_document()
 _BUILDER.glb()
 _PATHS = leaves(_BUILDER.root)
 

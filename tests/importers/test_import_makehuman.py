@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from import_data import damaged, packed, refused, shared, wrong_array
+from import_data import damaged, refused, shared, wrong_array
+from packed_makehuman import PACKED, arrays, small_head
 
 from facepipe.errors import InputError
 from facepipe.importers import load
@@ -24,14 +25,7 @@ from facepipe.rig import build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.bone_coefficients import coefficient_matrices
 
-PACKED = "makehuman/makehuman_head.npz"
 HEAD_HEIGHT = 2.86
-
-
-@cache
-def arrays() -> dict[str, Any]:
-    with np.load(shared(PACKED)) as file:
-        return {name: file[name] for name in file.files}
 
 
 @cache
@@ -304,16 +298,6 @@ def test_targets_on_the_command_line() -> None:
         parse_targets("nose")
 
 
-@cache
-def _small() -> bytes:
-    """The packed head without most of its targets: quick to damage and read."""
-    data = dict(arrays())
-    end = int(data["target_offset"][3])
-    data |= {"target_names": data["target_names"][:3], "target_offset": data["target_offset"][:4]}
-    data |= {"target_vertex": data["target_vertex"][:end], "target_delta": data["target_delta"][:end]}
-    return packed(data)
-
-
 FUZZ = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -322,7 +306,7 @@ FUZZ = settings(max_examples=25, deadline=None, suppress_health_check=list(Healt
 def test_damaged_archives_raise_our_errors_only(tmp_path: Path, data: st.DataObject) -> None:
     shared(PACKED)
     file = tmp_path / "head.npz"
-    file.write_bytes(data.draw(damaged(_small())))
+    file.write_bytes(data.draw(damaged(small_head())))
     refused(lambda: read(file, Options()), file)
 
 

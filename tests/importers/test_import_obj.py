@@ -9,47 +9,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused
+from obj_files import MTL, NEUTRAL, PNG
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.importers import load
 from facepipe.importers.obj import Options, read
 from facepipe.importers.wavefront import read_obj
 
-NEUTRAL = """# two loose objects
-mtllib face.mtl
-o Face
-v 0 0 0
-v 1 0 0
-v 1 1 0
-v 0 1 0
-v 2 0 0
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-usemtl skin
-f 1/1/1 2/2/1 3/3/1 4/4/1
-f 2/1/1 5/2/1 3/3/1
-o Left eye
-v 5 0 0
-v 6 0 0
-v 6 1 0
-usemtl eye
-f -3/1/1 -2/2/1 -1/3/1
-"""
-MTL = "newmtl skin\nKd 0.5 0.25 0.125\nd 0.5\nnewmtl eye\nKd 1 1 1\nmap_Kd -s 2 2 2 maps/eye 1.png\n"
-PNG = b"\x89PNG not really"
-
-
-def shape(text: str, line: str, moved: str) -> str:
-    return text.replace(line, moved)
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "Neutral.OBJ").write_text(NEUTRAL)
-    (tmp_path / "jawOpen.obj").write_text(shape(NEUTRAL, "v 1 1 0", "v 1 1 0.5"))
-    (tmp_path / "eye-blink.obj").write_text(shape(NEUTRAL, "v 6 1 0", "v 6 2 0").replace("\n", "\r\n"))
+    (tmp_path / "jawOpen.obj").write_text(NEUTRAL.replace("v 1 1 0", "v 1 1 0.5"))
+    (tmp_path / "eye-blink.obj").write_text(NEUTRAL.replace("v 6 1 0", "v 6 2 0").replace("\n", "\r\n"))
     (tmp_path / "face.mtl").write_text(MTL)
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "eye 1.png").write_bytes(PNG)

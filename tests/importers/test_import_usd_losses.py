@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import tiny_face
+from foreign_stages import HEAD, TEETH, foreign_stage, read, rich_face, warned, written
 from oracle import bake, difference, played
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdSkel
-from test_import_usd import HEAD, TEETH, foreign_stage, read, rich_face, warned, written
 
 from facepipe.errors import InputError
 from facepipe.importers import load

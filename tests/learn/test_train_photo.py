@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
+from command_line import run
 from learned import torch
 from PIL import Image
 
@@ -277,24 +278,15 @@ def test_numbers_that_are_none_are_refused(
         guess(photo, picture.landmarks, picture.space)
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    try:
-        code = main(["train-photo", *map(str, words)])
-    except SystemExit as end:
-        code = int(end.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
 def test_the_command_writes_a_network_for_the_face(
     face: Path, subject: Subject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "start.onnx"
-    code, text, _ = run(capsys, face, "-o", out, *LEAST, "--json")
+    code, text, _ = run(capsys, "train-photo", face, "-o", out, *LEAST, "--json")
     assert code == 0
     assert json.loads(text)["held_out"]["pictures"] == 2
     assert load_start(out, subject).metadata["training"].endswith("--steps 1 --seed 0")
-    code, _, err = run(capsys, face, "-o", out, *LEAST)
+    code, _, err = run(capsys, "train-photo", face, "-o", out, *LEAST)
     assert (code, "--force" in err) == (2, True)
 
 
@@ -311,7 +303,7 @@ def test_photos_without_labels_are_learnt_from(
     (folder / "notes.txt").write_text("nothing to see")
     out = tmp_path / "start.onnx"
     words = ("--images", folder, "--renders", "0", "--people", "0", "--steps", "1", "--json")
-    code, text, err = run(capsys, face, "-o", out, *words)
+    code, text, err = run(capsys, "train-photo", face, "-o", out, *words)
     assert code == 0, err
     result = json.loads(text)
     assert (result["photos"], result["held_out"]["pictures"]) == (5, 1)
@@ -342,7 +334,7 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, face, *words)
+    code, _, err = run(capsys, "train-photo", face, *words)
     assert code == 2
     assert err.count("\n") == 1
     assert expected in err
@@ -351,7 +343,7 @@ def test_bad_input_is_one_line(
 
 def test_a_face_without_sliders_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_parts(replace(make(0), sliders=()), tmp_path / "bare.usdc")
-    code, _, err = run(capsys, tmp_path / "bare.usdc", "-o", tmp_path / "start.onnx")
+    code, _, err = run(capsys, "train-photo", tmp_path / "bare.usdc", "-o", tmp_path / "start.onnx")
     assert code == 2
     assert "bare.usdc" in err
     assert "sliders" in err

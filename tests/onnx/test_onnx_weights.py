@@ -12,12 +12,12 @@ import node
 import numpy as np
 import onnx
 import pytest
+from command_line import run
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from facepipe_onnx.packed_weights import rounded
 from network_faces import network, networked
 from neural_faces import face, neural_rig
 from slider_faces import jointless, random_values, sample_with_sliders
-from test_cli import run
 
 from facepipe.errors import ExportError, InputError
 from facepipe.parts import FaceParts, Slider

@@ -10,12 +10,12 @@ from pathlib import Path
 import live_link
 import numpy as np
 import pytest
+from command_line import run
 from faces import replace_mesh, tiny_face
 from gltf_reader import read as read_gltf
 from import_data import shared
 from node import node_packages, three_play
 from oracle import difference, played
-from test_cli import run
 
 import facepipe
 from facepipe.cli import main

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
+from neural_training import AMOUNTS, OPTIONS, acted, second_face, turning_face
 from oracle import played
 from pxr import Sdf, Usd, UsdGeom
-from test_cli import run
-from test_neural_clips import AMOUNTS, acted
-from test_neural_retarget import second_face
-from test_neural_rig import OPTIONS, turning_face
 
 import facepipe
 from facepipe.errors import InputError

@@ -15,13 +15,13 @@ from typing import Any
 import gltf_reader
 import numpy as np
 import pytest
+from agreement import limited
 from facepipe_onnx import Deformer
 from faces import tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 from import_data import shared
-from test_agreement import limited
+from payloads import REST, contents, tiny_payload
 
 import facepipe
 from facepipe.cli import main
@@ -35,7 +35,6 @@ from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 
 JOINTS = tuple(f"root/joint{i}" for i in range(11))
-REST = np.array([0.0] * 6 + [1.0] * 3)
 TOLERANCE = 1e-5  # of the head height
 
 
@@ -52,26 +51,6 @@ def content(
 
 SMALL = encode(content()).data
 SPARSE = encode(content(3, 2, "float16", times=np.array([0.0, 0.25, 1.5]))).data
-
-
-@st.composite
-def contents(draw: st.DrawFn, precision: Precision) -> PayloadContent:
-    """Numbers that the precision holds, some joints at rest, with and without frames and times."""
-    width, most = (32, 2.0**100) if precision == "float32" else (16, 60000.0)
-    count, frames = draw(st.integers(1, 20)), draw(st.none() | st.integers(1, 4))
-    numbers = st.floats(-most, most, width=width, allow_nan=False)
-    values = draw(arrays.arrays(np.float64, (frames or 1, count, 9), elements=numbers, fill=st.just(0.0)))
-    values[:, draw(arrays.arrays(bool, count))] = REST
-    times = None
-    if frames and draw(st.booleans()):
-        times = np.cumsum(draw(arrays.arrays(np.float64, frames, elements=st.integers(1, 9)))) / 8
-    return PayloadContent(
-        joints=tuple(f"joint{i}" for i in range(count)),
-        coefficients=values if frames else values[0],
-        times=times,
-        meters_per_unit=draw(st.sampled_from([1.0, 0.01, 0.1, 0.0254])),
-        precision=precision,
-    )
 
 
 def returned(one: PayloadContent) -> PayloadContent:
@@ -422,21 +401,6 @@ def test_bytes_of_a_face_against_its_blendshape_data(tmp_path: Path) -> None:
 def tiny(tmp_path: Path) -> Path:
     save_parts(tiny_face(), tmp_path / "tiny.usda")
     return tmp_path / "tiny.usda"
-
-
-def tiny_payload(path: Path, frames: int | None = None, scale: float = 1.0, **more: Any) -> PayloadContent:
-    """Of tiny_face(): the jaw turned, further in each frame."""
-    values = np.tile(REST, (frames or 1, 3, 1))
-    values[:, 1, 3] = np.arange(1, len(values) + 1) / 8
-    values[:, 1, 7] = scale
-    one = PayloadContent(
-        joints=tiny_face().skeleton.joints,
-        coefficients=values if frames else values[0],
-        meters_per_unit=more.pop("meters_per_unit", 0.01),
-        **more,
-    )
-    path.write_bytes(encode(one).data)
-    return one
 
 
 def test_frames_without_times_are_poses(tiny: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from faces import tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import difference, random_coefficients
-from test_payload import contents
+from payloads import contents
 
 import facepipe
 from facepipe.cli import main

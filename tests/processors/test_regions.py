@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from faces import grid_mesh, replace_mesh, tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +21,6 @@ from pxr import Sdf
 from region_painter import COLORS, legend_of, paint, save
 
 import facepipe
-from facepipe.cli import main
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
@@ -52,16 +52,6 @@ def solid(*rows: tuple[Array, ...], alpha: bool = False) -> Array:
     """An image of texels, top row first."""
     image = np.array(rows, np.uint8)
     return np.dstack([image, np.full(image.shape[:2], 255, np.uint8)]) if alpha else image
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    try:
-        code = main([str(word) for word in words])
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
 
 
 @pytest.fixture(scope="module")

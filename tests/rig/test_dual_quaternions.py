@@ -10,10 +10,10 @@ import facepipe_onnx
 import numpy as np
 import pytest
 from faces import replace_mesh
+from foreign_stages import HEAD, foreign_stage, read, rich_face, written
 from gltf_export import Parts
 from oracle import bake, difference, random_coefficients
 from pxr import UsdSkel
-from test_import_usd import HEAD, foreign_stage, read, rich_face, written
 
 import facepipe
 from facepipe.errors import InputError

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import gltf_reader
 import numpy as np
 import pytest
+from command_line import run
 from facepipe_onnx.runtime import Deformer
-from faces import tiny_face
+from faces import clipped_face
 from gltf_builder import build, make_model
 from places import SHARED
-from test_cli import run
 
 import facepipe
-from facepipe import parts as p
 from facepipe.cli.rename import convention_of, convention_text
 from facepipe.importers import ict, load
 from facepipe.rig.arkit import ARKIT_SHAPES
@@ -25,15 +23,6 @@ from facepipe.rig.rename import convention_names, renamed, shapes_of
 from facepipe.stage import Face, save_parts
 
 ICT = SHARED / "ict_facekit" / "ict_facekit.npz"
-
-
-def clipped_face() -> p.FaceParts:
-    """The tiny face with a clip, sliders and a network that all move jawOpen."""
-    weights = (np.ones((1, 1)), np.zeros(1))
-    clip = p.Animation(name="talk", times=np.arange(2.0), shapes=("jawOpen",), shape_weights=np.array([[0.0], [0.8]]))
-    slider = p.Slider(name="open", shapes=(("jawOpen", 0.5), ("mouthSmileLeft", 0.25)))
-    network = p.SliderNetwork(sliders=("open",), shapes=("jawOpen",), weights=weights[:1], biases=weights[1:])
-    return replace(tiny_face(), animations=(clip,), sliders=(slider,), slider_network=network)
 
 
 @pytest.fixture

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import replace_mesh
+from full_faces import full_face
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import bake, difference
+from parts_differences import assert_same
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
-from test_stage import assert_same, full_face
 
 import facepipe
 from facepipe import parts as p

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from faces import tiny_face
+from full_faces import full_photo
+from parts_differences import assert_same
 from pxr import Gf, Usd
-from test_stage import assert_same, full_photo
 
 import facepipe
 from facepipe import tokens

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from layers import prim, write
 from pxr import Sdf, Usd
 
 from facepipe.errors import InputError
@@ -21,19 +22,6 @@ from facepipe.stage.layer_links import layer_links
 
 DEPTH = 30  # doublings: 10^9 prims
 ARCS = ("references", "payload", "inherits", "specializes")
-
-
-def prim(name: str, arcs: str = "", inside: str = "") -> str:
-    metadata = f"({arcs})" if arcs else ""
-    return f'def "{name}" {metadata}\n{{\n{inside}\n}}\n'
-
-
-def write(folder: Path, layers: dict[str, str]) -> Path:
-    """The layers in a folder; the first of them."""
-    for name, text in layers.items():
-        content = text if text.startswith("#") else f'#usda 1.0\n(defaultPrim = "a0")\n{text}'
-        (folder / name).write_text(content)
-    return folder / next(iter(layers))
 
 
 def doubling(arc: str, depth: int = DEPTH) -> dict[str, str]:

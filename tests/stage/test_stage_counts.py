@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from faces import tiny_face
+from layers import prim, write
 from pxr import Usd, UsdSkel
-from test_stage_bombs import prim, write
 
 from facepipe.errors import InputError, SchemaError
 from facepipe.importers import load

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import grid_mesh, replace_mesh, tiny_face
+from full_faces import full_face
+from parts_differences import assert_same
 from pxr import Sdf, Usd, UsdGeom, UsdShade
-from test_stage import assert_same, full_face
 
 import facepipe
 from facepipe import parts as p

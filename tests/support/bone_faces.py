@@ -132,3 +132,12 @@ def skeletonless(parts: FaceParts) -> FaceParts:
     """Without joints, skins and shapes."""
     meshes = tuple(replace_mesh(mesh, skin=None, blendshapes=()) for mesh in parts.meshes)
     return replace(parts, skeleton=Skeleton(), meshes=meshes)
+
+
+def save_sources(folder: Path) -> Path:
+    """rig.usda with a clip, a goal within its reach, limits."""
+    rig = build(small())
+    saved(replace(small(), animations=(clip(rig),)), folder / "rig.usda")
+    saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 1))), folder / "goal.usda")
+    (folder / "limits.json").write_text('{"joints": {"*": {"t": [-1, 1], "s": [0.5, 2]}}, "units": "stage"}')
+    return folder

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from blend_line import content, made
+from command_line import content
 from pxr import Sdf, Usd
+from small_sources import made
 
 from facepipe.cli import main
 from facepipe.stage import save_parts

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import facepipe_gltf
 import numpy as np
+from agreement import OPTIONS, SOURCES, limited, saved
 from engines import File, Piece, Pose
 from facepipe_gltf import Options
 from gltf_export import Parts, motion, random_coefficients, to_gltf
 from gltf_reader import Gltf, activate, local_matrix, read
 from import_data import SHARED, shared
-from test_agreement import OPTIONS, SOURCES, limited, saved
 
 import facepipe
 from facepipe.importers import load

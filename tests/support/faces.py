@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from facepipe import parts as p
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Skeleton, Skin, UvSet
 
 
@@ -85,3 +88,12 @@ def replace_mesh(mesh: Mesh, **changes: object) -> Mesh:
     from dataclasses import replace
 
     return replace(mesh, **changes)  # type: ignore[arg-type]
+
+
+def clipped_face() -> p.FaceParts:
+    """The tiny face with a clip, sliders and a network that all move jawOpen."""
+    weights = (np.ones((1, 1)), np.zeros(1))
+    clip = p.Animation(name="talk", times=np.arange(2.0), shapes=("jawOpen",), shape_weights=np.array([[0.0], [0.8]]))
+    slider = p.Slider(name="open", shapes=(("jawOpen", 0.5), ("mouthSmileLeft", 0.25)))
+    network = p.SliderNetwork(sliders=("open",), shapes=("jawOpen",), weights=weights[:1], biases=weights[1:])
+    return replace(tiny_face(), animations=(clip,), sliders=(slider,), slider_network=network)

@@ -14,38 +14,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cook_cases
 import fuzz_damage as damage
+import gltf_builder
 import neural_faces
+import neutral_files
 import numpy as np
+import obj_files
 import photo_line
+import rebuild_project
 import rebuild_stages
-import test_cook_verbs
-import test_fit_neutral
-import test_fuzz_gltf
-import test_import_obj
-import test_rebuild
-import test_rebuild_project
-import test_sliders_tables
-from blend_line import made
-from faces import tiny_face
-from fit_line import save_sources
+import scan_domes
+import slider_tables
+from bone_faces import save_sources
+from faces import clipped_face, tiny_face
+from full_faces import full_face, good_face
 from fuzz_stage import damaged_stage
 from fuzzing import Format, Line
 from gltf_builder import PNG, glb
-from network_faces import network, networked
+from network_faces import network, networked, save_network
+from packed_makehuman import PACKED, small_head
+from payloads import tiny_payload
 from photo_booth import camera_at
 from photo_files import encoded, oriented, picture
 from PIL import Image
 from places import SHARED
 from region_painter import legend_of, paint
 from region_painter import save as save_map
-from test_import_makehuman import PACKED, _small
-from test_payload import tiny_payload
-from test_rename import clipped_face
-from test_scan_file import cube
-from test_slider_network_stage import saved as save_network
-from test_stage import full_face
-from test_validate import good_face
+from scan_files import cube
+from small_sources import made
 
 import facepipe
 from facepipe.cli import main
@@ -170,7 +167,7 @@ def damage_package(rng: Rng, part: str) -> list[Line]:
 
 
 def put_recipe(name: str) -> Callable[[], None]:
-    case = test_cook_verbs.CASES[name]
+    case = cook_cases.CASES[name]
 
     def put() -> None:
         case.put(Path())
@@ -203,10 +200,10 @@ def put_stage(verb: str) -> Callable[[], None]:
 
 def put_neutral(verb: str) -> Callable[[], None]:
     def put() -> None:
-        files = test_fit_neutral.Files(Path())
-        save_parts(test_fit_neutral.scan_domes.face(), Path("head.usda"))
-        save_database(test_fit_neutral.scan_domes.database(), Path("faces.fpdb"))
-        files.put(*test_fit_neutral.scan_domes.scan(test_fit_neutral.PERSON))
+        files = neutral_files.Files(Path())
+        save_parts(scan_domes.face(), Path("head.usda"))
+        save_database(scan_domes.database(), Path("faces.fpdb"))
+        files.put(*scan_domes.scan(neutral_files.PERSON))
         command(files.words())
         if verb == "refine-neutral":
             Path("out.usda").rename("anna.usda")
@@ -269,7 +266,7 @@ def _damage_attribute(rng: Rng, name: str, spec: Any) -> None:
 def put_project() -> None:
     for name in ("head.usda", "faces.fpdb", "neutral.ply", "smile.ply", "wink.ply", "smile.landmarks.json"):
         Path(name).write_text("")
-    text = test_rebuild_project._HEAD.replace("\n[neutral]", '\nwork = "work"\njoint = true\n[neutral]')
+    text = rebuild_project.HEAD.replace("\n[neutral]", '\nwork = "work"\njoint = true\n[neutral]')
     text += "weights = { eyeBlink_L = 1 }\n"
     text += '[expressions.smile]\nscan = "smile.ply"\n[expressions.wink]\nscan = "wink.ply"\nweights = { blink = 1 }\n'
     text += "[options.neutral]\nunit = 'mm'\n[options.refinement]\nregions = ['nose', 'mouth']\ndetail_mm = 8\n"
@@ -376,8 +373,8 @@ NEURAL_LINES = [
 
 def put_rebuilt() -> None:
     """A rebuild whose stages are all in its work folder."""
-    test_rebuild.put_drawer(Path())
-    Path("anna.toml").write_text(f'work = "work"\n{test_rebuild.PROJECT}')
+    rebuild_project.put_drawer(Path())
+    Path("anna.toml").write_text(f'work = "work"\n{rebuild_project.PROJECT}')
     command(["rebuild", "anna.toml", "-o", "out.usda"])
 
 
@@ -500,9 +497,9 @@ def damage_gltf(rng: Rng, part: str) -> list[Line]:
 def put_obj() -> None:
     folder = Path("shapes")
     folder.mkdir()
-    (folder / "neutral.obj").write_text(test_import_obj.NEUTRAL)
-    (folder / "jawOpen.obj").write_text(test_import_obj.NEUTRAL.replace("v 1 1 0", "v 1 1 0.5"))
-    (folder / "face.mtl").write_text(test_import_obj.MTL)
+    (folder / "neutral.obj").write_text(obj_files.NEUTRAL)
+    (folder / "jawOpen.obj").write_text(obj_files.NEUTRAL.replace("v 1 1 0", "v 1 1 0.5"))
+    (folder / "face.mtl").write_text(obj_files.MTL)
     (folder / "maps").mkdir()
     Image.fromarray(picture(16, 16)).save(folder / "maps" / "eye 1.png")
     (folder / "landmarks.json").write_text(json.dumps({"multipie68": [3, 0], "eyes": {"tip": 7}}))
@@ -565,7 +562,7 @@ def put_network() -> None:
 
 
 def put_makehuman() -> None:
-    Path("head.npz").write_bytes(_small())
+    Path("head.npz").write_bytes(small_head())
 
 
 def put_ict() -> None:
@@ -718,9 +715,9 @@ def put_tables() -> None:
     joints = replace(parts.skeleton, joints=("root", "root/jaw", "root/lidLeft"))
     save_parts(replace(parts, skeleton=joints), Path("face.usda"))
     for name, text in (
-        ("a.toml", test_sliders_tables.TOML),
-        ("b.csv", test_sliders_tables.LIST),
-        ("c.csv", test_sliders_tables.MATRIX),
+        ("a.toml", slider_tables.TOML),
+        ("b.csv", slider_tables.LIST),
+        ("c.csv", slider_tables.MATRIX),
     ):
         text = text.replace("lidRight", "jaw").replace("smileLeft", "jawOpen").replace("smileRight", "mouthSmileLeft")
         Path(name).write_text(text)
@@ -794,19 +791,19 @@ def damage_settings(rng: Rng, part: str) -> list[Line]:
 
 
 def put_training() -> None:
-    from test_neural_checkpoint import turning_face
+    from neural_training import turning_face
 
     save_parts(turning_face(), Path("head.usda"))
     train()
 
 
 def train() -> None:
-    from test_neural_checkpoint import RIG, SAMPLES
+    from neural_training import FEW_SAMPLES, FEW_STEPS
 
     from facepipe.processors.neural_rig import SampleMotion, TrainNeuralRig
 
-    motion = SampleMotion(options=SAMPLES)(facepipe.open("head.usda").parts(), "head.usda")
-    TrainNeuralRig(options=RIG)(motion, checkpoint=Path("head.training"))
+    motion = SampleMotion(options=FEW_SAMPLES)(facepipe.open("head.usda").parts(), "head.usda")
+    TrainNeuralRig(options=FEW_STEPS)(motion, checkpoint=Path("head.training"))
 
 
 def damage_training(rng: Rng, part: str) -> list[Line]:
@@ -822,7 +819,7 @@ FORMATS: dict[str, Format] = {
         damage_package,
         stages=True,
     ),
-    "recipes": Format({name: put_recipe(name) for name in test_cook_verbs.CASES}, damage_recipe),
+    "recipes": Format({name: put_recipe(name) for name in cook_cases.CASES}, damage_recipe),
     "long recipes": Format(
         {
             **{verb: put_stage(verb) for verb in ("personal-template", "register-scan", "split-shapes")},
@@ -852,7 +849,7 @@ FORMATS: dict[str, Format] = {
     "onnx": Format({"models": put_models}, damage_model),
     "gltf": Format(
         {
-            "full": lambda: Path("face.glb").write_bytes(test_fuzz_gltf.full().glb()),
+            "full": lambda: Path("face.glb").write_bytes(gltf_builder.full_document().glb()),
             "glb": put_gltf(".glb"),
             "gltf": put_gltf(".gltf"),
             "quantised": put_gltf(".glb", "--quantize"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -231,4 +232,103 @@ def build(model: Model, *, encoding: str = "plain") -> Builder:
     binds = builder.array(model.inverse_binds.transpose(0, 2, 1).reshape(-1, 16))
     builder.add("skins", {"joints": list(model.joint_nodes), "inverseBindMatrices": binds})
     builder.add("scenes", {"nodes": [0, 11]})
+    return builder
+
+
+def animated(model: Model) -> tuple[Builder, Array, dict[tuple[int, str], Callable[[float], Array]]]:
+    """The model with LINEAR, STEP and CUBICSPLINE channels, their key times, and the channels as functions."""
+    generator = np.random.default_rng(5)
+    builder = build(model)
+    tracks: dict[tuple[int, str], Callable[[float], Array]] = {}
+    animation: dict[str, Any] = {"name": "talk", "channels": [], "samplers": []}
+    every: list[Array] = []
+
+    def channel(node: int, path: str, mode: str, times: Array, keys: Array) -> None:
+        times = times.astype(np.float32).astype(np.float64)
+        keys = keys.astype(np.float32)
+        output = builder.array(keys.reshape(-1, 1) if path == "weights" else keys.reshape(-1, keys.shape[-1]))
+        animation["samplers"].append({"input": builder.array(times), "output": output, "interpolation": mode})
+        target = {"node": node, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+        tracks[node, path] = lambda at: interpolate(mode, path == "rotation", times, keys.astype(np.float64), at)
+        every.append(times)
+
+    def turns(count: int) -> Array:
+        return np.array([quaternion(generator) for _ in range(count)])
+
+    channel(1, "rotation", "LINEAR", np.array([0, 0.5, 1.0]), turns(3))
+    channel(1, "translation", "CUBICSPLINE", np.array([0.25, 0.75]), generator.normal(size=(2, 3, 3)) * 0.02)
+    channel(3, "rotation", "CUBICSPLINE", np.array([0.1, 0.6, 0.9]), turns(9).reshape(3, 3, 4))
+    channel(4, "scale", "STEP", np.array([0.2, 0.4]), 1.0 + generator.random((2, 3)))
+    channel(6, "translation", "LINEAR", np.array([0.3]), generator.normal(size=(1, 3)) * 0.02)
+    channel(11, "weights", "LINEAR", np.array([0.0, 0.8]), generator.random((2, 3)))
+    builder.add("animations", animation)
+    return builder, np.unique(np.concatenate(every)), tracks
+
+
+def interpolate(mode: str, rotation: bool, times: Array, keys: Array, at: float) -> Array:
+    """glTF 2.0 appendix C at one time; cubic keys are (k, 3, width): in-tangent, value, out-tangent."""
+    at = float(np.clip(at, times[0], times[-1]))
+    k = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 1)
+    if mode == "CUBICSPLINE":
+        value = keys[k, 1]
+        if k + 1 < len(times):
+            span = times[k + 1] - times[k]
+            s = (at - times[k]) / span
+            value = (
+                (2 * s**3 - 3 * s**2 + 1) * keys[k, 1] + span * (s**3 - 2 * s**2 + s) * keys[k, 2]
+                + (-2 * s**3 + 3 * s**2) * keys[k + 1, 1] + span * (s**3 - s**2) * keys[k + 1, 0]
+            )  # fmt: skip
+        return value / np.linalg.norm(value) if rotation else value
+    if mode == "STEP" or k + 1 == len(times):
+        return keys[k]
+    s = (at - times[k]) / (times[k + 1] - times[k])
+    a, b = keys[k], keys[k + 1]
+    if not rotation:
+        return (1 - s) * a + s * b
+    b = b if a @ b >= 0 else -b
+    angle = np.arccos(np.clip(a @ b, -1, 1))
+    return (np.sin((1 - s) * angle) * a + np.sin(s * angle) * b) / np.sin(angle)
+
+
+def full_document() -> Builder:
+    """A document with everything the reader knows."""
+    builder = build(make_model(), encoding="odd")
+    attributes = builder.root["meshes"][0]["primitives"][0]["attributes"]
+    attributes["COLOR_0"] = builder.array(np.full((54, 4), 255), "u1", normalized=True)
+    attributes["_FACEPIPE_POINT"] = builder.array(np.arange(54.0))
+    builder.add("images", {"bufferView": builder.view(PNG), "name": "tone"})
+    builder.add("samplers", {"wrapS": 33071})
+    builder.add("textures", {"source": 0, "sampler": 0})
+    move = {"KHR_texture_transform": {"offset": [0.5, 0], "scale": [1, 1], "rotation": 0.1, "texCoord": 0}}
+    builder.root["materials"][0] |= {
+        "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": move}, "baseColorFactor": [1, 1, 1, 1]},
+        "normalTexture": {"index": 0, "scale": 1.0},
+        "alphaMode": "MASK",
+        "emissiveFactor": [1, 1, 1],
+        "extensions": {"KHR_materials_ior": {"ior": 1.4}},
+    }
+    facepipe = {"inbetweens": {"browUp": {"shape": "jawOpen", "weight": 0.5}}}
+    builder.root["meshes"][0]["extras"]["facepipe"] = facepipe
+    times = builder.array(np.array([0.0, 1.0]))
+    turns = builder.array(np.tile([0, 0, 0, 1.0], (6, 1)))
+    outputs = [(turns, "CUBICSPLINE"), (builder.array(np.zeros(6)), "LINEAR")]
+    builder.add(
+        "animations",
+        {
+            "samplers": [{"input": times, "output": output, "interpolation": mode} for output, mode in outputs],
+            "channels": [
+                {"sampler": 0, "target": {"node": 1, "path": "rotation"}},
+                {"sampler": 1, "target": {"node": 11, "path": "weights"}},
+            ],
+        },
+    )
+    builder.root["nodes"][2] = {
+        "matrix": np.eye(4).ravel().tolist(),
+        "children": builder.root["nodes"][2]["children"],
+        "name": "offset",
+    }
+    builder.root["scene"] = 0
+    builder.root["extensionsUsed"] = ["KHR_texture_transform", "KHR_materials_ior"]
+    builder.root["asset"]["copyright"] = "nobody"
     return builder

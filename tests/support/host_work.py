@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import places  # noqa: F401  (finds the tests)
+from full_faces import full_face
 from pxr import Usd
-from test_stage import full_face
 
 import facepipe
 from facepipe.cli import main

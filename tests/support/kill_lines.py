@@ -363,14 +363,13 @@ def _done(*words: object, code: int = 0) -> None:
 
 def _small_faces() -> None:
     import live_link
-    from blend_line import made
+    from bone_faces import save_sources
     from cook_chain import TABLE
     from database_faces import person
-    from fit_line import save_sources
-    from network_faces import network, networked
+    from network_faces import network, networked, save_network
+    from obj_files import MTL, NEUTRAL, PNG
     from PIL import Image
-    from test_import_obj import MTL, NEUTRAL, PNG, shape
-    from test_slider_network_stage import saved
+    from small_sources import made
 
     from facepipe.stage import save_parts
 
@@ -389,7 +388,7 @@ def _small_faces() -> None:
     fit = ("fit-bones", "rig.usda", "--target", "talk", "--rounds", "0", "--limits", "limits.json")
     _done(*fit, "--threshold-mm", "50", "-o", "fitted.usda", "--coefficients", "clip.fpb")
     save_parts(networked(None), "netted.usda")
-    saved(Path("net.npz"), network())
+    save_network(Path("net.npz"), network())
     pixels = np.zeros((16, 16, 3), np.uint8)
     pixels[:, :8, 0], pixels[:, 8:, 1] = 255, 255
     Image.fromarray(pixels).save("map.png")
@@ -397,7 +396,7 @@ def _small_faces() -> None:
     shapes = Path("shapes")
     (shapes / "maps").mkdir(parents=True)
     (shapes / "neutral.obj").write_text(NEUTRAL)
-    (shapes / "jawOpen.obj").write_text(shape(NEUTRAL, "v 1 1 0", "v 1 1 0.5"))
+    (shapes / "jawOpen.obj").write_text(NEUTRAL.replace("v 1 1 0", "v 1 1 0.5"))
     (shapes / "face.mtl").write_text(MTL)
     (shapes / "maps" / "eye 1.png").write_bytes(PNG)
     Path("photos").mkdir()
@@ -418,8 +417,8 @@ def _heads() -> None:
 
 def _domes() -> None:
     import scan_domes
+    from rebuild_project import GAIN, PERSON, PROJECT, motion, put
     from skin_joints import without_joints
-    from test_rebuild import GAIN, PERSON, PROJECT, motion, put
 
     from facepipe.processors.database import save_database
     from facepipe.scans import ScanLandmarks
@@ -458,7 +457,7 @@ def _actor() -> None:
 
 
 def _neural() -> None:
-    from test_neural_rig import turning_face
+    from neural_training import turning_face
 
     from facepipe.stage import save_parts
 

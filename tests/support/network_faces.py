@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from faces import tiny_face
@@ -48,3 +50,20 @@ def network(
 def networked(own: SliderNetwork | None) -> FaceParts:
     """The tiny face with `SLIDERS` and a network."""
     return replace(tiny_face(), sliders=SLIDERS, slider_network=own)
+
+
+def save_network(path: Path, own: SliderNetwork, **changes: Any) -> Path:
+    """The file that training code saves of a network, outputs in another order than on the face."""
+    outputs = [f"{joint.rpartition('/')[2]}:{channel}" for joint, channel in own.channels]
+    outputs += [f"shape:{shape}" for shape in own.shapes]
+    turned = slice(None, None, -1)
+    arrays: dict[str, Any] = {"sliders": own.sliders, "outputs": outputs[turned], "activation": own.activation}
+    for i, (weight, bias) in enumerate(zip(own.weights, own.biases, strict=True)):
+        last = i == len(own.weights) - 1
+        arrays |= {
+            f"layer{i}.weight": weight[turned] if last else weight,
+            f"layer{i}.bias": bias[turned] if last else bias,
+        }
+    arrays |= {"info": json.dumps(dict(own.info))} | changes
+    np.savez(path, **{name: values for name, values in arrays.items() if values is not None})
+    return path

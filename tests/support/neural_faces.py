@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pytest
+from command_line import run
 from faces import tiny_face
+from neural_training import turning_face
 from slider_faces import jointless
 
+import facepipe
 from facepipe.parts import FaceParts, Slider
-from facepipe.processors.database import Topology
+from facepipe.processors.database import Topology, whole_points
+from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
-from facepipe.rig import build
+from facepipe.rig import Rig, build, slide
 from facepipe.rig.bones import bones_in
+from facepipe.rig.control_shares import share_limits, values_of
 from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.stage import Face, save_parts
 
 CONTROLS = (
     Control(name="jaw"),
@@ -71,3 +80,76 @@ def random_values(rig: NeuralRig, count: int, seed: int = 1) -> np.ndarray:
     low, high = (np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum"))
     shares = np.random.default_rng(seed).uniform(-0.3, 1.3, (count, len(rig.controls)))
     return np.asarray((low + shares * (high - low)).astype(np.float32), dtype=np.float64)
+
+
+FRAMES = 24
+
+
+def untrained_rig(bones: Rig | None, seed: int = 0) -> NeuralRig:
+    """A rig of five controls and bent outputs that no training made: ten shapes, three coefficients where bones are."""
+    random = np.random.default_rng(seed)
+    controls = (
+        Control(name="open", minimum=-0.2),
+        Control(name="look", minimum=-1.0),
+        *(Control(name=name) for name in ("smile", "pucker", "blink")),
+    )
+    rest = whole_points(turning_face()) if bones is None else bones.points
+    shapes = np.linalg.qr(random.normal(size=(3 * len(rest), 10)))[0].T.reshape(10, -1, 3)
+    channels = np.array([[1, 3], [1, 8], [2, 4]]) if bones is not None else np.zeros((0, 2), np.int64)
+    sizes = np.concatenate([np.full(10, 100.0), np.full(len(channels), 0.3)])
+    last = 0.3 * random.normal(size=(len(sizes), 6)) * sizes[:, None]
+    hidden, bias = random.normal(size=(6, 5)), random.normal(size=6)
+    return NeuralRig(
+        controls=controls,
+        rest=rest,
+        shapes=shapes,
+        linear=random.normal(size=(5, len(sizes))) * sizes,
+        hidden=hidden,
+        hidden_bias=bias,
+        last=last,
+        last_bias=-last @ (bias / (1.0 + np.exp(-bias))),
+        topology="made",
+        bones=bones,
+        channels=channels,
+    )
+
+
+def frames(rig: NeuralRig, seed: int = 1) -> np.ndarray:
+    """Values all over the ranges, half of them at rest."""
+    random = np.random.default_rng(seed)
+    low, high = share_limits(rig.controls)
+    shape = (FRAMES, len(low))
+    return values_of(rig.controls, random.uniform(low, high, shape) * (random.random(shape) < 0.5))
+
+
+def moving(rig: NeuralRig, count: int = 60) -> np.ndarray:
+    """(count, c) values that swing slowly within the ranges."""
+    low, high = share_limits(rig.controls)
+    turns = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * (1.0 + 0.3 * np.arange(len(low)))
+    return values_of(rig.controls, (low + high) / 2.0 + 0.4 * np.sin(turns + np.arange(len(low))))
+
+
+def millimetres(parts: FaceParts, rig: NeuralRig, values: np.ndarray) -> np.ndarray:
+    """What the face's own rig makes of values of the controls."""
+    own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    names = [one.name for one in rig.controls]
+    found = []
+    for row in values:
+        coefficients, weights = slide(
+            parts.sliders, own.joints, dict(zip(names, row.tolist(), strict=True)), parts.slider_network
+        )
+        found.append(own.evaluate(weights, coefficients=coefficients) @ to[:3, :3].T)
+    return np.array(found)
+
+
+def saved_rig(folder: Path, parts: FaceParts, *, bones: bool) -> NeuralRig:
+    """The rig of head.fpnr, beside the face head.usda."""
+    save_parts(parts, folder / "head.usda")
+    save_neural_rig(neural_rig(facepipe.open(folder / "head.usda").parts(), bones=bones), folder / "head.fpnr", {})
+    return load_neural_rig(folder / "head.fpnr")
+
+
+def applied(folder: Path, capsys: pytest.CaptureFixture[str], *words: object) -> Face:
+    code, out, err = run(capsys, "neural-rig", "apply", folder / "head.usda", folder / "head.fpnr", *words, "--json")
+    assert code == 0, err
+    return facepipe.open(json.loads(out)["path"])

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+import pytest
 
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, Skin, UvSet
 
@@ -126,3 +127,25 @@ def _arrays(one: np.ndarray, other: np.ndarray, where: str, tolerance: float) ->
 
 def _short(value: object) -> str:
     return f"{len(value)} entries" if isinstance(value, tuple | list | np.ndarray) else repr(value)[:200]
+
+
+def assert_same(one: object, other: object, where: str = "parts") -> None:
+    """Equal dataclasses, arrays, mappings and values, float32 precision."""
+    if dataclasses.is_dataclass(one):
+        assert type(one) is type(other), where
+        for field in dataclasses.fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_allclose(other, one, atol=1e-7, err_msg=where)
+    elif isinstance(one, dict):
+        assert list(one) == list(other), where  # type: ignore[call-overload]
+        for key in one:
+            assert_same(one[key], other[key], f"{where}[{key}]")  # type: ignore[index]
+    elif isinstance(one, tuple) and one and not isinstance(one[0], float | str):
+        assert len(one) == len(other), where  # type: ignore[arg-type]
+        for i, (mine, its) in enumerate(zip(one, other, strict=True)):  # type: ignore[call-overload]
+            assert_same(mine, its, f"{where}[{i}]")
+    elif isinstance(one, float) or (isinstance(one, tuple) and one and isinstance(one[0], float)):
+        assert other == pytest.approx(one, abs=1e-7), where
+    else:
+        assert one == other, where

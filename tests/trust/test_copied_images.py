@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from full_faces import PNG, full_face
 from pxr import Sdf, Usd, UsdUtils
-from test_stage import PNG, full_face
 
 import facepipe
 from facepipe.cli import main

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blend_line import made
+from full_faces import full_face
 from hostile_folders import (
     COOK,
     COPY,
@@ -47,7 +47,7 @@ from hostile_folders import (
     stale,
     textured,
 )
-from test_stage import full_face
+from small_sources import made
 
 from facepipe.cli import main
 

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blend_line import WORDS, done
+from command_line import done
 from facepipe_web.assets import axes_of
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.server import Server
 from faces import tiny_face
+from small_sources import WORDS
 
 import facepipe
 from facepipe.errors import InputError
@@ -29,7 +30,7 @@ SETS = ("--default", "0.5,0.5", "--set", "mouth=0.1,0.9", "--set", "neck=1,0")
 @pytest.fixture
 def child(folder: Path, capsys: Capsys) -> Path:
     """A blend of a.usda and b.usda, in the working folder."""
-    done(capsys, "a.usda", "b.usda", *WORDS, "-o", "child.usda")
+    done(capsys, "blend", "a.usda", "b.usda", *WORDS, "-o", "child.usda")
     return Path("child.usda")
 
 
@@ -50,7 +51,7 @@ def test_begins_with_the_recipe(child: Path) -> None:
 
 def test_moved_weights_are_those_of_the_command(child: Path, capsys: Capsys) -> None:
     """The whole face, and its points alone; also when they are moved back and forth."""
-    done(capsys, "a.usda", "b.usda", *SETS, "-o", "other_weights.usda")
+    done(capsys, "blend", "a.usda", "b.usda", *SETS, "-o", "other_weights.usda")
     expected, live = facepipe.open("other_weights.usda"), live_of(child)
     live.points(live.rows, np.eye(4).tolist())
     parts = live.face(ROWS)
@@ -62,7 +63,7 @@ def test_moved_weights_are_those_of_the_command(child: Path, capsys: Capsys) -> 
 
 
 def test_locked_regions_stay(child: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "--lock", "mouth=2", "-o", "locked.usda")
+    done(capsys, "blend", "a.usda", "b.usda", "--lock", "mouth=2", "-o", "locked.usda")
     live = live_of(Path("locked.usda"))
     axes = np.eye(4).tolist()
     assert live.points({**ROWS, "mouth": [1.0, 0.0]}, axes) == live.points({**ROWS, "mouth": [0.0, 1.0]}, axes)

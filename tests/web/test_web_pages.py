@@ -11,12 +11,12 @@ import browser
 import facepipe_gltf
 import numpy as np
 import pytest
-from blend_line import made
 from browser import DRAWN, READY, Step, browse, run
 from facepipe_onnx import Options, export_parts
 from faces import tiny_face
 from node import HERE
 from slider_faces import sample_with_sliders
+from small_sources import made
 
 import facepipe
 from facepipe.cli import main

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blend_line import WORDS, Capsys, content, done, failed, made, points, run, saved
+from command_line import Capsys, content, done, failed, run
 from faces import grid_mesh, replace_mesh
+from small_sources import WORDS, made, points, saved
 
 import facepipe
 from facepipe.cli import blend_command, main
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 
 
 def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
-    out = done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    out = done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     weights = Weights(regions={"mouth": (0.75, 0.25)}, default=(0.5, 0.5))
     sources = [facepipe.open("a.usda"), facepipe.open("b.usda")]
     with sources[0].deriving("d.usda") as face:
@@ -47,15 +48,15 @@ def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
 
 def test_sources_are_not_touched_and_bytes_repeat(folder: Path, capsys: Capsys) -> None:
     before = content(folder)
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     first = Path("c.usda").read_bytes()
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--force")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--force")
     assert content(folder) == {**before, folder / "c.usda": first}
 
 
 def test_json(folder: Path, capsys: Capsys) -> None:
     words = ("--set", "mouth=3,1", "--default", "0.5,0.5", "--json")
-    code, out, err = run(capsys, "a.usda", "b.usda", "-o", "c.usda", *words)
+    code, out, err = run(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *words)
     report = json.loads(out)
     assert (code, report["path"], report["sources"]) == (0, "c.usda", ["a.usda", "b.usda"])
     assert report["weights"] == {"mouth": [0.75, 0.25], "neck": [0.5, 0.5], "default": [0.5, 0.5]}
@@ -100,30 +101,30 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
 
 def test_every_warning_is_said_once(folder: Path, capsys: Capsys) -> None:
     """Of a source that changed, of weights, and of what only a later source has."""
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     parts = made(1)
     save_parts(dataclasses.replace(parts, meshes=(*parts.meshes, grid_mesh("Hair", 3))), Path("b.usda"))
-    code, out, err = run(capsys, "--edit", "c.usda", "--set", "mouth=2,2", "--force", "--json")
+    code, out, err = run(capsys, "blend", "--edit", "c.usda", "--set", "mouth=2,2", "--force", "--json")
     lines = [line.removeprefix("facepipe: warning: ") for line in err.splitlines()]
     assert code == 0
     assert lines == json.loads(out)["warnings"]
     for part in ("b.usda changed", "Hair", "sum to 4"):
         assert sum(part in line for line in lines) == 1, err
-    code, out, err = run(capsys, "--match", "other.usda", "a.usda", "b.usda", "-o", "m.usda", "--json")
+    code, out, err = run(capsys, "blend", "--match", "other.usda", "a.usda", "b.usda", "-o", "m.usda", "--json")
     assert err.count("Hair") == 1
     assert len(json.loads(out)["warnings"]) == err.count("\n")
 
 
 def test_one_source_is_that_face_with_a_warning(folder: Path, capsys: Capsys) -> None:
-    code, _, err = run(capsys, "a.usda", "-o", "c.usda")
+    code, _, err = run(capsys, "blend", "a.usda", "-o", "c.usda")
     assert (code, err.count("\n")) == (0, 1)
     assert "one source" in err
     np.testing.assert_allclose(points("c.usda"), points("a.usda"), atol=1e-6)
 
 
 def test_all_weight_on_one_source_gives_its_shape(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "other.usda", "-o", "c.usda", "--default", "0,1,0")
-    done(capsys, "a.usda", "b.usda", "other.usda", "-o", "d.usda", "--gains", "0,1,0")
+    done(capsys, "blend", "a.usda", "b.usda", "other.usda", "-o", "c.usda", "--default", "0,1,0")
+    done(capsys, "blend", "a.usda", "b.usda", "other.usda", "-o", "d.usda", "--gains", "0,1,0")
     moved = points("c.usda")[:36] - points("b.usda")[:36]
     assert np.ptp(moved, axis=0).max() < 1e-5  # but for the place of the anchor
     np.testing.assert_array_equal(points("c.usda"), points("d.usda"))
@@ -131,7 +132,7 @@ def test_all_weight_on_one_source_gives_its_shape(folder: Path, capsys: Capsys) 
 
 def test_a_lock_wins_over_default_and_gains(folder: Path, capsys: Capsys) -> None:
     words = ("--default", "0.1,0.9", "--gains", "1,3", "--lock", "mouth=1", "--json")
-    report = json.loads(done(capsys, "a.usda", "b.usda", "-o", "c.usda", *words))
+    report = json.loads(done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *words))
     assert report["weights"]["mouth"] == [1.0, 0.0]
     assert report["weights"]["neck"] == pytest.approx([0.1 / 2.8, 2.7 / 2.8])
 
@@ -141,18 +142,18 @@ def test_weights_of_a_file_and_flags_over_them(folder: Path, capsys: Capsys) -> 
     Path("w.json").write_text(json.dumps(weights))
     flat = {**weights["regions"], **{key: weights[key] for key in ("default", "gains", "locked")}}  # type: ignore[dict-item]
     Path("flat.json").write_text(json.dumps(flat))
-    run(capsys, "a.usda", "b.usda", "-o", "c.usda", "--weights", "w.json")
-    run(capsys, "a.usda", "b.usda", "-o", "d.usda", "--weights", "flat.json")
+    run(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", "--weights", "w.json")
+    run(capsys, "blend", "a.usda", "b.usda", "-o", "d.usda", "--weights", "flat.json")
     assert Path("c.usda").read_bytes() == Path("d.usda").read_bytes()
     assert weights_to_json(read_blend_recipe("c.usda").weights) == weights
     words = ("--weights", "w.json", "--set", "mouth=0.5,0.5", "--gains", "1,1", "--unlock", "neck", "--json")
-    _, out, _ = run(capsys, "a.usda", "b.usda", "-o", "e.usda", *words)
+    _, out, _ = run(capsys, "blend", "a.usda", "b.usda", "-o", "e.usda", *words)
     assert json.loads(out)["weights"] == {"mouth": [0.5, 0.5], "neck": [1.0, 0.0], "default": [0.0, 1.0]}
 
 
 def test_options_reach_the_blend(folder: Path, capsys: Capsys) -> None:
     words = ("--edges", "cotangent", "--expressions", "document", "--static-mm", "0.01", "--anchor", "Head:3")
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *words)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *words)
     options = BlendOptions(edges="cotangent", expressions="document", static_mm=0.01, anchor="Head:3")
     assert read_blend_recipe("c.usda").options == options
     np.testing.assert_allclose(points("c.usda")[3], points("a.usda")[3], atol=1e-6)
@@ -160,11 +161,11 @@ def test_options_reach_the_blend(folder: Path, capsys: Capsys) -> None:
 
 @pytest.mark.parametrize("name", ["c.usda", "c.usdz"])
 def test_flat_results_stand_alone_and_stay_so(folder: Path, capsys: Capsys, name: str) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", name, *WORDS, "--flatten")
-    done(capsys, "a.usda", "b.usda", "-o", "layer.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", name, *WORDS, "--flatten")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "layer.usda", *WORDS)
     np.testing.assert_allclose(points(name), points("layer.usda"), atol=1e-6)
-    done(capsys, "--edit", name, "--set", "mouth=0,1", "--force")
-    done(capsys, "--edit", "layer.usda", "--set", "mouth=0,1", "--force")
+    done(capsys, "blend", "--edit", name, "--set", "mouth=0,1", "--force")
+    done(capsys, "blend", "--edit", "layer.usda", "--set", "mouth=0,1", "--force")
     expected = points("layer.usda")
     shutil.move("a.usda", "gone.usda")
     np.testing.assert_allclose(points(name), expected, atol=1e-6)
@@ -176,8 +177,8 @@ def test_the_picture_of_the_seams(folder: Path, capsys: Capsys) -> None:
 
     Path("seams.png").write_text("precious")
     words = ("a.usda", "b.usda", "-o", "c.usda", *WORDS, "--heatmap", "seams.png")
-    assert "seams.png: exists" in failed(capsys, *words)
-    out = done(capsys, *words, "--force")
+    assert "seams.png: exists" in failed(capsys, "blend", *words)
+    out = done(capsys, "blend", *words, "--force")
     assert out.splitlines()[-1] == "seams.png"
     assert main(["render", "c.usda", "--heatmap", "facepipe:seamResidual", "-o", "again.png"]) == 0
     drawn, again = (np.asarray(Image.open(name).convert("RGB"), dtype=int) for name in ("seams.png", "again.png"))
@@ -191,21 +192,21 @@ def test_the_picture_of_the_seams(folder: Path, capsys: Capsys) -> None:
 
 def test_match_finds_the_weights_of_a_blend(folder: Path, capsys: Capsys) -> None:
     sources = ("a.usda", "b.usda", "other.usda")
-    done(capsys, *sources, "-o", "target.usda", "--set", "mouth=0.7,0.2,0.1", "--set", "neck=0.1,0.3,0.6")
-    out = done(capsys, "--match", "target.usda", *sources, "-o", "found.usda")
+    done(capsys, "blend", *sources, "-o", "target.usda", "--set", "mouth=0.7,0.2,0.1", "--set", "neck=0.1,0.3,0.6")
+    out = done(capsys, "blend", "--match", "target.usda", *sources, "-o", "found.usda")
     assert re.search(r"^mouth +0\.700 +0\.200 +0\.100$", out, re.MULTILINE)
     assert re.search(r"^neck +0\.100 +0\.300 +0\.600$", out, re.MULTILINE)
     assert re.search(r"^found weights +a\.usda +b\.usda +other\.usda$", out, re.MULTILINE)
     assert "edges differ from the target's by 0.0000 mm RMS, 0.0000 mm at most" in out
     assert "found.usda: 3 sources" in out
     np.testing.assert_allclose(points("found.usda"), points("target.usda"), atol=1e-5)
-    done(capsys, "--edit", "found.usda", "--set", "mouth=0,0,1", "--force")
+    done(capsys, "blend", "--edit", "found.usda", "--set", "mouth=0,0,1", "--force")
 
 
 def test_match_keeps_locks(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "target.usda", "--set", "mouth=0.7,0.3", "--set", "neck=0.1,0.9")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "target.usda", "--set", "mouth=0.7,0.3", "--set", "neck=0.1,0.9")
     words = ("--match", "target.usda", "a.usda", "b.usda", "-o", "found.usda", "--lock", "neck=1")
-    report = json.loads(done(capsys, *words, "--json"))
+    report = json.loads(done(capsys, "blend", *words, "--json"))
     assert report["weights"]["neck"] == [1.0, 0.0]
     found = report["match"]
     assert found["max_mm"] >= found["rms_mm"] > 0
@@ -221,13 +222,13 @@ def test_match_keeps_locks(folder: Path, capsys: Capsys) -> None:
 )
 def test_match_takes_no_weights(folder: Path, capsys: Capsys, words: tuple[str, str]) -> None:
     sources = () if words[0] == "--edit" else ("a.usda", "b.usda")
-    error = failed(capsys, "--match", "other.usda", *sources, "-o", "c.usda", *words)
+    error = failed(capsys, "blend", "--match", "other.usda", *sources, "-o", "c.usda", *words)
     assert f"{words[0]}: given with --match" in error
 
 
 def test_a_target_of_another_topology(folder: Path, capsys: Capsys) -> None:
     save_parts(FaceParts(meshes=(grid_mesh(), grid_mesh("Teeth", 4))), Path("odd.usda"))
-    error = failed(capsys, "--match", "odd.usda", "a.usda", "b.usda", "-o", "c.usda")
+    error = failed(capsys, "blend", "--match", "odd.usda", "a.usda", "b.usda", "-o", "c.usda")
     assert "odd.usda -> Teeth: 16 points, expected 9" in error
 
 
@@ -295,7 +296,7 @@ LONG = "a" * 300 + ".usda"
 def test_mistakes_are_one_line_and_write_nothing(
     folder: Path, capsys: Capsys, words: tuple[str, ...], message: str
 ) -> None:
-    assert message in failed(capsys, *words)
+    assert message in failed(capsys, "blend", *words)
 
 
 @pytest.mark.parametrize(
@@ -318,7 +319,7 @@ def test_mistakes_are_one_line_and_write_nothing(
 )
 def test_bad_files_of_weights(folder: Path, capsys: Capsys, text: str, message: str) -> None:
     Path("w.json").write_text(text)
-    assert message in failed(capsys, "a.usda", "b.usda", "-o", "c.usda", "--weights", "w.json")
+    assert message in failed(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", "--weights", "w.json")
 
 
 def test_faces_that_do_not_fit(folder: Path, capsys: Capsys) -> None:
@@ -339,8 +340,8 @@ def test_faces_that_do_not_fit(folder: Path, capsys: Capsys) -> None:
         (("a.usda", "damaged.usda"), "damaged.usda"),
     ]
     for words, message in cases:
-        assert message in failed(capsys, *words, "-o", "c.usda"), words
-    code, out, _ = run(capsys, "a.usda", "still.usda", "-o", "c.usda", "--missing", "skip")
+        assert message in failed(capsys, "blend", *words, "-o", "c.usda"), words
+    code, out, _ = run(capsys, "blend", "a.usda", "still.usda", "-o", "c.usda", "--missing", "skip")
     assert (code, "left out, as some source lacks them: 2 (jawOpen, mouthSmileLeft)" in out) == (0, True)
 
 
@@ -357,7 +358,7 @@ def test_the_examples_of_the_help_run(folder: Path, capsys: Capsys) -> None:
     examples = re.findall(r"^ +facepipe blend (.*)$", blend_command.__doc__ or "", re.MULTILINE)
     assert len(examples) > 3
     for line in examples:
-        done(capsys, *line.split())
+        done(capsys, "blend", *line.split())
     for name in ("c.usda", "d.usda", "e.usda"):
         assert [one for one in validate(folder / name) if one.severity == "error"] == []
     np.testing.assert_allclose(points("e.usda"), points("c.usda"), atol=1e-4)

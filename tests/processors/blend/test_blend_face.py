@@ -6,12 +6,12 @@ import functools
 from dataclasses import replace
 from pathlib import Path
 
+import agreement
 import facepipe_gltf
 import facepipe_onnx
 import node
 import numpy as np
 import pytest
-import test_agreement as agreement
 from blend_faces import (
     REGION_WEIGHTS,
     blended,
@@ -236,15 +236,15 @@ def test_the_result_is_an_override_layer_that_validates_and_exports(kind: str, t
     "kind", ["sample", pytest.param("ict", marks=pytest.mark.slow), pytest.param("makehuman", marks=pytest.mark.slow)]
 )
 def test_glb_and_onnx_of_the_result_agree_with_the_rig(kind: str, tmp_path: Path) -> None:
-    """The checks of `test_agreement`: UsdSkel, GLB, onnxruntime and the Khronos validator, every shape and pose."""
+    """The checks of `agreement`: UsdSkel, GLB, onnxruntime and the Khronos validator, every shape and pose."""
     parts = agreement.limited(by_features(kind).parts(), agreement.INFLUENCES)
     face = agreement.saved(parts, tmp_path / "face.usdc")
     poses = agreement.poses_of(face)
     points = np.stack([face.evaluate(pose.weights, coefficients=pose.coefficients) for pose in poses])
     judged = agreement.Judged(face, poses, points, tmp_path)
-    agreement.test_rig_is_usdskel(judged)
-    agreement.test_glb_read_back_is_the_rig(judged)
-    agreement.test_onnx_is_the_rig(judged)
+    agreement.rig_is_usdskel(judged)
+    agreement.glb_read_back_is_the_rig(judged)
+    agreement.onnx_is_the_rig(judged)
 
 
 @kinds("sample", "ict")

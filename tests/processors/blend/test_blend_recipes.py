@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blend_line import WORDS, Capsys, done, failed, made, points, run
+from command_line import Capsys, done, failed, run
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import refused
+from small_sources import WORDS, made, points
 
 import facepipe
 from facepipe.errors import InputError
@@ -49,12 +50,12 @@ def test_a_blend_has_the_recipe_given_or_none(folder: Path, capsys: Capsys) -> N
     with sources[0].deriving("bare.usda") as face:
         Blend(weights=weights)(face, sources)
     assert facepipe.open("bare.usda").parts().recipe is None
-    assert "has no recipe" in failed(capsys, "--edit", "bare.usda", "-o", "d.usda")
+    assert "has no recipe" in failed(capsys, "blend", "--edit", "bare.usda", "-o", "d.usda")
     session = BlendSession(sources, BlendOptions(edges="cotangent"))
     with sources[0].deriving("c.usda") as face:
         recipe = blend_recipe(["a.usda", "b.usda"], "c.usda", weights, session.options)
         Blend(weights=weights)(face, session, recipe=recipe)
-    done(capsys, "--edit", "c.usda", "-o", "again.usda")
+    done(capsys, "blend", "--edit", "c.usda", "-o", "again.usda")
     assert Path("again.usda").read_bytes() == Path("c.usda").read_bytes()
 
 
@@ -65,8 +66,8 @@ def test_settings_of_another_type_are_refused(wrong: Any) -> None:
 
 
 def test_digests_cover_the_layers_of_a_source(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
-    done(capsys, "c.usda", "other.usda", "-o", "d.usda")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "c.usda", "other.usda", "-o", "d.usda")
     recipe = facepipe.open("d.usda").parts().recipe
     assert recipe is not None
     assert recipe.sources == ("./c.usda", "./other.usda")
@@ -80,12 +81,12 @@ def test_digests_cover_the_layers_of_a_source(folder: Path, capsys: Capsys) -> N
 
 
 def test_a_source_that_changed_is_a_warning(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     shutil.copy("other.usda", "b.usda")
-    code, out, err = run(capsys, "--edit", "c.usda", "-o", "d.usda", "--json")
+    code, out, err = run(capsys, "blend", "--edit", "c.usda", "-o", "d.usda", "--json")
     assert (code, err) == (0, "facepipe: warning: b.usda changed since c.usda was made\n")
     assert json.loads(out)["warnings"] == ["b.usda changed since c.usda was made"]
-    done(capsys, "a.usda", "b.usda", "-o", "e.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "e.usda", *WORDS)
     assert Path("d.usda").read_bytes() == Path("e.usda").read_bytes()
 
 
@@ -135,13 +136,13 @@ HOSTILE = [
 
 @pytest.mark.parametrize(("change", "message"), HOSTILE)
 def test_damaged_recipes_are_one_line(folder: Path, capsys: Capsys, change: Any, message: str) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     text = Path("c.usda").read_text()
     damaged = change(text)
     assert damaged != text
     Path("c.usda").write_text(damaged)
     for words in (("-o", "d.usda"), ("--force",)):
-        assert message in failed(capsys, "--edit", "c.usda", *words)
+        assert message in failed(capsys, "blend", "--edit", "c.usda", *words)
 
 
 JSON = st.recursive(
@@ -203,12 +204,12 @@ CHANGED = (*CHANGE, "--default", "0.5,0.5")
 def test_an_edit_is_a_fresh_blend_to_the_byte(
     folder: Path, capsys: Capsys, before: tuple[str, ...], edit: tuple[str, ...], fresh: tuple[str, ...]
 ) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *before)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *before)
     first = Path("c.usda").read_bytes()
-    done(capsys, "a.usda", "b.usda", "-o", "fresh.usda", *fresh)
-    done(capsys, "--edit", "c.usda", *edit, "-o", "d.usda")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "fresh.usda", *fresh)
+    done(capsys, "blend", "--edit", "c.usda", *edit, "-o", "d.usda")
     assert Path("c.usda").read_bytes() == first
-    done(capsys, "--edit", "c.usda", *edit, "--force")
+    done(capsys, "blend", "--edit", "c.usda", *edit, "--force")
     for name in ("c.usda", "d.usda"):
         assert Path(name).read_bytes() == Path("fresh.usda").read_bytes()
 
@@ -217,9 +218,9 @@ def test_an_edit_is_a_fresh_blend_to_the_byte(
 def test_a_replaced_source_is_a_fresh_blend(
     folder: Path, capsys: Capsys, number: int, sources: tuple[str, str]
 ) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
-    done(capsys, "--edit", "c.usda", "--replace", f"{number}=other.usda", "--force")
-    done(capsys, *sources, "-o", "fresh.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "--edit", "c.usda", "--replace", f"{number}=other.usda", "--force")
+    done(capsys, "blend", *sources, "-o", "fresh.usda", *WORDS)
     assert Path("c.usda").read_bytes() == Path("fresh.usda").read_bytes()
 
 
@@ -227,29 +228,40 @@ def test_a_folder_that_moved_is_edited_as_before(folder: Path, capsys: Capsys, m
     (folder / "one" / "out").mkdir(parents=True)
     for name in ("a.usda", "b.usda"):
         shutil.move(name, Path("one") / name)
-    done(capsys, "one/a.usda", "one/b.usda", "-o", "one/out/c.usda", *WORDS)
-    done(capsys, "one/a.usda", "one/b.usda", "-o", "one/out/fresh.usda", "--set", "mouth=0,1", "--default", "0.5,0.5")
+    done(capsys, "blend", "one/a.usda", "one/b.usda", "-o", "one/out/c.usda", *WORDS)
+    done(
+        capsys,
+        "blend",
+        "one/a.usda",
+        "one/b.usda",
+        "-o",
+        "one/out/fresh.usda",
+        "--set",
+        "mouth=0,1",
+        "--default",
+        "0.5,0.5",
+    )
     shutil.move("one", "two")
     monkeypatch.chdir(folder / "two" / "out")
-    done(capsys, "--edit", "c.usda", "--set", "mouth=0,1", "--force")
+    done(capsys, "blend", "--edit", "c.usda", "--set", "mouth=0,1", "--force")
     assert Path("c.usda").read_bytes() == Path("fresh.usda").read_bytes()
     assert str(folder) not in Path("c.usda").read_text()
 
 
 @pytest.mark.parametrize(("number", "name"), [(1, "a.usda"), (2, "b.usda")])
 def test_a_source_that_went_is_named_and_can_be_replaced(folder: Path, capsys: Capsys, number: int, name: str) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
     shutil.move(name, "moved.usda")
-    error = failed(capsys, "--edit", "c.usda", "-o", "d.usda")
+    error = failed(capsys, "blend", "--edit", "c.usda", "-o", "d.usda")
     assert f"recipe -> source {number}: " in error
     assert f"{name}: no such file" in error
-    done(capsys, "--edit", "c.usda", "--replace", f"{number}=moved.usda", "-o", "d.usda")
+    done(capsys, "blend", "--edit", "c.usda", "--replace", f"{number}=moved.usda", "-o", "d.usda")
     shutil.copy("moved.usda", name)
     np.testing.assert_array_equal(points("d.usda"), points("c.usda"))
 
 
 def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--lock", "neck=2")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--lock", "neck=2")
     cases = [
         (("--edit", "c.usda"), "expected --force (or -o OUT)"),
         (("--edit", "c.usda", "a.usda", "-o", "d.usda"), "given with --edit"),
@@ -273,20 +285,20 @@ def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
         (("a.usda", "b.usda", "-o", "d.usda", "--replace", "2=other.usda"), "--replace: given without --edit"),
     ]
     for words, message in cases:
-        assert message in failed(capsys, *words), words
+        assert message in failed(capsys, "blend", *words), words
 
 
 def test_weights_of_a_file_respect_locks_too(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--lock", "neck=2")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS, "--lock", "neck=2")
     Path("w.json").write_text('{"neck": [1, 0]}')
-    assert "locked to source 2" in failed(capsys, "--edit", "c.usda", "--weights", "w.json", "--force")
-    done(capsys, "--edit", "c.usda", "--weights", "w.json", "--unlock", "neck", "--force")
+    assert "locked to source 2" in failed(capsys, "blend", "--edit", "c.usda", "--weights", "w.json", "--force")
+    done(capsys, "blend", "--edit", "c.usda", "--weights", "w.json", "--unlock", "neck", "--force")
     regions = {"mouth": (0.75, 0.25), "neck": (1.0, 0.0)}
     assert read_blend_recipe("c.usda").weights == Weights(regions=regions, default=(0.5, 0.5))
 
 
 def test_layers_that_a_source_stands_on_are_not_overwritten(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "a.usda", "b.usda", "-o", "c.usda", *WORDS)
-    done(capsys, "c.usda", "b.usda", "-o", "d.usda")
-    assert "needed by" in failed(capsys, "d.usda", "b.usda", "-o", "a.usda", "--force")
-    assert "needed by" in failed(capsys, "--edit", "c.usda", "--replace", "2=d.usda", "--force")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "c.usda", *WORDS)
+    done(capsys, "blend", "c.usda", "b.usda", "-o", "d.usda")
+    assert "needed by" in failed(capsys, "blend", "d.usda", "b.usda", "-o", "a.usda", "--force")
+    assert "needed by" in failed(capsys, "blend", "--edit", "c.usda", "--replace", "2=d.usda", "--force")

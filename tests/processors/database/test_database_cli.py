@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import run
 from database_faces import person
-from test_cli import run
 
 from facepipe.parts import Recipe
 from facepipe.processors.database import load_database, quality_from

@@ -5,7 +5,7 @@ from __future__ import annotations
 import autograd.numpy as anp
 import numpy as np
 from autograd import jacobian as differentiated
-from test_fit_bones_solver import face_joints, head, jacobian, random_pose
+from bone_rigs import face_joints, head, jacobian, random_pose
 
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.rig import Rig

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bone_faces import pose, save_obj, saved, sculpt, small
-from fit_line import Capsys, failed, run, save_sources
+from bone_faces import pose, save_obj, save_sources, saved, sculpt, small
+from command_line import Capsys, failed, run
 from PIL import Image
 
 import facepipe
@@ -33,7 +33,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
     words = ["goal.usda", "talk"]
     flags = [word for name in words for word in ("--target", name)]
-    code, out, err = run(capsys, "rig.usda", *flags, "-o", "a.usda", "--limits", "limits.json", "--region", "mouth=2")
+    code, out, err = run(
+        capsys, "fit-bones", "rig.usda", *flags, "-o", "a.usda", "--limits", "limits.json", "--region", "mouth=2"
+    )
     assert (code, err) == (0, "")
     face = facepipe.open("rig.usda")
     fit = FitBones(limits=read_limits(Path("limits.json")), regions={"mouth": 2.0})
@@ -49,7 +51,12 @@ def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
 def test_the_recipe_names_sources_targets_and_options(folder: Path, capsys: Capsys) -> None:
     Path("sub").mkdir()
     words = ("--target", "goal.usda", "--target", "jawOpen=0.5", "--threshold-mm", "50", "--mask", "mouth")
-    assert run(capsys, "rig.usda", *words, "--limits", "limits.json", "--initial", "talk", "-o", "sub/a.usda")[0] == 0
+    assert (
+        run(
+            capsys, "fit-bones", "rig.usda", *words, "--limits", "limits.json", "--initial", "talk", "-o", "sub/a.usda"
+        )[0]
+        == 0
+    )
     recipe = facepipe.open("sub/a.usda").parts().recipe
     assert recipe is not None
     assert (recipe.verb, recipe.sources) == ("fit-bones", ("../rig.usda", "../goal.usda"))
@@ -62,7 +69,7 @@ def test_the_recipe_names_sources_targets_and_options(folder: Path, capsys: Caps
 
 def test_json_has_every_figure_and_a_missed_target_is_told_and_authored(folder: Path, capsys: Capsys) -> None:
     line = ("rig.usda", "--target", "shapes", "-o", "a.usda", "--max-iterations", "3", "--rounds", "0", "--json")
-    code, out, err = run(capsys, *line)
+    code, out, err = run(capsys, "fit-bones", *line)
     report = json.loads(out)
     assert code == 1
     assert list(report["targets"]) == ["jawOpen", "mouthSmileLeft"]
@@ -73,7 +80,7 @@ def test_json_has_every_figure_and_a_missed_target_is_told_and_authored(folder: 
         assert set(one["regions"]) == {"mouth", "neck"}
         assert f"{name}: {one['distances']['max_mm']:.4g} mm off at most, threshold 0.1 mm" in report["warnings"]
     assert [one.name for one in facepipe.open("a.usda").animations] == ["talk", "jawOpen", "mouthSmileLeft"]
-    code, out, err = run(capsys, *line[:-1], "--force", "--residual")
+    code, out, err = run(capsys, "fit-bones", *line[:-1], "--force", "--residual")
     assert (code, err) == (0, "")
     assert [row.split()[-1] for row in out.splitlines()[2:4]] != ["missed", "missed"]
 
@@ -81,7 +88,7 @@ def test_json_has_every_figure_and_a_missed_target_is_told_and_authored(folder: 
 def test_obj_in_the_units_of_the_face_and_weights(folder: Path, capsys: Capsys) -> None:
     rig = build(small())
     save_obj(sculpt(small(), rig.evaluate(coefficients=pose(rig, 1)), ["Head"]), Path("goal.obj"))
-    code, out, err = run(capsys, "rig.usda", "--target", "goal.obj", "-o", "a.usda", "--json")
+    code, out, err = run(capsys, "fit-bones", "rig.usda", "--target", "goal.obj", "-o", "a.usda", "--json")
     assert code == 0
     assert json.loads(out)["targets"]["goal"]["distances"]["points"] == 36
     assert err == "facepipe: warning: goal.obj: lacks meshes, which don't count: Teeth\n"
@@ -90,7 +97,9 @@ def test_obj_in_the_units_of_the_face_and_weights(folder: Path, capsys: Capsys) 
 @pytest.mark.parametrize("words", [("goal.usda",), ("talk",), ("goal.usda", "jawOpen=0.1")])
 def test_payloads_hold_what_the_stage_holds(words: tuple[str, ...], folder: Path, capsys: Capsys) -> None:
     flags = [part for word in words for part in ("--target", word)]
-    code, out, _ = run(capsys, "rig.usda", *flags, "-o", "a.usda", "--coefficients", "a.fpb", "--threshold-mm", "50")
+    code, out, _ = run(
+        capsys, "fit-bones", "rig.usda", *flags, "-o", "a.usda", "--coefficients", "a.fpb", "--threshold-mm", "50"
+    )
     assert code == 0
     assert out.splitlines()[-1] == f"a.fpb: {Path('a.fpb').stat().st_size} bytes"
     face = facepipe.open("a.usda")
@@ -104,7 +113,19 @@ def test_payloads_hold_what_the_stage_holds(words: tuple[str, ...], folder: Path
         for frame in range(5 if words == ("talk",) else 1)
     ]
     np.testing.assert_allclose(points.reshape(len(frames), -1, 3), frames, atol=1e-5)
-    warm = run(capsys, "rig.usda", *flags[:2], "-o", "b.usda", "--initial", "a.fpb", "--threshold-mm", "50", "--json")
+    warm = run(
+        capsys,
+        "fit-bones",
+        "rig.usda",
+        *flags[:2],
+        "-o",
+        "b.usda",
+        "--initial",
+        "a.fpb",
+        "--threshold-mm",
+        "50",
+        "--json",
+    )
     assert warm[0] == 0
     if words == ("goal.usda",):
         assert json.loads(warm[1])["targets"]["goal"]["steps"] == 0
@@ -112,17 +133,19 @@ def test_payloads_hold_what_the_stage_holds(words: tuple[str, ...], folder: Path
 
 def test_pictures_of_the_targets_that_are_missed_most(folder: Path, capsys: Capsys) -> None:
     line = ("rig.usda", "-o", "a.usda", "--rounds", "0", "--heatmap", "a.png")
-    assert run(capsys, *line, "--target", "talk")[0] == 0
+    assert run(capsys, "fit-bones", *line, "--target", "talk")[0] == 0
     with Image.open("a.png") as one:
         assert one.size == (800, 800)
-    code, out, _ = run(capsys, *line, "--target", "shapes", "--force")
+    code, out, _ = run(capsys, "fit-bones", *line, "--target", "shapes", "--force")
     assert (code, out.splitlines()[-1]) == (1, "a.png")
     with Image.open("a.png") as sheet:
         assert sheet.width > 1600
 
 
 def test_flattened_results_stand_alone(folder: Path, capsys: Capsys) -> None:
-    assert run(capsys, "rig.usda", "--target", "goal.usda", "-o", "a.usda", "--flatten", "--residual")[0] == 0
+    assert (
+        run(capsys, "fit-bones", "rig.usda", "--target", "goal.usda", "-o", "a.usda", "--flatten", "--residual")[0] == 0
+    )
     assert "rig.usda@" not in Path("a.usda").read_text()
     Path("rig.usda").unlink()
     assert [one.name for one in facepipe.open("a.usda").animations] == ["talk", "goal"]
@@ -189,7 +212,7 @@ MISTAKES = {
 def test_mistakes_are_one_line_and_write_nothing(kind: str, folder: Path, capsys: Capsys) -> None:
     Path("l.json").write_text('{"joints": {"jaw": {"tx": [2, 1]}}}')
     words, message = MISTAKES[kind]
-    line = failed(capsys, *words)
+    line = failed(capsys, "fit-bones", *words)
     assert line.removeprefix("facepipe fit-bones: ").startswith(message)
 
 
@@ -197,7 +220,7 @@ def test_limits_of_the_rig_that_cross_are_named(folder: Path, capsys: Capsys) ->
     lower, upper = np.full((3, 9), 0.5), np.full((3, 9), 2.0)
     upper[1, 4] = 0.25
     saved(replace(small(), bone_limits=BoneLimits(lower=lower, upper=upper)), Path("limited.usda"))
-    line = failed(capsys, "limited.usda", "--target", "jawOpen", "-o", "a.usda")
+    line = failed(capsys, "fit-bones", "limited.usda", "--target", "jawOpen", "-o", "a.usda")
     assert "bone limits -> root/jaw -> ry: lower limit 0.5 above the upper 0.25" in line
 
 
@@ -213,6 +236,6 @@ def test_where_one_file_cannot_be_written_none_is(
         finish(temporary, target)
 
     monkeypatch.setattr(atomic, "_finish_file", full)
-    message = failed(capsys, "rig.usda", "--target", "goal.usda", "-o", "a.usda", option, name)
+    message = failed(capsys, "fit-bones", "rig.usda", "--target", "goal.usda", "-o", "a.usda", option, name)
     assert message.startswith(f"{name}: can't be written")
     assert sorted(folder.rglob("*")) == before

@@ -11,12 +11,12 @@ from typing import Any
 import gltf_reader
 import numpy as np
 import pytest
+from agreement import limited
 from bone_faces import saved, small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference, played, random_coefficients
-from test_agreement import limited
 
 import facepipe
 from facepipe.cli import main

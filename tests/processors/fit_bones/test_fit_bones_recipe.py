@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blend_line import content
-from bone_faces import pose, saved, sculpt, small
-from fit_line import Capsys, done, failed, run, save_sources
+from bone_faces import pose, save_sources, saved, sculpt, small
+from command_line import Capsys, content, done, failed, run
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import refused
@@ -112,7 +111,7 @@ def test_a_recipe_reads_back_as_it_was_written(folder: Path) -> None:
 
 
 def test_a_fit_from_the_recipe_in_python_has_the_same_bytes(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "rig.usda", *GOAL, "--limits", "limits.json", "--initial", "start.fpb", "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "--limits", "limits.json", "--initial", "start.fpb", "-o", "a.usda")
     recipe = read_fit_bones_recipe("a.usda")
     assert not recipe.standalone
     assert recipe.initial is not None
@@ -127,7 +126,7 @@ def test_a_fit_from_the_recipe_in_python_has_the_same_bytes(folder: Path, capsys
 def test_the_same_target_by_two_paths_is_refused(folder: Path, capsys: Capsys) -> None:
     Path("sub").mkdir()
     words = ("--target", "goal.usda", "--target", "sub/../goal.usda")
-    assert "goal.usda: given twice" in failed(capsys, "rig.usda", *words, "-o", "a.usda")
+    assert "goal.usda: given twice" in failed(capsys, "fit-bones", "rig.usda", *words, "-o", "a.usda")
 
 
 NUMBERS = st.none() | st.integers(-(10**9), 10**9) | st.floats(-1e9, 1e9)
@@ -191,13 +190,13 @@ BEFORE: dict[str, tuple[str, ...]] = {
 @pytest.mark.parametrize(("kind", "suffix"), [*((kind, "usda") for kind in BEFORE), ("targets", "usdz")])
 def test_a_fit_again_has_the_same_bytes_once_and_twice(folder: Path, capsys: Capsys, kind: str, suffix: str) -> None:
     result = f"a.{suffix}"
-    outcome = run(capsys, "rig.usda", *BEFORE[kind], "-o", result)[0]
+    outcome = run(capsys, "fit-bones", "rig.usda", *BEFORE[kind], "-o", result)[0]
     first = Path(result).read_bytes()
     Path("limits.json").unlink()
-    assert run(capsys, "--edit", result, "-o", f"b.{suffix}")[0] == outcome < 2
+    assert run(capsys, "fit-bones", "--edit", result, "-o", f"b.{suffix}")[0] == outcome < 2
     assert kind == "flat" or suffix == "usdz" or b"@./rig.usda@" in Path(f"b.{suffix}").read_bytes()
     for _ in range(2):
-        assert run(capsys, "--edit", result, "--force")[0] == outcome
+        assert run(capsys, "fit-bones", "--edit", result, "--force")[0] == outcome
         assert Path(result).read_bytes() == first
     if suffix == "usda":
         assert Path("b.usda").read_bytes() == first
@@ -235,12 +234,12 @@ LIMITED = (*GOAL, "--limits", "limits.json", "--mask", "mouth", "--region", "mou
 def test_an_edit_is_a_fresh_fit_to_the_byte(
     folder: Path, capsys: Capsys, before: Sequence[str], edit: Sequence[str], fresh: Sequence[str] | None
 ) -> None:
-    run(capsys, "rig.usda", *before, "-o", "a.usda")
+    run(capsys, "fit-bones", "rig.usda", *before, "-o", "a.usda")
     first = Path("a.usda").read_bytes()
-    run(capsys, *([edit[0], *GOAL] if fresh is None else ["rig.usda", *fresh]), "-o", "fresh.usda")
-    run(capsys, "--edit", "a.usda", *edit, "-o", "b.usda")
+    run(capsys, "fit-bones", *([edit[0], *GOAL] if fresh is None else ["rig.usda", *fresh]), "-o", "fresh.usda")
+    run(capsys, "fit-bones", "--edit", "a.usda", *edit, "-o", "b.usda")
     assert Path("a.usda").read_bytes() == first
-    run(capsys, "--edit", "a.usda", *edit, "--force")
+    run(capsys, "fit-bones", "--edit", "a.usda", *edit, "--force")
     assert first != Path("fresh.usda").read_bytes()
     assert same("a.usda", "fresh.usda")
     assert same("b.usda", "fresh.usda")
@@ -251,14 +250,14 @@ def test_a_folder_that_moved_is_fitted_as_before(folder: Path, capsys: Capsys, m
     for name in ("rig.usda", "goal.usda", "clip.usda", "start.fpb"):
         shutil.move(name, Path("one") / name)
     targets = ("--target", "one/goal.usda", "--target", "one/clip.usda:nod", *LOOSE)
-    done(capsys, "one/rig.usda", *targets, "--initial", "one/start.fpb", "-o", "one/out/a.usda")
+    done(capsys, "fit-bones", "one/rig.usda", *targets, "--initial", "one/start.fpb", "-o", "one/out/a.usda")
     first = Path("one/out/a.usda").read_bytes()
     assert str(folder).encode() not in first
     shutil.move("one", "two")
-    done(capsys, "--edit", "two/out/a.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "two/out/a.usda", "--force")
     assert Path("two/out/a.usda").read_bytes() == first
     monkeypatch.chdir(folder / "two" / "out")
-    done(capsys, "--edit", "a.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "a.usda", "--force")
     assert Path("a.usda").read_bytes() == first
 
 
@@ -276,35 +275,35 @@ REPLACED = {"rig.usda": ("clip.usda",), "goal.usda": ("--target", "other.usda"),
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_source_that_changed_is_a_warning(folder: Path, capsys: Capsys, name: str) -> None:
-    done(capsys, "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "a.usda")
     CHANGES[name]()
     line = f"{name} changed since a.usda was made"
-    code, out, err = run(capsys, "--edit", "a.usda", "-o", "b.usda", "--json")
+    code, out, err = run(capsys, "fit-bones", "--edit", "a.usda", "-o", "b.usda", "--json")
     assert (code, err, json.loads(out)["warnings"]) == (0, f"facepipe: warning: {line}\n", [line])
-    done(capsys, "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "fresh.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "fresh.usda")
     assert same("b.usda", "fresh.usda")
-    done(capsys, "--edit", "a.usda", *REPLACED[name], "-o", "c.usda")
+    done(capsys, "fit-bones", "--edit", "a.usda", *REPLACED[name], "-o", "c.usda")
     assert read_fit_bones_recipe("b.usda").warnings == ()
 
 
 @pytest.mark.parametrize(("number", "name"), list(enumerate(CHANGES, 1)))
 def test_a_source_that_went_is_named_and_can_be_replaced(folder: Path, capsys: Capsys, number: int, name: str) -> None:
-    done(capsys, "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "--initial", "start.fpb", "-o", "a.usda")
     Path(name).unlink()
-    error = failed(capsys, "--edit", "a.usda", "-o", "b.usda")
+    error = failed(capsys, "fit-bones", "--edit", "a.usda", "-o", "b.usda")
     flag = ("RIG", "--target", "--initial")[number - 1]
     assert error.startswith(f"a.usda -> recipe -> source {number}: ")
     assert error.endswith(f"{name}: no such file, expected it there (or {flag})\n")
-    done(capsys, "--edit", "a.usda", *REPLACED[name], "-o", "b.usda")
+    done(capsys, "fit-bones", "--edit", "a.usda", *REPLACED[name], "-o", "b.usda")
 
 
 def test_a_file_that_is_rig_and_target_is_needed_for_either(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "clip.usda", "--target", "clip.usda:nod", *LOOSE, "-o", "a.usda")
+    done(capsys, "fit-bones", "clip.usda", "--target", "clip.usda:nod", *LOOSE, "-o", "a.usda")
     assert read_fit_bones_recipe("a.usda").targets == (f"{folder.resolve() / 'clip.usda'}:nod",)
     Path("clip.usda").unlink()
-    assert "source 1" in failed(capsys, "--edit", "a.usda", "rig.usda", "-o", "b.usda")
-    assert "source 1" in failed(capsys, "--edit", "a.usda", "--target", "goal.usda", "-o", "b.usda")
-    done(capsys, "--edit", "a.usda", "rig.usda", "--target", "goal.usda", "-o", "b.usda")
+    assert "source 1" in failed(capsys, "fit-bones", "--edit", "a.usda", "rig.usda", "-o", "b.usda")
+    assert "source 1" in failed(capsys, "fit-bones", "--edit", "a.usda", "--target", "goal.usda", "-o", "b.usda")
+    done(capsys, "fit-bones", "--edit", "a.usda", "rig.usda", "--target", "goal.usda", "-o", "b.usda")
 
 
 def test_digests_cover_the_buffers_of_a_gltf(folder: Path) -> None:
@@ -345,7 +344,7 @@ WRONG: dict[str, Sequence[object]] = {
 
 @pytest.mark.parametrize("key", WRONG)
 def test_options_that_are_damaged_are_one_line(folder: Path, capsys: Capsys, key: str) -> None:
-    done(capsys, "rig.usda", *GOAL, "--limits", "limits.json", "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "--limits", "limits.json", "-o", "a.usda")
     text = Path("a.usda").read_text()
     removed = with_options(lambda options: options.pop(key))
     others = [with_options(lambda options, value=value: options.update({key: value})) for value in WRONG[key]]  # type: ignore[misc]
@@ -353,7 +352,7 @@ def test_options_that_are_damaged_are_one_line(folder: Path, capsys: Capsys, key
         assert change(text) != text
         Path("a.usda").write_text(change(text))
         for words in (("-o", "b.usda"), ("--force",)):
-            failed(capsys, "--edit", "a.usda", *words)
+            failed(capsys, "fit-bones", "--edit", "a.usda", *words)
 
 
 @pytest.mark.parametrize("key", ["joints", "lock", "units"])
@@ -384,15 +383,15 @@ HOSTILE: list[tuple[Callable[[str], str], str]] = [
 
 @pytest.mark.parametrize(("change", "message"), HOSTILE)
 def test_damaged_recipes_are_one_line(folder: Path, capsys: Capsys, change: Callable[[str], str], message: str) -> None:
-    done(capsys, "rig.usda", *GOAL, "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "a.usda")
     text = Path("a.usda").read_text()
     assert change(text) != text
     Path("a.usda").write_text(change(text))
-    assert message in failed(capsys, "--edit", "a.usda", "-o", "b.usda")
+    assert message in failed(capsys, "fit-bones", "--edit", "a.usda", "-o", "b.usda")
 
 
 def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "rig.usda", *GOAL, "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "a.usda")
     edit = ("--edit", "a.usda")
     cases: list[tuple[tuple[str, ...], str]] = [
         (edit, "a.usda: would be written again, expected --force (or -o OUT)"),
@@ -409,7 +408,7 @@ def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
         (("--edit", "gone.usda", "-o", "b.usda"), "gone.usda: no such file"),
     ]
     for words, message in cases:
-        assert failed(capsys, *words).startswith(message), words
+        assert failed(capsys, "fit-bones", *words).startswith(message), words
 
 
 # --- chains
@@ -419,37 +418,38 @@ def test_a_blend_is_a_rig(folder: Path, capsys: Capsys) -> None:
     """Its recipe gives way to that of the fit; the layers that it stands on count as the rig."""
     assert main(["blend", "rig.usda", "clip.usda", "-o", "mix.usda", "--default", "0.5,0.5"]) == 0
     capsys.readouterr()
-    done(capsys, "mix.usda", *GOAL, "-o", "a.usda")
+    done(capsys, "fit-bones", "mix.usda", *GOAL, "-o", "a.usda")
     recipe = facepipe.open("a.usda").parts().recipe
     assert recipe is not None
     assert (recipe.verb, recipe.sources) == ("fit-bones", ("./mix.usda", "./goal.usda"))
     first = Path("a.usda").read_bytes()
-    done(capsys, "--edit", "a.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "a.usda", "--force")
     assert Path("a.usda").read_bytes() == first
     CHANGES["rig.usda"]()
     assert (
-        run(capsys, "--edit", "a.usda", "--force")[2] == "facepipe: warning: mix.usda changed since a.usda was made\n"
+        run(capsys, "fit-bones", "--edit", "a.usda", "--force")[2]
+        == "facepipe: warning: mix.usda changed since a.usda was made\n"
     )
 
 
 def test_a_fit_is_a_rig(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "rig.usda", *GOAL, "-o", "a.usda")
-    done(capsys, "a.usda", "--target", "other.usda", *LOOSE, "--initial", "goal", "-o", "b.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "a.usda")
+    done(capsys, "fit-bones", "a.usda", "--target", "other.usda", *LOOSE, "--initial", "goal", "-o", "b.usda")
     names = ["talk", "goal", "other"]
     assert [one.name for one in facepipe.open("b.usda").animations] == names
     before = content(folder)
-    done(capsys, "--edit", "b.usda", "--force")
-    done(capsys, "--edit", "a.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "b.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "a.usda", "--force")
     assert content(folder) == before
-    done(capsys, "--edit", "a.usda", "--target", "goal.usda", "--target", "jawOpen=0.1", "--force")
-    code, _, err = run(capsys, "--edit", "b.usda", "--force")
+    done(capsys, "fit-bones", "--edit", "a.usda", "--target", "goal.usda", "--target", "jawOpen=0.1", "--force")
+    code, _, err = run(capsys, "fit-bones", "--edit", "b.usda", "--force")
     assert (code, err) == (0, "facepipe: warning: a.usda changed since b.usda was made\n")
     assert [one.name for one in facepipe.open("b.usda").animations] == [*names[:2], "jawOpen_0_1", "other"]
-    assert "is needed by" in failed(capsys, "--edit", "a.usda", "b.usda", "--force")
+    assert "is needed by" in failed(capsys, "fit-bones", "--edit", "a.usda", "b.usda", "--force")
 
 
 def test_a_fit_that_is_stopped_leaves_what_was_there(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "rig.usda", *GOAL, "-o", "a.usda")
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "a.usda")
     before = content(folder)
     face = facepipe.open("rig.usda")
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bone_rigs import MM, face_joints, head, limits, random_pose, small
 from faces import tiny_face
-from test_fit_bones_solver import MM, face_joints, head, limits, random_pose, small
 
 from facepipe.errors import InputError
 from facepipe.names import mirrored_name

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bone_faces import pose, saved, sculpt, small
-from fit_line import Capsys, failed, run, save_sources
+from bone_faces import pose, save_sources, saved, sculpt, small
+from command_line import Capsys, failed, run
 
 import facepipe
 from facepipe.names import mirrored_name
@@ -88,7 +88,7 @@ def pairs() -> FaceParts:
 
 def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Capsys) -> None:
     line = ("pairs.usda", "--target", "aside.usda", "--threshold-mm", "100")
-    code, out, err = run(capsys, *line, "--symmetric", "-o", "a.usda", "--json")
+    code, out, err = run(capsys, "fit-bones", *line, "--symmetric", "-o", "a.usda", "--json")
     assert (code, err, json.loads(out)["warnings"]) == (0, "", [])
     recipe = read_fit_bones_recipe("a.usda")
     assert recipe.fit.symmetric
@@ -96,10 +96,10 @@ def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Cap
     assert own is not None
     check_mirrored(facepipe.open("a.usda").rig(), own[0])
     first = Path("a.usda").read_bytes()
-    assert run(capsys, "--edit", "a.usda", "--force")[0] == 0
+    assert run(capsys, "fit-bones", "--edit", "a.usda", "--force")[0] == 0
     assert Path("a.usda").read_bytes() == first
-    assert run(capsys, "--edit", "a.usda", "--no-symmetric", "-o", "b.usda")[0] == 0
-    assert run(capsys, *line, "-o", "c.usda")[0] == 0
+    assert run(capsys, "fit-bones", "--edit", "a.usda", "--no-symmetric", "-o", "b.usda")[0] == 0
+    assert run(capsys, "fit-bones", *line, "-o", "c.usda")[0] == 0
     assert Path("b.usda").read_bytes() == Path("c.usda").read_bytes() != first
     assert not read_fit_bones_recipe("b.usda").fit.symmetric
 
@@ -108,18 +108,20 @@ def test_joints_without_a_partner_are_told(folder: Path, capsys: Capsys) -> None
     joints = ("cheek_L", "cheek_L/lip_L", "cheek_L/lip_R")
     saved(replace(pairs(), skeleton=replace(pairs().skeleton, joints=joints)), Path("single.usda"))
     line = ("--target", "aside.usda", "--threshold-mm", "100", "--symmetric", "-o", "a.usda", "--json")
-    code, out, err = run(capsys, "single.usda", *line)
+    code, out, err = run(capsys, "fit-bones", "single.usda", *line)
     told = "1 joint of one side has no partner and moves as it likes: cheek_L"
     assert (code, err, json.loads(out)["warnings"]) == (0, f"facepipe: warning: {told}\n", [told])
 
 
 def test_what_can_not_be_paired_is_one_line(folder: Path, capsys: Capsys) -> None:
     line = ("--target", "jawOpen", "--symmetric", "-o", "a.usda")
-    assert "no pairs of joints, expected names with left and right, or L and R" in failed(capsys, "rig.usda", *line)
+    assert "no pairs of joints, expected names with left and right, or L and R" in failed(
+        capsys, "fit-bones", "rig.usda", *line
+    )
     turned = pairs().skeleton.rest_transforms.copy()
     turned[1, :3, :3] = [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]
     saved(replace(pairs(), skeleton=replace(pairs().skeleton, rest_transforms=turned)), Path("turned.usda"))
-    assert "its axes at rest are no mirror image of" in failed(capsys, "turned.usda", *line)
+    assert "its axes at rest are no mirror image of" in failed(capsys, "fit-bones", "turned.usda", *line)
     Path("l.json").write_text('{"joints": {"lip_L": {"sx": [1.1, 1.2]}, "lip_R": {"sx": [0.8, 0.9]}}}')
-    own = failed(capsys, "pairs.usda", *line, "--limits", "l.json")
+    own = failed(capsys, "fit-bones", "pairs.usda", *line, "--limits", "l.json")
     assert own.startswith("limits -> root/lip_L -> sx: limits that are no mirror images")

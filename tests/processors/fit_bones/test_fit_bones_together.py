@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_fit_bones_solver import MM, face_joints, head, jacobian, limits, random_pose
+from bone_rigs import MM, face_joints, head, jacobian, limits, random_pose
 
 from facepipe.processors.fit_bones import session
 from facepipe.processors.fit_bones.session import BoneFit

@@ -2,47 +2,28 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from neural_faces import face, neural_rig, random_values
+from command_line import run
+from neural_faces import applied, face, millimetres, random_values, saved_rig
 from oracle import bake_all
 from pxr import Sdf, Usd
-from test_cli import run
-from test_neural_attach import millimetres
 
-import facepipe
 from facepipe import tokens
-from facepipe.parts import FaceParts
-from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
+from facepipe.processors.neural_rig import save_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import slide
-from facepipe.rig.neural_rig import NeuralRig
-from facepipe.stage import Face, save_parts
 from facepipe.stage.neural_rig_link import read_neural_rig_link
 from facepipe.stage.recipes import recipe_of
 from facepipe.validate import validate_stage
 
 
-def saved(folder: Path, parts: FaceParts, *, bones: bool) -> NeuralRig:
-    """The rig of head.fpnr, beside the face head.usda."""
-    save_parts(parts, folder / "head.usda")
-    save_neural_rig(neural_rig(facepipe.open(folder / "head.usda").parts(), bones=bones), folder / "head.fpnr", {})
-    return load_neural_rig(folder / "head.fpnr")
-
-
-def applied(folder: Path, capsys: pytest.CaptureFixture[str], *words: object) -> Face:
-    code, out, err = run(capsys, "neural-rig", "apply", folder / "head.usda", folder / "head.fpnr", *words, "--json")
-    assert code == 0, err
-    return facepipe.open(json.loads(out)["path"])
-
-
 @pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])
 def test_the_stage_does_what_the_neural_rig_does(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = saved(tmp_path, face("Z", 1.0, joints=kind != "points without joints"), bones=kind == "bones")
+    rig = saved_rig(tmp_path, face("Z", 1.0, joints=kind != "points without joints"), bones=kind == "bones")
     found = applied(tmp_path, capsys, "-o", tmp_path / "neural.usda")
     values = random_values(rig, 10)
     expected, height = rig.points(values), np.ptp(rig.rest[:, 1])
@@ -59,7 +40,7 @@ def test_the_stage_does_what_the_neural_rig_does(kind: str, tmp_path: Path, caps
 
 
 def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    saved(tmp_path, face(), bones=True)
+    saved_rig(tmp_path, face(), bones=True)
     (tmp_path / "out").mkdir()
     found = applied(tmp_path, capsys, "-o", tmp_path / "out" / "neural.usda", "--offset-tolerance-mm", 0.01)
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out" / "neural.usda"))
@@ -77,7 +58,7 @@ def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, caps
 
 
 def test_standalone_files_link_it_too_packages_can_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    saved(tmp_path, face(), bones=False)
+    saved_rig(tmp_path, face(), bones=False)
     flat = applied(tmp_path, capsys, "-o", tmp_path / "flat.usda", "--flatten")
     packed = applied(tmp_path, capsys, "-o", tmp_path / "packed.usdz")
     for one in (flat, packed):
@@ -95,7 +76,7 @@ def checks(path: Path) -> dict[str, str]:
 
 
 def test_what_is_wrong_with_a_link_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = saved(tmp_path, face(), bones=True)
+    rig = saved_rig(tmp_path, face(), bones=True)
     neural = tmp_path / "neural.usda"
     applied(tmp_path, capsys, "-o", neural)
     assert checks(neural) == {}
@@ -114,7 +95,7 @@ def test_what_is_wrong_with_a_link_is_found(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_a_rig_of_other_meshes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = saved(tmp_path, face(), bones=True)
+    rig = saved_rig(tmp_path, face(), bones=True)
     save_neural_rig(replace(rig, topology="other"), tmp_path / "head.fpnr", {})
     words: tuple[object, ...]
     for words in (
@@ -129,7 +110,7 @@ def test_a_rig_of_other_meshes_is_refused_in_one_line(tmp_path: Path, capsys: py
 
 
 def test_applied_faces_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    saved(tmp_path, face(), bones=True)
+    saved_rig(tmp_path, face(), bones=True)
     applied(tmp_path, capsys, "-o", tmp_path / "neural.usda")
     pictures = []
     for value in (0.0, 1.0):

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from neural_faces import CONTROLS, face, neural_rig, random_values
+from neural_faces import CONTROLS, face, millimetres, neural_rig, random_values
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, FaceParts
@@ -25,19 +25,6 @@ from facepipe.rig.bones import with_influences
 from facepipe.rig.neural_rig import NeuralRig
 
 PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
-
-
-def millimetres(parts: FaceParts, rig: NeuralRig, values: np.ndarray) -> np.ndarray:
-    """What the face's own rig makes of values of the controls."""
-    own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-    names = [one.name for one in rig.controls]
-    found = []
-    for row in values:
-        coefficients, weights = slide(
-            parts.sliders, own.joints, dict(zip(names, row.tolist(), strict=True)), parts.slider_network
-        )
-        found.append(own.evaluate(weights, coefficients=coefficients) @ to[:3, :3].T)
-    return np.array(found)
 
 
 @pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import run
-from test_neural_rig import KilledError, turning_face
+from command_line import run
+from neural_training import FEW_SAMPLES, FEW_STEPS, KilledError, turning_face
 
 import facepipe
 from facepipe.errors import InputError
@@ -17,18 +17,14 @@ from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.neural_rig import (
     Motion,
     SampleMotion,
-    SampleMotionOptions,
     TrainEncoder,
     TrainEncoderOptions,
     TrainNeuralRig,
-    TrainNeuralRigOptions,
 )
 from facepipe.processors.neural_rig.checkpoint import KIND
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
-SAMPLES = SampleMotionOptions(spread=60, sweep=5, together=20)
-RIG = TrainNeuralRigOptions(width=8, steps=130)
 ENCODER = TrainEncoderOptions(points=16, encoder_steps=250)
 WORDS = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 130)
 WORDS += ("--points", 16, "--encoder-steps", 250)
@@ -43,7 +39,7 @@ def face(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def motion(face: Path) -> Motion:
-    return SampleMotion(options=SAMPLES)(facepipe.open(face).parts(), str(face))
+    return SampleMotion(options=FEW_SAMPLES)(facepipe.open(face).parts(), str(face))
 
 
 def killer(step: int) -> Callable[[], None]:
@@ -59,7 +55,7 @@ def killer(step: int) -> Callable[[], None]:
 
 def killed_in_the_encoder(motion: Motion, path: Path) -> None:
     """The file of a training whose rig is whole and whose encoder was at step 170."""
-    TrainNeuralRig(options=RIG)(motion, checkpoint=path)
+    TrainNeuralRig(options=FEW_STEPS)(motion, checkpoint=path)
     with pytest.raises(KilledError):
         TrainEncoder(options=ENCODER)(motion, killer(170), path)
 

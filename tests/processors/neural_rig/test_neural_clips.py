@@ -4,37 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
+from neural_training import AMOUNTS, FEW, acted, chewing_face
 from pxr import Sdf, Usd
-from test_cli import run
-from test_neural_motion import FEW, face
 
 from facepipe.errors import InputError
-from facepipe.parts import Animation, FaceParts
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.neural_rig import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
 from facepipe.processors.neural_rig.sample_motion import controls_of
 from facepipe.stage import save_parts
 
 NONE = SampleMotionOptions(spread=0, sweep=0, together=0)
-AMOUNTS = np.linspace(0.0, 1.0, 40)
-
-
-def acted() -> FaceParts:
-    """A face with a clip of 40 frames and a pose, both of shapes."""
-    names = ("jawOpen", "smile")  # a slider of the face drives the first
-    clip = Animation(
-        name="talk",
-        times=np.arange(len(AMOUNTS)) / 24.0,
-        shapes=names,
-        shape_weights=np.stack([0.1 * AMOUNTS, AMOUNTS], axis=1),
-    )
-    pose = Animation(name="grin", shapes=("smile",), shape_weights=np.array([[0.75]]))
-    return replace(face(), animations=(clip, pose))
 
 
 def declared(path: Path, tracks: dict[str, Sequence[float]]) -> Path:
@@ -52,14 +36,16 @@ def declared(path: Path, tracks: dict[str, Sequence[float]]) -> Path:
 def test_clips_and_poses_of_the_face_itself_are_evaluated_by_its_rig(tmp_path: Path) -> None:
     """Straight in the shape; each animation apart; what no control tells is named."""
     save_parts(acted(), tmp_path / "head.usda")
-    clips = ReadClips(options=FrameBlocksOptions(block=20, margin=3))([tmp_path / "head.usda"], controls_of(face()))
+    clips = ReadClips(options=FrameBlocksOptions(block=20, margin=3))(
+        [tmp_path / "head.usda"], controls_of(chewing_face())
+    )
     motion = SampleMotion(options=NONE)(acted(), "head.usda", clips=clips)
     assert motion.source == "rig and clips"
     assert np.bincount(motion.blocks).tolist() == [20, 17, 1]
     kept = np.delete(AMOUNTS, [20, 21, 22])
     assert np.allclose(motion.values, np.stack([np.zeros(38), [*kept, 0.75]], axis=1), atol=1e-6)
-    smile = whole_face(face(), "head").deltas["smile"]
-    assert np.allclose(motion.points, whole_points(face()) + motion.values[:, 1, None, None] * smile, atol=1e-4)
+    smile = whole_face(chewing_face(), "head").deltas["smile"]
+    assert np.allclose(motion.points, whole_points(chewing_face()) + motion.values[:, 1, None, None] * smile, atol=1e-4)
     assert [one.partition("-> ")[2] for one in motion.warnings] == [
         "talk: left out 1 names that are no controls of the face: jawOpen"
     ]
@@ -67,8 +53,9 @@ def test_clips_and_poses_of_the_face_itself_are_evaluated_by_its_rig(tmp_path: P
 
 def test_clips_come_after_what_is_sampled_in_blocks_of_their_own(tmp_path: Path) -> None:
     path = declared(tmp_path / "take.usda", {"smile": AMOUNTS.tolist()})
-    clips = ReadClips()([path, path], controls_of(face()))
-    alone, both = SampleMotion(options=FEW)(face(), "head"), SampleMotion(options=FEW)(face(), "head", clips=clips)
+    clips = ReadClips()([path, path], controls_of(chewing_face()))
+    sample, face = SampleMotion(options=FEW), chewing_face()
+    alone, both = sample(face, "head"), sample(face, "head", clips=clips)
     count = len(alone.values)
     assert np.array_equal(both.values[:count], alone.values)
     assert np.array_equal(both.points[:count], alone.points)
@@ -79,7 +66,7 @@ def test_clips_come_after_what_is_sampled_in_blocks_of_their_own(tmp_path: Path)
 
 def test_controls_rest_where_a_clip_lacks_them_and_are_held_within_limits(tmp_path: Path) -> None:
     path = declared(tmp_path / "take.usda", {"chew": [-2.0, 0.25, 3.0]})
-    clips = ReadClips()([path], controls_of(face()))
+    clips = ReadClips()([path], controls_of(chewing_face()))
     assert clips.values.tolist() == [[-0.5, 0.0], [0.25, 0.0], [1.0, 0.0]]
     assert clips.warnings == ("clips go beyond the limits of chew, and are held there",)
 
@@ -90,18 +77,18 @@ def test_keys_apart_are_straight_between(tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(path))
     stage.GetPrimAtPath("/Take").GetAttribute("facepipe:control:smile").Set(1.0, 4.0)
     stage.Save()
-    assert np.allclose(ReadClips()([path], controls_of(face())).values[:, 1], [0.0, 0.25, 0.5, 0.75, 1.0])
+    assert np.allclose(ReadClips()([path], controls_of(chewing_face())).values[:, 1], [0.0, 0.25, 0.5, 0.75, 1.0])
 
 
 def test_clips_of_something_else_are_told(tmp_path: Path) -> None:
     path = declared(tmp_path / "take.usda", {"wings": [0.0, 1.0]})
     with pytest.raises(InputError, match=r"take.usda: moves wings, expected some of chew, smile"):
-        ReadClips()([path], controls_of(face()))
+        ReadClips()([path], controls_of(chewing_face()))
     with pytest.raises(InputError, match=r"none.usda: moves nothing, expected some of chew, smile"):
-        ReadClips()([declared(tmp_path / "none.usda", {})], controls_of(face()))
+        ReadClips()([declared(tmp_path / "none.usda", {})], controls_of(chewing_face()))
     bad = declared(tmp_path / "bad.usda", {"smile": [0.0, float("nan")]})
     with pytest.raises(InputError, match=r"bad.usda -> /Take.facepipe:control:smile: NaN or infinity at time code 1"):
-        ReadClips()([bad], controls_of(face()))
+        ReadClips()([bad], controls_of(chewing_face()))
 
 
 def test_the_command_learns_from_clips_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from facepipe_onnx import Deformer, export_encoder, validate
-from test_cli import run
-from test_neural_rig import turning_face
+from neural_training import turning_face
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.halving import halved

@@ -6,18 +6,17 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from command_line import run
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from gltf_export import Writing, writing, written
-from gltf_reader import Gltf
 from neural_faces import CONTROLS, face, neural_rig, random_values
-from test_cli import run
+from neural_graphs import TOLERANCE, Made, skinned
 
 import facepipe
-from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig, with_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import build
@@ -26,24 +25,7 @@ from facepipe.stage import save_parts
 
 __all__ = ["writing", "written"]
 
-TOLERANCE = 1e-5
 KINDS = ("bones", "points", "points without joints")
-
-
-class Made(NamedTuple):
-    parts: FaceParts
-    rig: NeuralRig
-    matrices: Deformer  # form (a)
-    points: Deformer  # form (b)
-
-    @property
-    def height(self) -> float:
-        """Of the head, millimetres."""
-        return float(np.ptp(self.rig.points(self.rig.values({})[None])[0, :, 1]))
-
-    def fed(self, row: np.ndarray) -> dict[str, float]:
-        """Values by name."""
-        return dict(zip([one.name for one in self.rig.controls], row.tolist(), strict=True))
 
 
 def made(kind: str, up_axis: Literal["Y", "Z"], unit: float, folder: Path, **options: Any) -> Made:
@@ -57,27 +39,6 @@ def made(kind: str, up_axis: Literal["Y", "Z"], unit: float, folder: Path, **opt
         assert validate(path) == ()
         graphs.append(Deformer(path))
     return Made(attached, rig, *graphs)
-
-
-def skinned(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> np.ndarray:
-    """(n, 3) metres, Y up: what an engine makes of the GLB under skinning matrices and morph weights."""
-    outputs = {entry["name"]: entry for entry in one.matrices.metadata["outputs"]}
-    names = [target["name"] for target in outputs["morph_weights"]["targets"]]
-    weights = {}
-    for mesh in one.matrices.metadata["meshes"]:
-        assert [names[number] for number in mesh["targets"]] == glb.targets(mesh["name"])
-        weights[mesh["name"]] = found["morph_weights"][mesh["targets"]]
-    worlds = glb.worlds()
-    if "skinning_matrices" in found:
-        described, skin = outputs["skinning_matrices"], glb.list("skins")[0]
-        assert described["joints"] == list(one.parts.skeleton.joints)
-        assert list(one.parts.skeleton.names) == glb.joint_names()
-        matrices = np.array(described["gltf_from_world"]) @ found["skinning_matrices"]
-        matrices = matrices @ np.array(described["skeleton_from_gltf"])
-        joints = skin["joints"][: len(matrices)]
-        worlds[joints] = matrices @ np.linalg.inv(glb.decoded(skin["inverseBindMatrices"])[: len(matrices)])
-    points = glb.evaluate(worlds=worlds, target_weights=weights)
-    return np.concatenate([points[name] for name in build(one.parts).mesh_names])
 
 
 @pytest.mark.parametrize("kind", KINDS)

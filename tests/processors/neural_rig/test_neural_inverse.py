@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scan_domes
+from neural_faces import FRAMES, frames, moving, untrained_rig
+from neural_training import turning_face
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import FaceParts, Slider
-from facepipe.processors.database import whole_points
 from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
@@ -21,44 +20,6 @@ from facepipe.rig.control_shares import share_limits, values_of
 from facepipe.rig.neural_basis import with_orthonormal_shapes
 from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
 from facepipe.rig.neural_rig import Control, NeuralRig, from_default
-
-FRAMES = 24
-
-
-def turning_face() -> FaceParts:
-    """A jaw that turns, an eye, and shapes without a slider."""
-    jaw = Slider(name="open", minimum=-0.2, channels=(("head/jaw", "rx", 1.0),))
-    eye = Slider(name="look", minimum=-1.0, channels=(("head/eye", "ry", 0.6), ("head/jaw", "sz", 0.3)))
-    return replace(scan_domes.face(), sliders=(jaw, eye), animations=())
-
-
-def made(bones: Rig | None, seed: int = 0) -> NeuralRig:
-    """A rig of five controls and bent outputs that no training made: ten shapes, three coefficients where bones are."""
-    random = np.random.default_rng(seed)
-    controls = (
-        Control(name="open", minimum=-0.2),
-        Control(name="look", minimum=-1.0),
-        *(Control(name=name) for name in ("smile", "pucker", "blink")),
-    )
-    rest = whole_points(turning_face()) if bones is None else bones.points
-    shapes = np.linalg.qr(random.normal(size=(3 * len(rest), 10)))[0].T.reshape(10, -1, 3)
-    channels = np.array([[1, 3], [1, 8], [2, 4]]) if bones is not None else np.zeros((0, 2), np.int64)
-    sizes = np.concatenate([np.full(10, 100.0), np.full(len(channels), 0.3)])
-    last = 0.3 * random.normal(size=(len(sizes), 6)) * sizes[:, None]
-    hidden, bias = random.normal(size=(6, 5)), random.normal(size=6)
-    return NeuralRig(
-        controls=controls,
-        rest=rest,
-        shapes=shapes,
-        linear=random.normal(size=(5, len(sizes))) * sizes,
-        hidden=hidden,
-        hidden_bias=bias,
-        last=last,
-        last_bias=-last @ (bias / (1.0 + np.exp(-bias))),
-        topology="made",
-        bones=bones,
-        channels=channels,
-    )
 
 
 def bones() -> Rig:
@@ -69,15 +30,7 @@ def bones() -> Rig:
 
 @pytest.fixture(scope="module", params=["points", "bones"])
 def rig(request: pytest.FixtureRequest) -> NeuralRig:
-    return made(bones() if request.param == "bones" else None)
-
-
-def frames(rig: NeuralRig, seed: int = 1) -> np.ndarray:
-    """Values all over the ranges, half of them at rest."""
-    random = np.random.default_rng(seed)
-    low, high = share_limits(rig.controls)
-    shape = (FRAMES, len(low))
-    return values_of(rig.controls, random.uniform(low, high, shape) * (random.random(shape) < 0.5))
+    return untrained_rig(bones() if request.param == "bones" else None)
 
 
 def test_derivatives_are_finite_differences(rig: NeuralRig) -> None:
@@ -116,7 +69,7 @@ def test_slopes_are_those_of_the_cost(rig: NeuralRig) -> None:
 
 def test_some_points_stand_for_all() -> None:
     """Second derivatives of a tenth of the points are near those of all."""
-    rig = made(bones())
+    rig = untrained_rig(bones())
     targets = rig.points(frames(rig)[:1])
     x = from_default(rig.controls, frames(rig, 5)[:1])
     some, everything = (SkinnedData(rig, targets, count).normal(x, np.array([0]))[1][0] for count in (100, 10**6))
@@ -137,7 +90,7 @@ def test_own_frames_are_found_again(rig: NeuralRig) -> None:
 
 def test_shapes_need_not_be_orthonormal() -> None:
     """Those of a rig that was carried to another face are not, and one may be the sum of others."""
-    rig = made(None)
+    rig = untrained_rig(None)
     mix = np.random.default_rng(7).normal(size=(10, 10))
     mix[9] = mix[0] + mix[1]
     shapes = np.tensordot(mix, rig.shapes, axes=1)
@@ -163,7 +116,7 @@ def test_limits_hold_whatever_the_targets_are(rig: NeuralRig) -> None:
 
 
 def test_bad_targets_are_told_in_one_line() -> None:
-    rig = made(None)
+    rig = untrained_rig(None)
     good = rig.points(frames(rig))
     bad = good.copy()
     bad[3, 7, 1] = np.nan
@@ -180,13 +133,6 @@ def test_bad_targets_are_told_in_one_line() -> None:
         InvertNeuralRig()(rig, good, blocks=np.zeros(2, int))
     with pytest.raises(InputError, match="option starts"):
         InvertNeuralRigOptions(starts=0)
-
-
-def moving(rig: NeuralRig, count: int = 60) -> np.ndarray:
-    """(count, c) values that swing slowly within the ranges."""
-    low, high = share_limits(rig.controls)
-    turns = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * (1.0 + 0.3 * np.arange(len(low)))
-    return values_of(rig.controls, (low + high) / 2.0 + 0.4 * np.sin(turns + np.arange(len(low))))
 
 
 def test_smoothness_calms_what_noise_shakes_and_leaves_the_motion(rig: NeuralRig) -> None:
@@ -254,7 +200,7 @@ def test_two_controls_that_do_the_same_are_found_out(rig: NeuralRig) -> None:
 
 def test_what_is_told_of_controls_is_least_squares() -> None:
     """Under even noise on all that a straight rig can do, controls are off by their standard errors."""
-    rig = made(None)
+    rig = untrained_rig(None)
     rig = replace(rig, hidden=rig.hidden * 1e-9, linear=rig.linear * np.linspace(0.2, 1.0, 5)[:, None])
     random, values = np.random.default_rng(6), np.full((400, 5), 0.4)
     shaken = rig.points(values) + np.tensordot(3.0 * random.normal(size=(400, 10)), rig.shapes, axes=1)
@@ -284,7 +230,7 @@ def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig
 
 def test_frames_in_a_poor_valley_are_started_again() -> None:
     """From a start at the far ends some frames are stuck; further starts bring them home."""
-    rig = made(None, seed=2)
+    rig = untrained_rig(None, seed=2)
     rig = replace(rig, last=4.0 * rig.last, hidden=3.0 * rig.hidden)
     values = frames(rig)
     low, high = share_limits(rig.controls)

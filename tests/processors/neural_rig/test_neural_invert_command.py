@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
+from neural_faces import frames, moving, untrained_rig
+from neural_training import turning_face
 from oracle import played
 from pxr import Sdf, Usd, UsdGeom, Vt
-from test_cli import run
-from test_neural_inverse import frames, made, moving, turning_face
 
 import facepipe
 from facepipe.errors import InputError, TopologyError
@@ -32,7 +33,7 @@ TOPOLOGY = Topology.of(turning_face())
 
 @pytest.fixture(scope="module")
 def rig() -> NeuralRig:
-    return replace(made(None), topology=TOPOLOGY.digest)
+    return replace(untrained_rig(None), topology=TOPOLOGY.digest)
 
 
 def baked(path: Path, points: np.ndarray, codes: list[float], scale: float = 0.01) -> Path:
@@ -95,7 +96,7 @@ def test_a_pose_becomes_values_without_time(rig: NeuralRig, tmp_path: Path, caps
 
 def with_encoder(path: Path) -> NeuralRig:
     """A rig so bent that its defaults lie in other valleys than many of its frames, with an encoder of what it does."""
-    rig = made(None, seed=3)
+    rig = untrained_rig(None, seed=3)
     rig = replace(rig, last=4.0 * rig.last, hidden=3.0 * rig.hidden, topology=TOPOLOGY.digest)
     random, count = np.random.default_rng(3), 600
     x = random.uniform(*share_limits(rig.controls), (count, 5)) * (random.random((count, 5)) < 0.7)

@@ -6,39 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scan_domes
+from neural_training import FEW, chewing_face
 
 from facepipe.errors import InputError, TopologyError
-from facepipe.parts import FaceParts, Slider
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.neural_rig import SampleMotion, SampleMotionOptions
 from facepipe.processors.neural_rig.sample_motion import controls_of
 
-FEW = SampleMotionOptions(spread=20, sweep=5, together=30)
-
-
-def face() -> FaceParts:
-    """Two shapes, and a slider that turns the jaw and adds half of one of them."""
-    parts = scan_domes.face()
-    slider = Slider(
-        name="chew", minimum=-0.5, maximum=1.0, channels=(("head/jaw", "rx", 0.3),), shapes=(("jawOpen", 0.5),)
-    )
-    return replace(parts, sliders=(slider,), animations=())
-
 
 def test_controls_are_sliders_and_the_shapes_that_none_of_them_drives() -> None:
-    assert [one.name for one in controls_of(face())] == ["chew", "smile"]
-    assert (controls_of(face())[0].minimum, controls_of(face())[1].maximum) == (-0.5, 1.0)
+    assert [one.name for one in controls_of(chewing_face())] == ["chew", "smile"]
+    assert (controls_of(chewing_face())[0].minimum, controls_of(chewing_face())[1].maximum) == (-0.5, 1.0)
     with pytest.raises(InputError, match="has neither sliders nor shapes"):
-        SampleMotion()(replace(face(), sliders=(), meshes=face().meshes[1:]), "head.usda")
+        SampleMotion()(replace(chewing_face(), sliders=(), meshes=chewing_face().meshes[1:]), "head.usda")
 
 
 def test_frames_are_what_the_rig_makes_of_the_controls() -> None:
     """Millimetres, Y up; straight in the shape, and a turn about the jaw's axis keeps distances from the joint."""
-    motion = SampleMotion(options=FEW)(face(), "head.usda")
-    assert motion.points.shape == (20 + 2 * 5 + 30, len(whole_points(face())), 3)
-    assert np.allclose(motion.rest, whole_points(face()))
-    smile = whole_face(face(), "head").deltas["smile"]
+    motion = SampleMotion(options=FEW)(chewing_face(), "head.usda")
+    assert motion.points.shape == (20 + 2 * 5 + 30, len(whole_points(chewing_face())), 3)
+    assert np.allclose(motion.rest, whole_points(chewing_face()))
+    smile = whole_face(chewing_face(), "head").deltas["smile"]
     alone = np.flatnonzero((motion.values[:, 0] == 0.0) & (motion.values[:, 1] != 0.0))
     assert len(alone) >= 4
     for frame in alone:
@@ -46,8 +34,8 @@ def test_frames_are_what_the_rig_makes_of_the_controls() -> None:
 
 
 def test_a_stage_in_other_units_and_axes_gives_the_same_frames() -> None:
-    one = SampleMotion(options=FEW)(face(), "head.usda")
-    parts = face()
+    one = SampleMotion(options=FEW)(chewing_face(), "head.usda")
+    parts = chewing_face()
     slid = replace(parts, meters_per_unit=parts.meters_per_unit * 10.0)
     other = SampleMotion(options=FEW)(slid, "head.usda")
     assert np.array_equal(one.values, other.values)
@@ -55,17 +43,19 @@ def test_a_stage_in_other_units_and_axes_gives_the_same_frames() -> None:
 
 
 def test_the_spread_is_even_in_each_control() -> None:
-    motion = SampleMotion(options=SampleMotionOptions(spread=50, busy=1.0, sweep=0, together=0))(face(), "head.usda")
+    motion = SampleMotion(options=SampleMotionOptions(spread=50, busy=1.0, sweep=0, together=0))(
+        chewing_face(), "head.usda"
+    )
     for column, (low, high) in zip(motion.values.T, ((-0.5, 1.0), (0.0, 1.0)), strict=True):
         assert np.array_equal(np.sort(((column - low) / (high - low) * 50).astype(int)), np.arange(50))
     again = SampleMotion(options=SampleMotionOptions(spread=50, busy=1.0, sweep=0, together=0, seed=1))(
-        face(), "head.usda"
+        chewing_face(), "head.usda"
     )
     assert not np.array_equal(motion.values, again.values)
 
 
 def test_blocks_stay_together_when_frames_are_held_out() -> None:
-    motion = SampleMotion(options=FEW)(face(), "head.usda")
+    motion = SampleMotion(options=FEW)(chewing_face(), "head.usda")
     learned, checked = motion.split(0.25, seed=3)
     assert len(learned.values) + len(checked.values) == len(motion.values)
     assert not set(learned.blocks.tolist()) & set(checked.blocks.tolist())
@@ -75,7 +65,7 @@ def test_blocks_stay_together_when_frames_are_held_out() -> None:
 
 
 def test_controls_that_no_frame_moves_are_named_and_left_out() -> None:
-    motion = SampleMotion(options=FEW)(face(), "head.usda")
+    motion = SampleMotion(options=FEW)(chewing_face(), "head.usda")
     still = motion.frames(np.flatnonzero(motion.values[:, 1] == 0.0))
     assert still.constant == ("smile",)
     assert [one.name for one in still.without(still.constant).controls] == ["chew"]
@@ -93,11 +83,11 @@ def test_controls_that_no_frame_moves_are_named_and_left_out() -> None:
     ],
 )
 def test_examples_that_do_not_fit_are_refused(change: object, error: type[Exception], message: str) -> None:
-    motion = SampleMotion(options=FEW)(face(), "head.usda")
+    motion = SampleMotion(options=FEW)(chewing_face(), "head.usda")
     with pytest.raises(error, match=message):
         replace(motion, **change(motion))  # type: ignore[operator]
 
 
 def test_nothing_asked_for_is_told() -> None:
     with pytest.raises(InputError, match="no frame, expected some of spread, sweep or together"):
-        SampleMotion(options=SampleMotionOptions(spread=0, sweep=0, together=0))(face(), "head.usda")
+        SampleMotion(options=SampleMotionOptions(spread=0, sweep=0, together=0))(chewing_face(), "head.usda")

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from neural_faces import face
-from test_cli import run
-from test_neural_apply import applied, saved
+from command_line import run
+from neural_faces import applied, face
+from neural_faces import saved_rig as saved
 
 import facepipe
 from facepipe.errors import InputError, SchemaError

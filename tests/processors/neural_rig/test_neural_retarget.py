@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from baked_frames import bake
+from command_line import run
+from neural_training import OPTIONS, SAMPLES, second_face, turning_face
 from pxr import Usd
-from test_cli import run
-from test_neural_rig import OPTIONS, SAMPLES, turning_face
-from test_neural_samples import bake
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.point_ridge import Examples
-from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig import (
     Motion,
     SampleMotion,
@@ -34,20 +33,6 @@ from facepipe.stage import save_parts
 pytest.importorskip("torch")
 FRAMES = SampleMotionOptions(spread=60, sweep=0, together=0, seed=3)
 OTHERS = replace(FRAMES, seed=4)
-
-
-_OWN = {"smile": 1.6 * np.eye(3), "jawOpen": np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [0.0, 0.0, 1.0]])}
-
-
-def second_face() -> FaceParts:
-    """Another person, whose smile is stronger, and whose mouth opens to one side."""
-    parts = turning_face()
-    meshes = []
-    for mesh in parts.meshes:
-        wide = mesh.points * np.array([1.15, 0.95, 1.05])
-        shapes = tuple(replace(one, offsets=one.offsets @ _OWN[one.name]) for one in mesh.blendshapes)
-        meshes.append(replace(mesh, points=wide, blendshapes=shapes))
-    return replace(parts, meshes=tuple(meshes))
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from test_cli import run
+from command_line import run
+from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 
 from facepipe.errors import InputError
 from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
-from facepipe.parts import FaceParts, Slider
+from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig import (
     InvertNeuralRig,
     Motion,
@@ -22,7 +23,6 @@ from facepipe.processors.neural_rig import (
     SampleMotionOptions,
     TrainedNeuralRig,
     TrainNeuralRig,
-    TrainNeuralRigOptions,
     load_neural_rig,
     save_neural_rig,
     with_neural_rig,
@@ -32,15 +32,6 @@ from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
-SAMPLES = SampleMotionOptions(spread=200, sweep=9, together=100)
-OPTIONS = TrainNeuralRigOptions(width=24, steps=1500, patience=1500)
-
-
-def turning_face() -> FaceParts:
-    """Sliders that turn the jaw and the eye far, and shapes without a slider."""
-    jaw = Slider(name="open", minimum=-0.2, channels=(("head/jaw", "rx", 1.0),))
-    eye = Slider(name="look", minimum=-1.0, channels=(("head/eye", "ry", 0.6), ("head/jaw", "sz", 0.3)))
-    return replace(scan_domes.face(), sliders=(jaw, eye), animations=())
 
 
 @pytest.fixture(scope="module")
@@ -232,10 +223,6 @@ def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
         told = inputs[600:] @ found.linear + units / (1.0 + np.exp(-units)) @ found.last.T + found.last_bias
         errors.append(np.sqrt(np.mean((told - outputs[600:]) ** 2)))
     assert errors[1] < 0.5 * errors[0]
-
-
-class KilledError(Exception):
-    pass
 
 
 def test_a_killed_training_goes_on_to_the_same_end(motion: Motion, trained: TrainedNeuralRig, tmp_path: Path) -> None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import scan_domes
-from places import REPOSITORY
+from baked_frames import bake
+from command_line import run
+from neural_training import chewing_face
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
-from test_cli import run
-from test_neural_motion import face
 
 from facepipe.errors import FacepipeError, InputError
 from facepipe.processors.database import Topology, whole_points
@@ -31,44 +29,13 @@ from facepipe.processors.neural_rig import (
 from facepipe.processors.neural_rig.frame_blocks import frame_blocks
 from facepipe.stage import open_face, save_parts
 
-DOCS = (REPOSITORY / "docs/neural_rig.md").read_text(encoding="utf-8")
 FEW = SampleMotionOptions(spread=12, sweep=5, together=10)
 Change = Callable[[Usd.Stage], object]
 
 
-def docs_bake() -> Callable[..., None]:
-    """The writer that docs/neural_rig.md shows."""
-    found: dict[str, Any] = {}
-    exec(next(one for one in re.findall(r"```python\n(.*?)```", DOCS, re.S) if "def bake" in one), found)
-    bake: Callable[..., None] = found["bake"]
-    return bake
-
-
 @pytest.fixture(scope="module")
 def sampled() -> Motion:
-    return SampleMotion(options=FEW)(face(), "head.usda")
-
-
-def bake(motion: Motion, path: Path) -> Path:
-    """Each block a clip: frames one time code apart, clips four."""
-    own, codes = motion.topology, np.arange(len(motion.values)) + 3.0 * motion.blocks
-
-    def split(points: np.ndarray) -> dict[str, np.ndarray]:
-        pieces = np.split(np.ascontiguousarray(points, np.float32), np.cumsum(own.points)[:-1])
-        return dict(zip(own.names, pieces, strict=True))
-
-    names = [control.name for control in motion.controls]
-    docs_bake()(
-        str(path),
-        dict(zip(own.names, zip(own.counts, own.indices, strict=True), strict=True)),
-        {one.name: (one.minimum, one.maximum, one.default) for one in motion.controls},
-        split(motion.rest),
-        [
-            (code, dict(zip(names, row.tolist(), strict=True)), split(points))
-            for code, row, points in zip(codes, motion.values, motion.points, strict=True)
-        ],
-    )
-    return path
+    return SampleMotion(options=FEW)(chewing_face(), "head.usda")
 
 
 def changed(path: Path, change: Change) -> Path:
@@ -86,7 +53,7 @@ def test_a_rig_baked_to_a_stage_and_read_back_is_the_same_motion(sampled: Motion
     assert np.array_equal(found.points, sampled.points)
     assert np.array_equal(found.blocks, sampled.blocks)
     assert np.allclose(found.rest, sampled.rest, atol=1e-4)
-    assert found.topology.digest == sampled.topology.digest == Topology.of(face()).digest
+    assert found.topology.digest == sampled.topology.digest == Topology.of(chewing_face()).digest
 
 
 def test_units_axes_and_transforms_of_the_stage_are_honoured(sampled: Motion, tmp_path: Path) -> None:
@@ -119,8 +86,8 @@ def test_points_that_transforms_move_are_frames_too(sampled: Motion, tmp_path: P
 def test_a_face_keeps_its_sliders_and_shapes(tmp_path: Path) -> None:
     """Sliders by their own range, the shapes that no slider drives, and points as its skin places them."""
     path, codes = tmp_path / "head.usda", [1.0, 2.0, 3.0]
-    save_parts(face(), path)
-    points = np.asarray(face().meshes[0].points, np.float32)
+    save_parts(chewing_face(), path)
+    points = np.asarray(chewing_face().meshes[0].points, np.float32)
 
     def animated(stage: Usd.Stage) -> None:
         root = stage.GetDefaultPrim()
@@ -140,9 +107,9 @@ def test_a_face_keeps_its_sliders_and_shapes(tmp_path: Path) -> None:
     ]
     assert np.array_equal(found.values, [[-0.25, 0.0], [0.25, 0.5], [0.75, 1.0]])
     head = slice(0, len(points))
-    assert np.allclose(found.rest, whole_points(face()), atol=1e-4)
+    assert np.allclose(found.rest, whole_points(chewing_face()), atol=1e-4)
     for frame, amount in enumerate((0.0, 0.5, 1.0)):
-        moved = whole_points(face())
+        moved = whole_points(chewing_face())
         moved[head] += 10.0 * amount  # of centimetres
         assert np.allclose(found.points[frame], moved, atol=1e-4)
     assert found.topology.digest == Topology.of(open_face(path).parts()).digest
@@ -337,7 +304,7 @@ def test_controls_that_never_move_are_left_out_and_only_those_are_an_error(tmp_p
 
 def test_training_from_a_stage_is_training_from_the_rig_itself(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    motion = SampleMotion(options=SampleMotionOptions(spread=60, sweep=5, together=30))(face(), "head.usda")
+    motion = SampleMotion(options=SampleMotionOptions(spread=60, sweep=5, together=30))(chewing_face(), "head.usda")
     options = TrainNeuralRigOptions(width=8, steps=200)
     own = TrainNeuralRig(options=options)(replace(motion, bones=None, coefficients=None)).report
     read = TrainNeuralRig(options=options)(ReadMotion()(bake(motion, tmp_path / "rom.usdc"))).report
@@ -352,7 +319,7 @@ def test_the_command_takes_either_kind_of_stage(
 ) -> None:
     pytest.importorskip("torch")
     head, rom = tmp_path / "head.usda", bake(sampled, tmp_path / "rom.usdc")
-    save_parts(replace(scan_domes.face(), animations=()), head)
+    save_parts(replace(scan_domes.chewing_face(), animations=()), head)
     few = (
         "--spread",
         20,

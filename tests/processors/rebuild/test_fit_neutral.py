@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scan_domes
+from command_line import run
 from database_faces import person, source
 from import_data import shared
+from neutral_files import PERSON, Files
 from PIL import Image
-from test_cli import run
 
 import facepipe
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.importers.scan_landmarks import write_scan_landmarks
-from facepipe.importers.scan_ply import write_ply
 from facepipe.options import to_json
 from facepipe.processors.database import (
     Topology,
@@ -37,43 +36,10 @@ from facepipe.validate import validate
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 
-PERSON = 9  # none of the database's
-
-
-@dataclass(frozen=True)
-class Files:
-    """What a fit takes."""
-
-    folder: Path
-
-    def __getitem__(self, name: str) -> Path:
-        return self.folder / name
-
-    def words(self, *more: object, scan: str = "scan.ply") -> tuple[object, ...]:
-        """A command line."""
-        files = ("--template", self["head.usda"], "--database", self["faces.fpdb"], "-o", self["out.usda"])
-        return ("fit-neutral", self[scan], *files, *more)
-
-    def put(self, scan: Scan, landmarks: ScanLandmarks, name: str = "scan.ply") -> None:
-        """A scan with its landmarks beside it."""
-        write_ply(scan, self[name])
-        write_scan_landmarks(landmarks, self[name].with_suffix(".landmarks.json"))
-
-
-@pytest.fixture(scope="session")
-def database_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("domes") / "faces.fpdb"
-    save_database(scan_domes.database(), path)
-    return path
-
 
 @pytest.fixture
-def files(tmp_path: Path, database_file: Path) -> Files:
-    save_parts(scan_domes.face(), tmp_path / "head.usda")
-    (tmp_path / "faces.fpdb").write_bytes(database_file.read_bytes())
-    made = Files(tmp_path)
-    made.put(*scan_domes.scan(PERSON))
-    return made
+def files(fit_files: Files) -> Files:
+    return fit_files
 
 
 def truth() -> np.ndarray:

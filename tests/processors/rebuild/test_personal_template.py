@@ -9,9 +9,9 @@ from dataclasses import replace
 import expression_domes
 import numpy as np
 import pytest
+from command_line import run
 from expression_domes import OWN
 from rebuild_stages import Files
-from test_cli import run
 
 import facepipe
 from facepipe.processors.database import WholeFace, create_database, save_database, whole_face, whole_points

@@ -11,9 +11,9 @@ import expression_domes
 import numpy as np
 import pytest
 import scan_domes
+from command_line import run
 from expression_domes import OWN, PERSON
 from scan_domes import POSE
-from test_cli import run
 
 import facepipe
 from facepipe.errors import FitError, InputError
@@ -212,9 +212,9 @@ def test_without_expressions_there_is_nothing_to_fit_together(
 @pytest.mark.slow
 def test_all_scans_together_make_a_truer_neutral() -> None:
     """Of an actor that the database can't show, from a neutral and six expressions."""
+    from ict_people import ict_database, ict_template, ours, read
     from scan_actors import COMPOSITES, Actor, ict
     from scan_simulator import simulate
-    from test_rebuild_truth import ict_database, ict_template, ours, read
 
     template = ict_template()
     database, actor = ict_database(template), Actor(101)

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rebuild_project import HEAD
 
 from facepipe.errors import InputError
 from facepipe.processors.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
 from facepipe.processors.rebuild.project import Refinement
 from facepipe.processors.rebuild.work_folder import WorkFolder
-
-_HEAD = 'template = "head.usda"\ndatabase = "faces.fpdb"\n[neutral]\nscan = "neutral.ply"\n'
 
 
 @pytest.fixture
@@ -30,7 +29,7 @@ def _project(folder: Path, text: str) -> Path:
 
 def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path) -> None:
     text = '[expressions.smile]\nscan = "smile.ply"\n[expressions.wink]\nscan = "wink.ply"\nweights = { blink = 1 }\n'
-    project = read_project(_project(folder, _HEAD + text + "[options.neutral]\nunit = 'mm'\n"))
+    project = read_project(_project(folder, HEAD + text + "[options.neutral]\nunit = 'mm'\n"))
     smile, wink = project.expressions
     assert project.work == folder / "anna"
     assert (smile.landmarks, wink.landmarks) == (folder / "smile.landmarks.json", None)
@@ -39,48 +38,48 @@ def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path)
     assert project.neutral_options.unit == "mm"
     assert project.split_options.noise == 0.2
     assert project.neutral.weights == {}
-    shown = read_project(_project(folder, _HEAD + "weights = { eyeBlink_L = 1 }\n"))
+    shown = read_project(_project(folder, HEAD + "weights = { eyeBlink_L = 1 }\n"))
     assert shown.neutral.weights == {"eyeBlink_L": 1.0}
 
 
 def test_a_table_of_refinement_asks_for_it(folder: Path) -> None:
-    assert read_project(_project(folder, _HEAD)).refinement is None
-    everywhere = read_project(_project(folder, _HEAD + "[options.refinement]\n")).refinement
+    assert read_project(_project(folder, HEAD)).refinement is None
+    everywhere = read_project(_project(folder, HEAD + "[options.refinement]\n")).refinement
     assert everywhere == Refinement()
     text = "[options.refinement]\nregions = ['nose', 'mouth']\ndetail_mm = 8\n"
-    some = read_project(_project(folder, _HEAD + text)).refinement
+    some = read_project(_project(folder, HEAD + text)).refinement
     assert some == Refinement(regions=("nose", "mouth"), options=RefineNeutralOptions(detail_mm=8.0))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (_HEAD + "[options]\nrefinement = 3\n", "anna.toml -> options.refinement: 3, expected an object of options"),
+        (HEAD + "[options]\nrefinement = 3\n", "anna.toml -> options.refinement: 3, expected an object of options"),
         (
-            _HEAD + "[options.refinement]\nregions = 'nose'\n",
+            HEAD + "[options.refinement]\nregions = 'nose'\n",
             "anna.toml -> options.refinement -> regions: nose, expected a list of names",
         ),
         (
-            _HEAD + "[options.refinement]\nregion = ['nose']\n",
+            HEAD + "[options.refinement]\nregion = ['nose']\n",
             "anna.toml -> options.refinement: option 'region' is unknown, expected some of detail_mm",
         ),
         ("template = 1\n", "anna.toml: has no neutral, expected a table [neutral] with its scan"),
-        (_HEAD.replace("head", "tail"), "anna.toml -> template: {folder}/tail.usda: no such file"),
-        (_HEAD + "landmark = 1\n", "anna.toml -> neutral: 'landmark' is unknown, expected some of scan, landmarks"),
-        (_HEAD + "weights = { blink = 0 }\n", "anna.toml -> neutral -> weights -> blink: 0, expected a number above 0"),
-        (_HEAD + "weights = {}\n", "anna.toml -> neutral -> weights: {{}}, expected a weight for each shape"),
-        (_HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected a table with a scan"),
+        (HEAD.replace("head", "tail"), "anna.toml -> template: {folder}/tail.usda: no such file"),
+        (HEAD + "landmark = 1\n", "anna.toml -> neutral: 'landmark' is unknown, expected some of scan, landmarks"),
+        (HEAD + "weights = { blink = 0 }\n", "anna.toml -> neutral -> weights -> blink: 0, expected a number above 0"),
+        (HEAD + "weights = {}\n", "anna.toml -> neutral -> weights: {{}}, expected a weight for each shape"),
+        (HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected a table with a scan"),
         (
-            _HEAD + "[expressions.wink]\nscan = 'wink.ply'\n",
+            HEAD + "[expressions.wink]\nscan = 'wink.ply'\n",
             "anna.toml -> expressions -> wink: no weights, expected some, or one of the names that have them: jaw_open",
         ),
         (
-            _HEAD + "[expressions.wink]\nscan = 'wink.ply'\nweights = { eyeBlink_L = nan }\n",
+            HEAD + "[expressions.wink]\nscan = 'wink.ply'\nweights = { eyeBlink_L = nan }\n",
             "anna.toml -> expressions -> wink -> weights -> eyeBlink_L: nan, expected a number above 0, up to 2",
         ),
-        (_HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options.neutral -> option prior: is -1, expected"),
+        (HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options.neutral -> option prior: is -1, expected"),
         (
-            _HEAD + "[options.all]\n",
+            HEAD + "[options.all]\n",
             "anna.toml -> options: 'all' is unknown, expected some of neutral, refinement,",
         ),
         ("[[[", "anna.toml: is not TOML ("),
@@ -155,7 +154,7 @@ def test_two_corrections_of_one_result_are_refused(tmp_path: Path) -> None:
 
 
 def test_joint_is_true_or_false(folder: Path) -> None:
-    assert not read_project(_project(folder, _HEAD)).joint
-    assert read_project(_project(folder, f"joint = true\n{_HEAD}")).joint
+    assert not read_project(_project(folder, HEAD)).joint
+    assert read_project(_project(folder, f"joint = true\n{HEAD}")).joint
     with pytest.raises(InputError, match=r"anna.toml -> joint: 1, expected true or false"):
-        read_project(_project(folder, f"joint = 1\n{_HEAD}"))
+        read_project(_project(folder, f"joint = 1\n{HEAD}"))

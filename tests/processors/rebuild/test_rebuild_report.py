@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
+from command_line import run
 from PIL import Image
-from test_cli import run
 
 from facepipe.atomic import replacing_folder
 from facepipe.cli import main

@@ -9,8 +9,8 @@ from pathlib import Path
 import expression_domes
 import numpy as np
 import pytest
+from command_line import run
 from rebuild_stages import QUALITY, SEEN, Files
-from test_cli import run
 
 import facepipe
 from facepipe.importers.scan_file import read_scan

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
-from import_data import shared
-from scan_actors import COMPOSITES, Actor, database_faces, ict
+from ict_people import ict_database, ict_template, ours, read
+from scan_actors import COMPOSITES, Actor, ict
 from scan_simulator import SimulatedScan, simulate
 
-from facepipe.geometry.identity_model import IdentityModel
-from facepipe.importers import ict as ict_importer
-from facepipe.importers import load
-from facepipe.processors.database import FaceDatabase
 from facepipe.processors.rebuild import (
     ExpressionScan,
     FitNeutral,
@@ -22,35 +17,7 @@ from facepipe.processors.rebuild import (
     NeutralScan,
     PersonalTemplate,
     RegisterScans,
-    Template,
 )
-from facepipe.scans import Scan, ScanLandmarks
-
-
-def ict_template() -> Template:
-    """ICT-FaceKit."""
-    parts = load("ict", Path(shared("ict_facekit/ict_facekit.npz")), ict_importer.Options()).parts
-    return Template.of(parts, "ict.usda")
-
-
-def ict_database(template: Template) -> FaceDatabase:
-    """Sixty people of some of its modes."""
-    faces = database_faces()
-    identity = IdentityModel.of(faces)
-    return FaceDatabase(
-        topology=template.topology,
-        identity=identity,
-        coefficients=identity.coefficients(faces),
-        expressions=None,
-        entries=(),
-        history=(),
-        tolerance_mm=0.1,
-    )
-
-
-def read(name: str, scan: SimulatedScan) -> tuple[Scan, ScanLandmarks]:
-    """A simulated scan as files are read."""
-    return Scan(name=name, points=scan.points, triangles=scan.triangles), ScanLandmarks(points=scan.landmarks)
 
 
 @dataclass
@@ -126,8 +93,3 @@ def test_a_neutral_whose_scan_has_closed_eyes(seed: int) -> None:
     assert open_named < 0.65
     assert closed_named < 0.65
     assert open_named < 0.4 * open_without
-
-
-def ours(weights: dict[str, float]) -> dict[str, float]:
-    """Weights by the names that the importer gives the shapes."""
-    return {name.replace("_L", "Left").replace("_R", "Right"): weight for name, weight in weights.items()}

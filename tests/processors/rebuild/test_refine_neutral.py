@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
+from command_line import run
 from scan_domes import POSE, dome, grid
-from test_cli import run
 
 import facepipe
 from facepipe.errors import FitError, InputError

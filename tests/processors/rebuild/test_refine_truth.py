@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from ict_people import ict_database, ict_template, read
 from scan_actors import Actor, ict
 from scan_simulator import simulate
-from test_rebuild_truth import ict_database, ict_template, read
 
 from facepipe.processors.rebuild import (
     FitNeutral,

@@ -9,9 +9,9 @@ import expression_domes
 import numpy as np
 import pytest
 import scan_domes
+from command_line import run
 from expression_domes import OWN, PERSON
 from rebuild_stages import DOME, SEEN, Files
-from test_cli import run
 
 import facepipe
 from facepipe.geometry.similarity import Similarity

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from expression_domes import OWN
 from import_data import shared
 from rebuild_stages import Files
-from test_cli import run
 
 import facepipe
 from facepipe.importers.scan_landmarks import write_scan_landmarks

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from facepipe_onnx import Deformer
-from network_faces import SLIDERS, network, networked
+from network_faces import SLIDERS, network, networked, save_network
 from oracle import bake_all
 from pxr import Usd
 from slider_faces import random_values
@@ -99,26 +99,9 @@ def test_a_network_is_authored_replaced_and_gone_with_its_sliders(tmp_path: Path
         assert validate(path) == ()
 
 
-def saved(path: Path, own: SliderNetwork, **changes: Any) -> Path:
-    """The file that training code saves of a network, outputs in another order than on the face."""
-    outputs = [f"{joint.rpartition('/')[2]}:{channel}" for joint, channel in own.channels]
-    outputs += [f"shape:{shape}" for shape in own.shapes]
-    turned = slice(None, None, -1)
-    arrays: dict[str, Any] = {"sliders": own.sliders, "outputs": outputs[turned], "activation": own.activation}
-    for i, (weight, bias) in enumerate(zip(own.weights, own.biases, strict=True)):
-        last = i == len(own.weights) - 1
-        arrays |= {
-            f"layer{i}.weight": weight[turned] if last else weight,
-            f"layer{i}.bias": bias[turned] if last else bias,
-        }
-    arrays |= {"info": json.dumps(dict(own.info))} | changes
-    np.savez(path, **{name: values for name, values in arrays.items() if values is not None})
-    return path
-
-
 def test_a_file_holds_the_network_whatever_the_order_of_its_outputs(tmp_path: Path) -> None:
     own = network((6, 5))
-    found = read_network(saved(tmp_path / "net.npz", own), JOINTS, SHAPES)
+    found = read_network(save_network(tmp_path / "net.npz", own), JOINTS, SHAPES)
     values = np.random.default_rng(0).normal(size=4)
     by_name = []
     for one in (own, found):
@@ -149,7 +132,7 @@ _BAD: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("message", _BAD)
 def test_damaged_files_are_refused(message: str, tmp_path: Path) -> None:
-    path = saved(tmp_path / "net.npz", network(), **_BAD[message])
+    path = save_network(tmp_path / "net.npz", network(), **_BAD[message])
     with pytest.raises(InputError, match=message) as caught:
         read_network(path, JOINTS, SHAPES)
     assert "net.npz" in str(caught.value)
@@ -196,7 +179,7 @@ def test_import_keeps_the_network(tmp_path: Path) -> None:
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     face, learned, posed, model = (tmp_path / name for name in ("f.usda", "l.usda", "p.usda", "s.onnx"))
     save_parts(networked(None), face)
-    file = saved(tmp_path / "net.npz", network())
+    file = save_network(tmp_path / "net.npz", network())
     assert main(["sliders", str(face), "--from-network", str(file), "-o", str(learned)]) == 0
     assert "4 -> 16 -> 5" in capsys.readouterr().out
     assert main(["sliders", str(learned), "--json"]) == 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blend_line import content
+from command_line import done, failed, run
 from faces import tiny_face
 from oracle import difference, played
 from places import REPOSITORY
@@ -74,34 +74,11 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(capsys: Capsys, *words: object) -> tuple[int, str, str]:
-    try:
-        code = main(["sliders", *map(str, words)])
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
-def done(capsys: Capsys, *words: object) -> str:
-    code, out, err = run(capsys, *words)
-    assert (code, err) == (0, "")
-    return out
-
-
-def failed(capsys: Capsys, *words: object) -> str:
-    before = content(Path.cwd())
-    code, out, err = run(capsys, *words)
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert content(Path.cwd()) == before
-    return err.removeprefix("facepipe: ")
-
-
 # ---- listing
 
 
 def test_a_face_tells_its_sliders(folder: Path, capsys: Capsys) -> None:
-    lines = done(capsys, "face.usda").splitlines()
+    lines = done(capsys, "sliders", "face.usda").splitlines()
     assert lines[0] == "face.usda: 3 sliders in 2 groups"
     table = [re.sub(" {2,}", "  ", line.strip()) for line in lines[1:]]
     assert table == [
@@ -114,7 +91,7 @@ def test_a_face_tells_its_sliders(folder: Path, capsys: Capsys) -> None:
 
 
 def test_machines_are_told_all(folder: Path, capsys: Capsys) -> None:
-    told = {one["name"]: one for one in json.loads(done(capsys, "face.usda", "--json"))["sliders"]}
+    told = {one["name"]: one for one in json.loads(done(capsys, "sliders", "face.usda", "--json"))["sliders"]}
     assert list(told) == ["jawLeft", "jawRight", "open"]
     assert told["jawLeft"]["mirror"] == "jawRight"
     assert told["open"] == {
@@ -134,9 +111,9 @@ def test_machines_are_told_all(folder: Path, capsys: Capsys) -> None:
 
 def test_a_face_without_sliders_is_told_so(folder: Path, capsys: Capsys) -> None:
     save_parts(tiny_face(), folder / "none.usda")
-    assert done(capsys, "none.usda") == "none.usda: 0 sliders in 0 groups\n"
-    assert "sliders: none, expected some" in failed(capsys, "none.usda", "--reset", "-o", "out.usda")
-    assert "no slider 'a'; there are none" in failed(capsys, "none.usda", "--set", "a=1", "-o", "out.usda")
+    assert done(capsys, "sliders", "none.usda") == "none.usda: 0 sliders in 0 groups\n"
+    assert "sliders: none, expected some" in failed(capsys, "sliders", "none.usda", "--reset", "-o", "out.usda")
+    assert "no slider 'a'; there are none" in failed(capsys, "sliders", "none.usda", "--set", "a=1", "-o", "out.usda")
 
 
 # ---- tables
@@ -146,7 +123,7 @@ def test_a_face_without_sliders_is_told_so(folder: Path, capsys: Capsys) -> None
 def test_a_table_is_authored_over_the_face(suffix: str, folder: Path, capsys: Capsys) -> None:
     out = folder / f"out{suffix}"
     assert "4 sliders, 2 of them replaced, over 4 channels and 1 shapes" in done(
-        capsys, "face.usda", "--from", "table.toml", "-o", out
+        capsys, "sliders", "face.usda", "--from", "table.toml", "-o", out
     )
     assert main(["validate", str(out)]) == 0
     table = read_table(folder / "table.toml")
@@ -172,7 +149,7 @@ def assert_near(one: Slider, other: Slider) -> None:
 
 def test_replace_drops_what_the_table_lacks(folder: Path, capsys: Capsys) -> None:
     (folder / "table.csv").write_text("slider,target,gain\nnew,jawOpen,1\n")
-    assert ", 3 dropped" in done(capsys, "face.usda", "--from", "table.csv", "--replace", "-o", "out.usda")
+    assert ", 3 dropped" in done(capsys, "sliders", "face.usda", "--from", "table.csv", "--replace", "-o", "out.usda")
     assert facepipe.open("out.usda").sliders == (Slider(name="new", shapes=(("jawOpen", 1.0),)),)
 
 
@@ -184,7 +161,7 @@ def test_what_a_table_makes_doubtful_is_told(folder: Path, capsys: Capsys) -> No
         '[slider.open]\nrange = [0, 0.25]\nchannels = { "jaw:rx" = 2 }\n'
         '[slider.far]\nchannels = { "*:rx" = -0.5 }\n[slider.idle]'
     )
-    code, out, err = run(capsys, "limited.usda", "--from", "odd.toml", "-o", "out.usda", "--json")
+    code, out, err = run(capsys, "sliders", "limited.usda", "--from", "odd.toml", "-o", "out.usda", "--json")
     assert code == 0
     assert json.loads(out)["beyond_limits"] == [
         "open -> root/jaw:rx",
@@ -219,7 +196,7 @@ REFUSED: dict[str, tuple[str, str]] = {
 def test_tables_that_the_face_can_not_have_are_refused(name: str, folder: Path, capsys: Capsys) -> None:
     text, message = REFUSED[name]
     (folder / "table.toml").write_text(text)
-    assert message in failed(capsys, "face.usda", "--from", "table.toml", "-o", "out.usda")
+    assert message in failed(capsys, "sliders", "face.usda", "--from", "table.toml", "-o", "out.usda")
 
 
 def test_the_tables_of_the_page_are_authored_on_the_sample(
@@ -230,7 +207,7 @@ def test_the_tables_of_the_page_are_authored_on_the_sample(
     assert [kind for kind, _ in tables] == ["toml", "csv", "csv"]
     for number, (kind, text) in enumerate(tables):
         (tmp_path / f"page.{kind}").write_text(text)
-        done(capsys, sample, "--from", f"page.{kind}", "--replace", "-o", f"{number}.usda")
+        done(capsys, "sliders", sample, "--from", f"page.{kind}", "--replace", "-o", f"{number}.usda")
         face = facepipe.open(f"{number}.usda")
         at_ends = {one.name: one.maximum for one in face.sliders}
         assert np.abs(face.evaluate(sliders=at_ends) - face.evaluate()).max() > 0.1
@@ -251,7 +228,7 @@ def rounded(face: Face, values: dict[str, float]) -> np.ndarray:
 def test_a_viewer_shows_the_posed_face(suffix: str, more: tuple[str, ...], folder: Path, capsys: Capsys) -> None:
     face, values = facepipe.open("face.usda"), {"open": 0.75, "jawLeft": 0.3}
     out = folder / f"out{suffix}"
-    text = done(capsys, "face.usda", "--set", "open=0.75", "--set", "jawLeft=0.3", "-o", out, *more)
+    text = done(capsys, "sliders", "face.usda", "--set", "open=0.75", "--set", "jawLeft=0.3", "-o", out, *more)
     assert "open 0.75, jawLeft 0.3: 2 joints off rest, 1 shapes on" in text
     assert main(["validate", str(out)]) == 0
     assert difference(face, played(out)[0], rounded(face, values)) < TOLERANCE
@@ -273,13 +250,13 @@ def test_every_slider_of_the_sample_poses_it(sample: Path, tmp_path: Path) -> No
 
 
 def test_sliders_that_are_not_named_keep_their_values_or_are_reset(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "face.usda", "--set", "jawLeft=0.25", "-o", "one.usda")
-    done(capsys, "one.usda", "--set", "jawRight=1", "-o", "two.usda")
+    done(capsys, "sliders", "face.usda", "--set", "jawLeft=0.25", "-o", "one.usda")
+    done(capsys, "sliders", "one.usda", "--set", "jawRight=1", "-o", "two.usda")
     assert values_of("two.usda") == {"jawLeft": 0.25, "jawRight": 1.0, "open": 0.5}
     assert len(facepipe.open("two.usda").animations) == 1
-    done(capsys, "two.usda", "--set", "open=-1", "--reset", "-o", "three.usda")
+    done(capsys, "sliders", "two.usda", "--set", "open=-1", "--reset", "-o", "three.usda")
     assert values_of("three.usda") == {"jawLeft": 0.0, "jawRight": 0.0, "open": -1.0}
-    done(capsys, "two.usda", "--reset", "-o", "four.usda")
+    done(capsys, "sliders", "two.usda", "--reset", "-o", "four.usda")
     face = facepipe.open("four.usda")
     assert difference(face, played(Path("four.usda"))[0], face.evaluate()) < TOLERANCE
 
@@ -289,7 +266,7 @@ def values_of(path: str) -> dict[str, Any]:
 
 
 def test_only_the_values_are_authored_of_sliders(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "face.usda", "--set", "jawLeft=0.25", "-o", "out.usda")
+    done(capsys, "sliders", "face.usda", "--set", "jawLeft=0.25", "-o", "out.usda")
     assert set(re.findall(r"facepipe:slider:\S+", (folder / "out.usda").read_text())) == {
         "facepipe:slider:jawLeft:value"
     }
@@ -308,7 +285,7 @@ def test_mirror_sets_the_other_side(
     words: tuple[str, ...], left: float, right: float, folder: Path, capsys: Capsys
 ) -> None:
     flags = [word for one in words for word in ("--set", one)]
-    done(capsys, "face.usda", *flags, "--mirror", "-o", "out.usda")
+    done(capsys, "sliders", "face.usda", *flags, "--mirror", "-o", "out.usda")
     found = values_of("out.usda")
     assert (found["jawLeft"], found["jawRight"]) == (left, right)
 
@@ -317,10 +294,10 @@ def test_a_pose_beyond_limits_is_written_and_told(folder: Path, capsys: Capsys) 
     limits = np.tile(np.float32([0.25] * 3 + [1] * 3 + [2] * 3), (3, 1))
     parts = replace(tiny_face(), sliders=SLIDERS, bone_limits=BoneLimits(lower=-limits, upper=limits))
     save_parts(parts, folder / "limited.usda")
-    code, _, err = run(capsys, "limited.usda", "--set", "jawLeft=0.75", "-o", "out.usda")
+    code, _, err = run(capsys, "sliders", "limited.usda", "--set", "jawLeft=0.75", "-o", "out.usda")
     assert (code, err) == (1, "facepipe: warning: 1 channels beyond the limits of the face: jaw:tx\n")
     assert values_of("out.usda")["jawLeft"] == 0.75
-    done(capsys, "limited.usda", "--set", "jawLeft=0.75", "--set", "jawRight=0.75", "-o", "within.usda")
+    done(capsys, "sliders", "limited.usda", "--set", "jawLeft=0.75", "--set", "jawRight=0.75", "-o", "within.usda")
 
 
 @pytest.mark.parametrize(
@@ -345,7 +322,7 @@ def test_wrong_words_are_told_and_nothing_is_written(
 ) -> None:
     talk = Animation(name="talk", times=np.array([0.0, 1.0]), shapes=("jawOpen",), shape_weights=np.zeros((2, 1)))
     save_parts(replace(tiny_face(), sliders=SLIDERS, animations=(talk,)), folder / "face.usda")
-    assert message in failed(capsys, "face.usda", *words, "-o", "out.usda")
+    assert message in failed(capsys, "sliders", "face.usda", *words, "-o", "out.usda")
 
 
 def test_sliders_of_what_the_face_lacks_can_not_be_set(folder: Path, capsys: Capsys) -> None:
@@ -354,19 +331,21 @@ def test_sliders_of_what_the_face_lacks_can_not_be_set(folder: Path, capsys: Cap
         Slider(name="open", shapes=(("frown", 1.0),)),
     ):
         save_parts(replace(tiny_face(), sliders=(slider,)), folder / "stray.usda")
-        found = failed(capsys, "stray.usda", "--set", "open=1", "-o", "out.usda")
+        found = failed(capsys, "sliders", "stray.usda", "--set", "open=1", "-o", "out.usda")
         assert "stray.usda" in found
         assert "root/nose" in found or "frown" in found
 
 
 def test_existing_files_and_inputs_are_safe(folder: Path, capsys: Capsys) -> None:
-    assert "is an input" in failed(capsys, "face.usda", "--set", "open=1", "-o", "face.usda", "--force")
-    assert "is an input" in failed(capsys, "face.usda", "--from", "table.toml", "-o", "table.toml", "--force")
-    assert "suffix" in failed(capsys, "face.usda", "--set", "open=1", "-o", "out.glb")
-    done(capsys, "face.usda", "--set", "open=1", "-o", "out.usda")
-    assert "--force" in failed(capsys, "face.usda", "--set", "open=1", "-o", "out.usda")
+    assert "is an input" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "face.usda", "--force")
+    assert "is an input" in failed(
+        capsys, "sliders", "face.usda", "--from", "table.toml", "-o", "table.toml", "--force"
+    )
+    assert "suffix" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.glb")
+    done(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.usda")
+    assert "--force" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.usda")
     first = (folder / "out.usda").read_bytes()
-    done(capsys, "face.usda", "--set", "open=1", "-o", "out.usda", "--force")
+    done(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.usda", "--force")
     assert (folder / "out.usda").read_bytes() == first
 
 
@@ -374,8 +353,8 @@ def test_existing_files_and_inputs_are_safe(folder: Path, capsys: Capsys) -> Non
 
 
 def test_recipes_make_the_same_again(folder: Path, capsys: Capsys) -> None:
-    done(capsys, "face.usda", "--from", "table.toml", "--replace", "-o", "made.usda")
-    done(capsys, "made.usda", "--set", "lips=0.5", "--mirror", "-o", "set.usda")
+    done(capsys, "sliders", "face.usda", "--from", "table.toml", "--replace", "-o", "made.usda")
+    done(capsys, "sliders", "made.usda", "--set", "lips=0.5", "--mirror", "-o", "set.usda")
     for name in ("made", "set"):
         recipe = read_slider_recipe(f"{name}.usda")
         assert recipe.warnings == ()
@@ -392,7 +371,7 @@ def test_recipes_make_the_same_again(folder: Path, capsys: Capsys) -> None:
 
 @pytest.mark.parametrize("options", ["{}", '{"drop": 3}', "[]", '{"values": {"a": "b"}}'])
 def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) -> None:
-    done(capsys, "face.usda", "--set", "open=1", "-o", "set.usda")
+    done(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "set.usda")
     text = (folder / "set.usda").read_text()
     changed = re.sub(r"(recipe:options = )'.*'", lambda found: f"{found[1]}'{options}'", text)
     assert changed != text

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import done, failed, run
 from faces import replace_mesh, tiny_face
 from import_data import shared
 from oracle import random_coefficients
 from places import REPOSITORY
-from test_sliders_cli import done, failed, run
 
 import facepipe
 from facepipe.errors import InputError, SchemaError
@@ -391,7 +391,7 @@ def test_faces_and_options_that_give_no_sliders_are_refused(parts: object, maker
 
 def test_the_command_makes_them_and_its_recipe_makes_them_again(folder: Path, capsys: Capsys) -> None:
     words = ("face.usdc", "--from-shapes", "mouthSmile*,jawOpen", "--limits", "limits.json", "--least-reach", "0.3")
-    code, out, err = run(capsys, *words, "-o", "made.usda", "--json")
+    code, out, err = run(capsys, "sliders", *words, "-o", "made.usda", "--json")
     assert code == 1
     assert "1 sliders left out" in err
     report = json.loads(out)
@@ -401,17 +401,17 @@ def test_the_command_makes_them_and_its_recipe_makes_them_again(folder: Path, ca
     with facepipe.open(recipe.face).deriving("again.usda") as face:
         recipe.shapes(face)
     assert facepipe.open("again.usda").sliders == facepipe.open("made.usda").sliders
-    text = done(capsys, *words, "--residual", "-o", "whole.usda")
+    text = done(capsys, "sliders", *words, "--residual", "-o", "whole.usda")
     assert "jawOpen" in text
     assert "shapes" in text
-    done(capsys, "whole.usda", "--set", "mouthSmileLeft=0.5", "--mirror", "-o", "posed.usda")
+    done(capsys, "sliders", "whole.usda", "--set", "mouthSmileLeft=0.5", "--mirror", "-o", "posed.usda")
 
 
 @pytest.mark.parametrize(
     "options", ['{"shapes": 3}', '{"shapes": "*", "drop": false, "limits": {}, "options": {"pairs": 1}}']
 )
 def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) -> None:
-    done(capsys, "face.usdc", "--from-shapes", "jawOpen", "-o", "made.usda")
+    done(capsys, "sliders", "face.usdc", "--from-shapes", "jawOpen", "-o", "made.usda")
     stage = facepipe.open("made.usda").stage
     stage.GetDefaultPrim().GetAttribute("facepipe:recipe:options").Set(options)
     stage.GetRootLayer().Save()
@@ -436,7 +436,7 @@ def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) ->
 def test_wrong_words_are_told_and_nothing_is_written(
     words: tuple[str, ...], message: str, folder: Path, capsys: Capsys
 ) -> None:
-    assert message in failed(capsys, "face.usdc", *words)
+    assert message in failed(capsys, "sliders", "face.usdc", *words)
     assert not Path("out.usda").exists()
 
 

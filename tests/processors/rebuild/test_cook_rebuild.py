@@ -9,15 +9,19 @@ from pathlib import Path
 
 import pytest
 import scan_domes
-from blend_line import content
-from test_cli import run
-from test_fit_neutral import Files, database_file, files  # noqa: F401  (fixtures)
-from test_rebuild import PROJECT, drawer_of_scans, project, rebuilt  # noqa: F401  (fixtures)
+from command_line import content, run
+from neutral_files import Files
+from rebuild_project import PROJECT, rebuilt
 
 from facepipe.pipeline import cook
 from facepipe.pipeline.verbs import Bar, unwatched
 
 Capsys = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def files(fit_files: Files) -> Files:
+    return fit_files
 
 
 def _cooked(capsys: Capsys, *stages: Path, more: tuple[str, ...] = ()) -> list[str]:
@@ -27,7 +31,7 @@ def _cooked(capsys: Capsys, *stages: Path, more: tuple[str, ...] = ()) -> list[s
     return [line.split(": ", 2)[2].split(" in ")[0].partition(" (")[0] for line in out.splitlines()[:-1]]
 
 
-def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> None:  # noqa: F811
+def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> None:
     fine = files.folder / "fine.usda"
     refine = ("refine-neutral", files["out.usda"], files["scan.ply"], "-o", fine)
     assert run(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"))[0] == 0
@@ -45,7 +49,7 @@ def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> N
     assert content(files.folder) == cooked
 
 
-def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:  # noqa: F811
+def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:
     out = project.parent / "anna.usda"
     rebuilt(capsys, project)
     before = out.read_bytes()
@@ -60,7 +64,7 @@ def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:  # noqa: 
     assert out.read_bytes() == cooked
 
 
-def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, capsys: Capsys) -> None:  # noqa: F811
+def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, capsys: Capsys) -> None:
     """No recipe tells of it until the actor is cooked; then it is cooked, and the actor is of what it became."""
     head, middle, out = (project.parent / name for name in ("head.usda", "middle.usda", "anna.usda"))
     rebuilt(capsys, project)
@@ -77,7 +81,7 @@ def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, caps
     assert out.read_bytes() == cooked
 
 
-def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, capsys: Capsys) -> None:  # noqa: F811
+def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, capsys: Capsys) -> None:
     """The fit is of the scan as it was read, the recipe of the scan as it is: together they would look up to date."""
     assert run(capsys, *files.words("--unit", "cm"))[0] == 0
     files.put(*scan_domes.scan(8))
