@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failed
 from facepipe_gltf.engines import ENGINES
 from faces import replace_mesh, tiny_face
 from gltf_export import (
@@ -29,7 +30,6 @@ from node import node_packages, three_load
 from placed_faces import FACES
 from places import REPOSITORY
 
-from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.stage import save_parts
@@ -165,16 +165,7 @@ def test_what_an_engine_cannot_read_is_refused(
 ) -> None:
     stage, out = tmp_path / "face.usda", tmp_path / "face.glb"
     save_parts(tiny_face(), stage)
-    before = sorted(tmp_path.iterdir())
-    try:
-        code = main(["export", str(stage), "-o", str(out), *words.split()])
-    except SystemExit as end:
-        code = end.code
-    said = capsys.readouterr().err
-    assert code == 2
-    assert flag in said
-    assert said.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == before
+    assert flag in failed(capsys, "export", stage, "-o", out, *words.split(), folder=tmp_path)
 
 
 def test_the_documentation_has_the_same_table() -> None:

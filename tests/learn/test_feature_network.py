@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import onnx
 import onnxruntime
-from learned import torch
 from onnx import numpy_helper
 from PIL import Image, ImageDraw
+from with_torch import torch
 
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look

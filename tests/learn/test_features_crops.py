@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from learned import tensor, torch
 from places import SHARED
+from with_torch import tensor, torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.crops import (

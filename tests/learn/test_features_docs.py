@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from feature_graphs import arcface_like, save
-from learned import torch
 from places import REPOSITORY
+from with_torch import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.crops import ARCFACE_TEMPLATE, TEMPLATE

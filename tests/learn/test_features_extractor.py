@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from feature_graphs import Network, arcface_like, attribute_net, bisenet_like, make_model, reference, save
-from learned import torch
 from onnx import TensorProto, helper
+from with_torch import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.crops import TEMPLATE, arcface_crop, face_crop

@@ -10,8 +10,8 @@ import onnx
 import pytest
 from feature_graphs import Network, arcface_like, attribute_net, bisenet_like, make_model, reference, save
 from import_data import refused
-from learned import torch
 from onnx import TensorProto, helper, numpy_helper
+from with_torch import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.onnx_module import OnnxModule

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from feature_graphs import make_model, reference
-from learned import torch
 from onnx import TensorProto, helper
+from with_torch import torch
 
 from facepipe.learn.features.onnx_module import OnnxModule
 from facepipe.learn.features.operators import OPERATORS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from learned import torch
+from with_torch import torch
 
 from facepipe.learn.networks.graph_writer import GraphWriter
 from facepipe.learn.networks.landmark_network import Block

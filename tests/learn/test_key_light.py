@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from learned import torch
 from photo_people import joint_loss, model, portrait
+from with_torch import torch
 
 from facepipe.learn.key_light import DARK, KeyLight, hue_cost
 from facepipe.render.lighting import Light, Samples, Studio, lit

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from learned import tensor, torch
+from with_torch import tensor, torch
 
 from facepipe.learn.antialias import antialias
 from facepipe.learn.camera import Camera, rotation_matrices

@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 import pytest
 from faces import grid_mesh, replace_mesh, tiny_face
-from learned import tensor, torch
 from PIL import Image
+from with_torch import tensor, torch
 
 from facepipe.errors import InputError, TopologyError
 from facepipe.learn.camera import Camera

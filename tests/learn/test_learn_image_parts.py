@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from learned import tensor, torch
 from scipy.spatial.transform import Rotation
+from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.learn.camera import Camera, rotation_matrices

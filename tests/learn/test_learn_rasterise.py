@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from learned import tensor, torch
+from with_torch import tensor, torch
 
 from facepipe.learn import rasterise as module
 from facepipe.learn.camera import Camera

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from import_data import shared
-from learned import torch
 from oracle import random_coefficients
+from with_torch import torch
 
 from facepipe.errors import InputError
 from facepipe.importers import load

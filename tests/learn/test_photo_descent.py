@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from learned import torch
+from with_torch import torch
 
 from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.descent import Descent, descend

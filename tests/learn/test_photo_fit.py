@@ -12,10 +12,10 @@ import feature_graphs
 import numpy as np
 import pytest
 from faces import tiny_face
-from learned import torch
 from photo_people import joint_loss, moved, portrait, sample, subject
 from recovery_measures import recovery
 from recovery_targets import target
+from with_torch import torch
 
 from facepipe.errors import InputError
 from facepipe.learn.features.extractor import load_extractor

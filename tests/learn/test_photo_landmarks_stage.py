@@ -11,10 +11,10 @@ import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
 from faces import tiny_face
-from learned import tensor, torch
 from recovery_landmarks import FaceLandmarks
 from recovery_looks import Pose, camera_of
 from recovery_targets import posed, random_sliders
+from with_torch import tensor, torch
 
 from facepipe.errors import InputError
 from facepipe.learn.camera import Camera

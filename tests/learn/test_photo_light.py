@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from learned import torch
 from photo_people import joint_loss, model, portrait
+from with_torch import torch
 
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import Look

@@ -9,8 +9,8 @@ from pathlib import Path
 import feature_graphs
 import numpy as np
 import pytest
-from learned import tensor, torch
 from photo_people import SMILE, Portrait, joint_loss, moved, portrait, subject
+from with_torch import tensor, torch
 
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.photo.color_loss import color_loss

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from learned import tensor, torch
 from scipy.optimize import least_squares, rosen
 from scipy.spatial.transform import Rotation
+from with_torch import tensor, torch
 
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt

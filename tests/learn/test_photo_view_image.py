@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from learned import torch
 from photo_people import Portrait, joint_loss, model, portrait
+from with_torch import torch
 
 from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.descent import Descent

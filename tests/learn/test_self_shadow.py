@@ -6,9 +6,9 @@ import itertools
 import math
 
 import numpy as np
-from learned import torch
 from scipy.spatial.transform import Rotation
 from solids import ball
+from with_torch import torch
 
 from facepipe.learn.light import ambient, basis, distant, shade
 from facepipe.learn.self_shadow import shadow_transfer, visibility

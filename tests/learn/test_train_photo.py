@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
-from command_line import run
-from learned import torch
+from command_line import done, failed, run
 from PIL import Image
+from with_torch import torch
 
 from facepipe.cli import main
 from facepipe.errors import FacepipeError, InputError
@@ -282,8 +282,7 @@ def test_the_command_writes_a_network_for_the_face(
     face: Path, subject: Subject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "start.onnx"
-    code, text, _ = run(capsys, "train-photo", face, "-o", out, *LEAST, "--json")
-    assert code == 0
+    text = done(capsys, "train-photo", face, "-o", out, *LEAST, "--json")
     assert json.loads(text)["held_out"]["pictures"] == 2
     assert load_start(out, subject).metadata["training"].endswith("--steps 1 --seed 0")
     code, _, err = run(capsys, "train-photo", face, "-o", out, *LEAST)
@@ -303,8 +302,7 @@ def test_photos_without_labels_are_learnt_from(
     (folder / "notes.txt").write_text("nothing to see")
     out = tmp_path / "start.onnx"
     words = ("--images", folder, "--renders", "0", "--people", "0", "--steps", "1", "--json")
-    code, text, err = run(capsys, "train-photo", face, "-o", out, *words)
-    assert code == 0, err
+    text = done(capsys, "train-photo", face, "-o", out, *words, quiet=False)
     result = json.loads(text)
     assert (result["photos"], result["held_out"]["pictures"]) == (5, 1)
     assert len(result["warnings"]) == 1
@@ -334,17 +332,12 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, "train-photo", face, *words)
-    assert code == 2
-    assert err.count("\n") == 1
-    assert expected in err
-    assert not list(tmp_path.iterdir())
+    assert expected in failed(capsys, "train-photo", face, *words)
 
 
 def test_a_face_without_sliders_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_parts(replace(make(0), sliders=()), tmp_path / "bare.usdc")
-    code, _, err = run(capsys, "train-photo", tmp_path / "bare.usdc", "-o", tmp_path / "start.onnx")
-    assert code == 2
+    err = failed(capsys, "train-photo", tmp_path / "bare.usdc", "-o", tmp_path / "start.onnx", folder=tmp_path)
     assert "bare.usdc" in err
     assert "sliders" in err
 
@@ -391,5 +384,7 @@ def test_the_fit_command_takes_the_network(
     assert main([*map(str, words)]) in (0, 1)
     recipe = read_photo_recipe(tmp_path / "person.usda")
     assert recipe.files["start"].samefile(network_file)
-    assert main(["fit-photo", "--edit", str(tmp_path / "person.usda"), "--expression", "jawOpen", "--force"]) == 2
-    assert "made for another face" in capsys.readouterr().err
+    err = failed(
+        capsys, "fit-photo", "--edit", tmp_path / "person.usda", "--expression", "jawOpen", "--force", folder=tmp_path
+    )
+    assert "made for another face" in err

@@ -11,9 +11,9 @@ import numpy as np
 import onnx
 import pytest
 from facepipe_onnx import Deformer, Options, export_parts, validate
-from learned import torch
 from network_faces import SLIDERS, network, networked
 from slider_faces import random_values, sample_with_sliders
+from with_torch import torch
 
 from facepipe.cli import main
 from facepipe.errors import InputError

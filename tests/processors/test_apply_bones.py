@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import exit_code, failed
 from faces import tiny_face
 from oracle import difference, played
 
 import facepipe
-from facepipe.cli import main
 from facepipe.errors import InputError
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.payload import PayloadContent, Precision, encode
@@ -25,10 +25,6 @@ from facepipe.stage.animation_source import play
 
 Capsys = pytest.CaptureFixture[str]
 TOLERANCE = 1e-5  # head heights
-
-
-def ran(*words: object) -> int:
-    return main(["apply-bones", *map(str, words)])
 
 
 def moved(face: Face, frames: int | None = None, precision: Precision = "float32") -> PayloadContent:
@@ -65,7 +61,7 @@ def test_a_viewer_shows_the_rebuilt_face(
     face = facepipe.open(tmp_path / "face.usdc")
     content = moved(face, frames)
     out = tmp_path / f"out{suffix}"
-    assert ran(tmp_path / "face.usdc", sent(content, tmp_path / "p.fpb"), "-o", out, *more) == 0
+    assert exit_code("apply-bones", tmp_path / "face.usdc", sent(content, tmp_path / "p.fpb"), "-o", out, *more) == 0
     times = [None] if content.times is None else list(content.times)
     for pose, points in zip(content.frames, played(out, times), strict=True):
         expected = face.evaluate(coefficients=pose)
@@ -77,10 +73,12 @@ def test_of_several_poses_the_first_is_shown_and_of_two_payloads_the_last(tmp_pa
     save_parts(tiny_face(), tmp_path / "face.usda")
     face = facepipe.open(tmp_path / "face.usda")
     several = replace(moved(face, 2), times=None)
-    assert ran(tmp_path / "face.usda", sent(several, tmp_path / "a.fpb"), "-o", tmp_path / "a.usda") == 0
+    payload = sent(several, tmp_path / "a.fpb")
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "a.usda") == 0
     assert difference(face, played(tmp_path / "a.usda")[0], face.evaluate(coefficients=several.frames[0])) < TOLERANCE
     single = replace(several, coefficients=several.frames[1])
-    assert ran(tmp_path / "a.usda", sent(single, tmp_path / "b.fpb"), "-o", tmp_path / "b.usda") == 0
+    payload = sent(single, tmp_path / "b.fpb")
+    assert exit_code("apply-bones", tmp_path / "a.usda", payload, "-o", tmp_path / "b.usda") == 0
     assert difference(face, played(tmp_path / "b.usda")[0], face.evaluate(coefficients=several.frames[1])) < TOLERANCE
     assert np.array_equal(facepipe.open(tmp_path / "b.usda").evaluate(), face.evaluate())
     with pytest.raises(InputError, match="no animation 'c'"):
@@ -96,7 +94,8 @@ def test_clips_keep_their_frames_through_float32_seconds(rate: float, tmp_path: 
     codes = np.array([0.0, 1.0, 7.0, 7.5, 2000.0, 86399.0])
     content = replace(moved(face, len(codes)), times=codes / rate)
     face.stage.GetRootLayer().Save()
-    assert ran(tmp_path / "face.usda", sent(content, tmp_path / "p.fpb"), "-o", tmp_path / "out.usda") == 0
+    payload = sent(content, tmp_path / "p.fpb")
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.usda") == 0
     stage = facepipe.open(tmp_path / "out.usda").stage
     prim = stage.GetPrimAtPath("/Tiny/Animations/p")
     found = np.array(prim.GetAttribute("translations").GetTimeSamples())
@@ -109,11 +108,8 @@ def test_points_that_float32_can_not_hold_are_refused(tmp_path: Path, capsys: Ca
     values = moved(facepipe.open(tmp_path / "face.usda"), 2)
     values.coefficients[1, :, 6:] = 1e25
     payload = sent(values, tmp_path / "p.fpb")
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz") == 2
-    err = capsys.readouterr().err
+    err = failed(capsys, "apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", folder=tmp_path)
     assert "</Tiny> -> frame 1: points too large for float32, expected smaller coefficients" in err
-    assert err.count("\n") == 1
-    assert not list(tmp_path.glob("*out*"))
 
 
 # --- limits
@@ -152,7 +148,7 @@ def test_coefficients_at_a_limit_are_within_it_whatever_the_rounding(
     save_parts(parts, tmp_path / "face.usda")
     payload = sent(at_limits(parts, precision), tmp_path / "p.fpb")
     for words in (("-o", tmp_path / "out.usda"), ("-o", tmp_path / "out.npz"), ("--info",)):
-        assert ran(tmp_path / "face.usda", payload, *words, "--json") == 0
+        assert exit_code("apply-bones", tmp_path / "face.usda", payload, *words, "--json") == 0
         report, err = json_of(capsys)
         assert (report["beyond_limits"], err) == ([], "")
 
@@ -165,17 +161,17 @@ def test_what_is_beyond_a_limit_is_told_or_brought_back(precision: Precision, tm
     face = facepipe.open(tmp_path / "face.usda")
     content = at_limits(parts, precision, further=0.001)
     payload = sent(content, tmp_path / "p.fpb")
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "out.usda", "--json") == 1
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.usda", "--json") == 1
     report, err = json_of(capsys)
     assert report["beyond_limits"] == ["root/jaw:rx"]
     assert err == "facepipe: warning: 1 channels beyond the limits of the face: jaw:rx\n"
-    assert ran(tmp_path / "face.usda", payload, "--info") == 1
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "--info") == 1
     assert capsys.readouterr().out.endswith("1 channels beyond the limits of the face: jaw:rx\n")
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", "--json") == 1
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", "--json") == 1
     kept = np.load(tmp_path / "out.npz")["points"]
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "in.usda", "--clamp") == 0
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "in.usda", "--clamp") == 0
     assert "1 channels brought into the limits" in capsys.readouterr().err
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "in.npz", "--clamp") == 0
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "in.npz", "--clamp") == 0
     (within,) = facepipe.open(tmp_path / "in.usda").animations
     assert within.coefficients is not None
     assert (within.coefficients >= parts.bone_limits.lower).all()
@@ -196,11 +192,8 @@ def test_limits_that_cross_are_named_and_nothing_is_written(tmp_path: Path, caps
     save_parts(replace(parts, bone_limits=replace(parts.bone_limits, upper=upper)), tmp_path / "face.usda")
     payload = sent(at_limits(parts, "float32"), tmp_path / "p.fpb")
     for words in (("-o", tmp_path / "out.usda"), ("-o", tmp_path / "out.npz", "--clamp"), ("--info",)):
-        assert ran(tmp_path / "face.usda", payload, *words) == 2
-        err = capsys.readouterr().err
+        err = failed(capsys, "apply-bones", tmp_path / "face.usda", payload, *words, folder=tmp_path)
         assert "bone limits -> root/jaw/lip -> sz: lower limit 0.9 above the upper 0.5" in err
-        assert err.count("\n") == 1
-    assert not list(tmp_path.glob("*out.*"))
 
 
 def test_info_and_units_of_another_face(tmp_path: Path, capsys: Capsys) -> None:
@@ -208,10 +201,10 @@ def test_info_and_units_of_another_face(tmp_path: Path, capsys: Capsys) -> None:
     save_parts(tiny_face(), tmp_path / "face.usda")
     face = facepipe.open(tmp_path / "face.usda")
     payload = sent(replace(moved(face), meters_per_unit=1.0), tmp_path / "p.fpb")
-    assert ran(tmp_path / "face.usda", payload, "--info", "--json") == 1
+    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "--info", "--json") == 1
     report, _ = json_of(capsys)
     assert report["fits"] is False
-    assert ran(tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz") == 2
-    assert "units of 1 m, expected 0.01 m" in capsys.readouterr().err
+    err = failed(capsys, "apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", folder=tmp_path)
+    assert "units of 1 m, expected 0.01 m" in err
     with pytest.raises(InputError, match="units of 1 m"):
         ApplyBones(content=replace(moved(face), meters_per_unit=1.0), name="x")(Face.from_parts(tiny_face()))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, failed, run
 from faces import grid_mesh, replace_mesh, tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -242,8 +242,7 @@ def test_the_command_on_the_sample(sample: Path, tmp_path: Path, capsys: pytest.
     out, again, drawn = tmp_path / "out.usda", tmp_path / "again.usda", tmp_path / "out.png"
     before = sample.read_bytes()
     words = ["regions", sample, "--map", sample.parent / "map.png", "--legend", sample.parent / "legend.json"]
-    code, text, err = run(capsys, *words, "-o", out, "--picture", drawn, "--json")
-    assert (code, err) == (0, "")
+    text = done(capsys, *words, "-o", out, "--picture", drawn, "--json")
     result = json.loads(text)
     source, head = facepipe.open(sample).meshes[0], facepipe.open(out).meshes[0]
     inside, everywhere = compare(source, head)
@@ -258,7 +257,7 @@ def test_the_command_on_the_sample(sample: Path, tmp_path: Path, capsys: pytest.
         assert (mask[hard] >= 0.5).all()
     assert validate(out) == ()
     assert sample.read_bytes() == before
-    assert run(capsys, *words, "-o", again)[0] == 0
+    done(capsys, *words, "-o", again)
     assert again.read_bytes() == out.read_bytes()
     assert set(authored(out)) == {
         *(f"/Face/Head.primvars:facepipe:region:{name}" for name in head.regions),
@@ -576,13 +575,8 @@ def test_a_mesh_without_uvs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 def refuses(capsys: pytest.CaptureFixture[str], folder: Path, face: Path, *words: str) -> str:
     """The one line that the command says; it must write nothing."""
-    before = {one: one.read_bytes() for one in folder.iterdir() if one.is_file()}
     files = ["--map", folder / "map.png", "--legend", folder / "legend.json", "-o", folder / "out.usda"]
-    code, out, err = run(capsys, "regions", face, *files, *words)
-    assert (code, out) == (2, "")
-    assert err.count("\n") == 1, err
-    assert {one: one.read_bytes() for one in folder.iterdir() if one.is_file()} == before
-    return err
+    return failed(capsys, "regions", face, *files, *words, folder=folder)
 
 
 @settings(max_examples=60, deadline=None)
@@ -616,8 +610,7 @@ def test_both_forms_of_a_legend_mean_the_same(tmp_path: Path) -> None:
 
 
 def test_listing(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = run(capsys, "regions", tiny, "--json", "--picture", tmp_path / "p.png")
-    assert (code, err) == (0, "")
+    out = done(capsys, "regions", tiny, "--json", "--picture", tmp_path / "p.png")
     result, head = json.loads(out), tiny_face().meshes[0]
     assert set(result["regions"]) == {"mouth", "neck"}
     assert result["meshes"]["Teeth"] == {}
@@ -626,8 +619,7 @@ def test_listing(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
     assert [line.split()[0] for line in run(capsys, "regions", tiny)[1].splitlines()] == ["region", "mouth", "neck"]
     for words in (["-o", tmp_path / "o.usda"], ["--legend", "l.json"], ["--map", tmp_path / "m.png"]):
-        code, out, err = run(capsys, "regions", tiny, *words)
-        assert (code, out, err.count("\n")) == (2, "", 1)
+        failed(capsys, "regions", tiny, *words, folder=tmp_path)
 
 
 def test_the_picture_shows_each_region_in_its_colour_where_it_is() -> None:
@@ -684,11 +676,10 @@ def test_pictures_that_make_no_sense() -> None:
 
 def test_render_regions(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`render --regions` draws what `regions --picture` draws; a face without regions is refused."""
-    assert run(capsys, "render", tiny, "--regions", "-o", tmp_path / "a.png")[0] == 0
-    assert run(capsys, "regions", tiny, "--picture", tmp_path / "b.png")[0] == 0
+    done(capsys, "render", tiny, "--regions", "-o", tmp_path / "a.png")
+    done(capsys, "regions", tiny, "--picture", tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     parts = tiny_face()
     bare = dataclasses.replace(parts, meshes=tuple(replace_mesh(mesh, regions={}) for mesh in parts.meshes))
     save_parts(bare, tmp_path / "bare.usda")
-    code, _, err = run(capsys, "render", tmp_path / "bare.usda", "--regions", "-o", tmp_path / "c.png")
-    assert (code, err.count("\n")) == (2, 1)
+    failed(capsys, "render", tmp_path / "bare.usda", "--regions", "-o", tmp_path / "c.png", folder=tmp_path)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import photo_booth
 import pytest
+from command_line import failed
 from photo_booth import noise_photos
 from scan_actors import Actor, ict
 from scan_simulator import visible_triangles
@@ -151,14 +152,11 @@ def test_scans_do_not_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[st
     words = ["scan", str(tmp_path / "photos"), "-o"]
     for name in ("a.ply", "b.landmarks.json", "rig.json"):
         (tmp_path / name).write_text("kept")
-    assert main([*words, str(tmp_path / "a.ply")]) == 2
-    assert "a.ply: exists" in capsys.readouterr().err
-    assert main([*words, str(tmp_path / "b.ply")]) == 2
-    assert "b.landmarks.json: exists" in capsys.readouterr().err
-    assert main([*words, str(tmp_path / "c.ply"), "--save-cameras", str(tmp_path / "rig.json")]) == 2
-    assert "rig.json: exists" in capsys.readouterr().err
-    assert main([*words, str(tmp_path / "new.obj")]) == 2
-    assert "'.obj', expected .ply" in capsys.readouterr().err
+    assert "a.ply: exists" in failed(capsys, *words, tmp_path / "a.ply", folder=tmp_path)
+    assert "b.landmarks.json: exists" in failed(capsys, *words, tmp_path / "b.ply", folder=tmp_path)
+    err = failed(capsys, *words, tmp_path / "c.ply", "--save-cameras", tmp_path / "rig.json", folder=tmp_path)
+    assert "rig.json: exists" in err
+    assert "'.obj', expected .ply" in failed(capsys, *words, tmp_path / "new.obj", folder=tmp_path)
     assert all((tmp_path / name).read_text() == "kept" for name in ("a.ply", "b.landmarks.json", "rig.json"))
 
 

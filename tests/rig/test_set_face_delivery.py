@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 import gltf_reader
 import numpy as np
 import pytest
+from command_line import exit_code
 from engine_faces import pose_in
 from engines import File, babylon, three
 from facepipe_onnx.runtime import Deformer
 from import_data import shared
-from learned import torch
 from node import validate
-from photo_line import OFF
+from photographed_face import OFF
+from with_torch import torch
 
 import facepipe
-from facepipe.cli import main
 from facepipe.parts import FaceParts
 from facepipe.rig import SetFace, coefficient_matrices, rest_coefficients, set_face
 from facepipe.rig.set_error import random_poses
@@ -57,39 +57,38 @@ class Delivered(NamedTuple):
         return float(error) / self.face.mm_per_unit
 
 
-def run(*words: str | Path) -> None:
-    assert main([str(word) for word in words]) == 0
-
-
 def set_on(kind: str, folder: Path) -> Path:
     """A stage with a person, made by commands."""
     template, person = folder / "template.usdc", folder / "person.usda"
     if kind == "photo":
         photo = shared("photos/astronaut.png")
-        run("sample", template)
+        assert exit_code("sample", template) == 0
         marks = shared("photos/astronaut.landmarks.json")
-        run(
-            "fit-photo",
-            photo,
-            "--landmarks",
-            marks,
-            template,
-            "-o",
-            person,
-            "--iterations",
-            "60",
-            "--size",
-            "128",
-            *OFF,
+        assert (
+            exit_code(
+                "fit-photo",
+                photo,
+                "--landmarks",
+                marks,
+                template,
+                "-o",
+                person,
+                "--iterations",
+                "60",
+                "--size",
+                "128",
+                *OFF,
+            )
+            == 0
         )
         return person
     if kind == "sample":
-        run("sample", template)
+        assert exit_code("sample", template) == 0
     else:
         source = shared("makehuman/makehuman_head.npz")
-        run("import", "makehuman", source, template, "--shapes", "expression/caucasian/*")
+        assert exit_code("import", "makehuman", source, template, "--shapes", "expression/caucasian/*") == 0
     values = [word for name, value in SETTINGS[kind].items() for word in ("--set", f"{name}={value}")]
-    run("sliders", template, *values, "-o", person)
+    assert exit_code("sliders", template, *values, "-o", person) == 0
     return person
 
 
@@ -101,9 +100,9 @@ def delivered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
         patch.setattr("builtins.print", lambda *words, **_: printed.append(" ".join(map(str, words))))
         person = set_on(request.param, folder)
         del printed[:]
-        run("export", person, "-o", folder / "person.glb", "--influences", "8", "--json")
+        assert exit_code("export", person, "-o", folder / "person.glb", "--influences", "8", "--json") == 0
         report = json.loads("\n".join(line for line in printed if not line.startswith("facepipe: ")))
-        run("export", person, "-o", folder / "person.onnx")
+        assert exit_code("export", person, "-o", folder / "person.onnx") == 0
     face = facepipe.open(person)
     return Delivered(face, set_face(face.parts()), folder / "person.glb", report, folder / "person.onnx")
 

@@ -78,7 +78,7 @@ def check_graph(parts: Any, graph: Deformer) -> None:
 
 
 def test_torch_is_the_rig() -> None:
-    from learned import torch
+    from with_torch import torch
 
     from facepipe.learn.rig import DifferentiableRig
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import content
 from pxr import Sdf, Usd
 from small_sources import made
 
@@ -65,17 +64,6 @@ def actions(report: dict[str, Any]) -> dict[str, str]:
 def why(report: dict[str, Any]) -> dict[str, list[str]]:
     """File -> why, of those that there is something to say of."""
     return {Path(one["file"]).name: one["why"] for one in report["nodes"] if one["why"]}
-
-
-def refused(capsys: Capsys, *words: str) -> str:
-    """The one line of a cook that must end with 2 and write nothing."""
-    before = content(Path.cwd())
-    assert main(["cook", *words]) == 2
-    out, err = capsys.readouterr()
-    assert err.count("\n") == 1, err
-    assert content(Path.cwd()) == before
-    assert out == ""
-    return err.removeprefix("facepipe: ")
 
 
 def layer(path: str, text: str) -> None:

@@ -21,7 +21,7 @@ import scan_domes
 from facepipe_blender.own_wheel import write_own_wheel
 from import_data import SHARED
 from network_faces import network, networked
-from photo_line import write_photos
+from photographed_face import write_photos
 from PIL import Image
 from rebuild_stages import put_scans
 

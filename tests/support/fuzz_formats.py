@@ -21,7 +21,7 @@ import neural_faces
 import neutral_files
 import numpy as np
 import obj_files
-import photo_line
+import photographed_face
 import rebuild_project
 import rebuild_stages
 import scan_domes
@@ -214,8 +214,17 @@ def put_neutral(verb: str) -> Callable[[], None]:
 
 def put_fitted() -> None:
     save_parts(make_sample(0), Path("head.usdc"))
-    photo_line.write_photos(facepipe.open("head.usdc").parts(), Path())
-    words = ("fit-photo", "front.png", "head.usdc", "--landmarks", "front.json", "-o", "out.usda", *photo_line.SOON)
+    photographed_face.write_photos(facepipe.open("head.usdc").parts(), Path())
+    words = (
+        "fit-photo",
+        "front.png",
+        "head.usdc",
+        "--landmarks",
+        "front.json",
+        "-o",
+        "out.usda",
+        *photographed_face.SOON,
+    )
     command(words)
 
 

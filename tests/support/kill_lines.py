@@ -403,7 +403,7 @@ def _small_faces() -> None:
 
 
 def _heads() -> None:
-    from photo_line import write_photos
+    from photographed_face import write_photos
 
     from facepipe.sample import make
     from facepipe.stage import save_parts

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done
 from faces import tiny_face
 from neural_training import turning_face
 from slider_faces import jointless
@@ -150,6 +150,5 @@ def saved_rig(folder: Path, parts: FaceParts, *, bones: bool) -> NeuralRig:
 
 
 def applied(folder: Path, capsys: pytest.CaptureFixture[str], *words: object) -> Face:
-    code, out, err = run(capsys, "neural-rig", "apply", folder / "head.usda", folder / "head.fpnr", *words, "--json")
-    assert code == 0, err
+    out = done(capsys, "neural-rig", "apply", folder / "head.usda", folder / "head.fpnr", *words, "--json", quiet=False)
     return facepipe.open(json.loads(out)["path"])

@@ -44,7 +44,7 @@ FEW = SampleMotionOptions(spread=20, sweep=5, together=30)
 
 def chewing_face() -> FaceParts:
     """Two shapes, and a slider that turns the jaw and adds half of one of them."""
-    parts = scan_domes.chewing_face()
+    parts = scan_domes.face()
     slider = Slider(
         name="chew", minimum=-0.5, maximum=1.0, channels=(("head/jaw", "rx", 0.3),), shapes=(("jawOpen", 0.5),)
     )

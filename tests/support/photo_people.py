@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from learned import torch
+from with_torch import torch
 
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.key_light import DARK, KeyLight

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done
 
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
@@ -61,8 +61,7 @@ def put(folder: Path, name: str, scan: Scan, landmarks: ScanLandmarks) -> None:
 
 
 def rebuilt(capsys: pytest.CaptureFixture[str], project: Path, name: str = "anna.usda") -> dict[str, object]:
-    code, out, err = run(capsys, "rebuild", project, "-o", project.parent / name, "--json", "--force")
-    assert code == 0, err
+    out = done(capsys, "rebuild", project, "-o", project.parent / name, "--json", "--force", quiet=False)
     return dict(json.loads(out))
 
 

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import failed
 from facepipe_web import Options, build, view
 from facepipe_web.server import MOST_CONNECTIONS, Server
 from faces import tiny_face
@@ -173,10 +174,7 @@ def test_port_in_use(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_without_a_build(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (build.DIST / build.STAMP).unlink()
-    assert main(["view", str(face), "--no-browser"]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert "python -m facepipe_web.build" in err
+    assert "python -m facepipe_web.build" in failed(capsys, "view", face, "--no-browser", folder=face.parent)
 
 
 @pytest.mark.parametrize(
@@ -191,10 +189,7 @@ def test_without_a_build(face: Path, capsys: pytest.CaptureFixture[str]) -> None
 )
 def test_bad_input(face: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
     Path("secret.glb").write_bytes(SECRET)
-    assert main(["view", *words, "--no-browser"]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert said in err
+    assert said in failed(capsys, "view", *words, "--no-browser", folder=face.parent)
 
 
 def test_unknown_requests_are_refused(server: int) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import done, failed, run
 from database_faces import person
 
 from facepipe.parts import Recipe
@@ -31,7 +31,7 @@ def faces(tmp_path: Path) -> list[Path]:
 @pytest.fixture
 def database(faces: list[Path], capsys: pytest.CaptureFixture[str]) -> Path:
     path = faces[0].with_name("faces.fpdb")
-    assert run(capsys, "database", "create", *faces[:3], "-o", path)[0] == 0
+    done(capsys, "database", "create", *faces[:3], "-o", path)
     return path
 
 
@@ -44,22 +44,19 @@ def rebuilt(path: Path, quality: dict[str, float] | None) -> Path:
 def test_create_add_and_info_tell_the_same(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = run(capsys, "database", "add", database, *faces[3:], "--json")
-    assert (code, err) == (0, "")
+    out = done(capsys, "database", "add", database, *faces[3:], "--json")
     added = json.loads(out)
-    code, out, _ = run(capsys, "database", "info", database, "--json")
-    assert code == 0
+    out = done(capsys, "database", "info", database, "--json")
     assert json.loads(out) == added
     assert added["version"] == 2
     assert [entry["name"] for entry in added["entries"]] == ["p0", "p1", "p2", "p3", "p4"]
     assert added["expressions"]["shapes"] == ["jawOpen", "mouthSmileLeft", "browInnerUp"]
     assert added["identity"]["variance_explained"][-1] == pytest.approx(1.0)
     assert [update["entries"] for update in added["history"]] == [["p0", "p1", "p2"], ["p3", "p4"]]
-    code, text, _ = run(capsys, "database", "info", database)
-    assert code == 0
+    text = done(capsys, "database", "info", database)
     assert "version 2, 5 faces of 45 points in 2 meshes" in text
     whole = tmp_path / "whole.fpdb"
-    assert run(capsys, "database", "create", *faces, "-o", whole)[0] == 0
+    done(capsys, "database", "create", *faces, "-o", whole)
     spread = json.loads(run(capsys, "database", "info", whole, "--json")[1])["identity"]["deviations_mm"]
     assert added["identity"]["deviations_mm"] == pytest.approx(spread, rel=1e-6)
 
@@ -68,18 +65,17 @@ def test_add_writes_in_place_or_elsewhere(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before, other = database.read_bytes(), tmp_path / "other.fpdb"
-    assert run(capsys, "database", "add", database, faces[3], "-o", other, "--names", "anna")[0] == 0
+    done(capsys, "database", "add", database, faces[3], "-o", other, "--names", "anna")
     assert database.read_bytes() == before
     assert load_database(other).entries[-1].name == "anna"
     assert run(capsys, "database", "add", database, faces[4], "-o", other)[0] == 2
-    assert run(capsys, "database", "add", database, faces[3], "--names", "anna")[0] == 0
+    done(capsys, "database", "add", database, faces[3], "--names", "anna")
     assert database.read_bytes() == other.read_bytes()
 
 
 def test_what_is_refused_leaves_the_file_as_it_was(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = database.read_bytes()
     report = tmp_path / "bad.json"
     report.write_text(json.dumps({"quality": BAD}), encoding="utf-8")
     lines = [
@@ -94,9 +90,7 @@ def test_what_is_refused_leaves_the_file_as_it_was(
         (rebuilt(tmp_path / "silent.usda", None),),
     ]
     for words in lines:
-        code, out, err = run(capsys, "database", "add", database, *words)
-        assert (code, out, err.count("\n")) == (2, "", 1), words
-        assert database.read_bytes() == before
+        failed(capsys, "database", "add", database, *words, folder=tmp_path)
     _, _, err = run(capsys, "database", "add", database, faces[3], "--quality", report)
     assert "p3: refused: mean surface distance 0.5 mm" in err
     assert "coverage 0.3, expected at least 0.6" in err
@@ -105,7 +99,7 @@ def test_what_is_refused_leaves_the_file_as_it_was(
 def test_the_gate_reads_recipes_and_reports(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(capsys, "database", "add", database, rebuilt(tmp_path / "good.usda", GOOD))[0] == 0
+    done(capsys, "database", "add", database, rebuilt(tmp_path / "good.usda", GOOD))
     assert load_database(database).entries[-1].quality == quality_from(GOOD, "good")
     report = tmp_path / "bad.json"
     report.write_text(json.dumps(BAD), encoding="utf-8")
@@ -114,7 +108,7 @@ def test_the_gate_reads_recipes_and_reports(
     assert "coverage 0.3" in err
     assert any("coverage 0.3" in line for line in load_database(database).history[-1].ignored)
     limits = ("--min-coverage", 0.2, "--max-surface-mean-mm", 0.6)
-    assert run(capsys, "database", "add", database, faces[4], "--quality", report, *limits)[0] == 0
+    done(capsys, "database", "add", database, faces[4], "--quality", report, *limits)
     assert load_database(database).history[-1].ignored == ()
 
 
@@ -132,18 +126,15 @@ def test_remove_takes_faces_out_in_place_or_elsewhere(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before, other = database.read_bytes(), tmp_path / "other.fpdb"
-    assert run(capsys, "database", "remove", database, "p1", "-o", other)[0] == 0
+    done(capsys, "database", "remove", database, "p1", "-o", other)
     assert database.read_bytes() == before
-    code, out, _ = run(capsys, "database", "remove", database, "p1", "--json")
-    assert code == 0
+    out = done(capsys, "database", "remove", database, "p1", "--json")
     assert [entry["name"] for entry in json.loads(out)["entries"]] == ["p0", "p2"]
     assert database.read_bytes() == other.read_bytes()
     for words in (("p1",), ("p0", "p0"), ("p0",), ()):
-        code, out, err = run(capsys, "database", "remove", database, *words)
-        assert err.startswith(f"facepipe: {database}" if words else "facepipe database remove: ")
-        assert (code, out, err.count("\n")) == (2, "", 1), words
-        assert database.read_bytes() == other.read_bytes()
-    assert run(capsys, "database", "add", database, faces[1], faces[3])[0] == 0
+        err = failed(capsys, "database", "remove", database, *words, folder=tmp_path)
+        assert err.startswith(f"{database}" if words else "facepipe database remove: ")
+    done(capsys, "database", "add", database, faces[1], faces[3])
     assert [entry.name for entry in load_database(database).entries] == ["p0", "p2", "p1", "p3"]
     _, text, _ = run(capsys, "database", "info", database)
     assert "version 2: remove 1" in text
@@ -162,13 +153,10 @@ def test_bad_lines_are_told_in_one(faces: list[Path], tmp_path: Path, capsys: py
         ("what",),
         (),
     ):
-        code, out, err = run(capsys, "database", *words)
-        assert (code, out, err.count("\n")) == (2, "", 1), words
-    assert not (tmp_path / "x.fpdb").exists()
+        failed(capsys, "database", *words, folder=tmp_path)
 
 
 @pytest.mark.parametrize("action", ["create", "add", "remove", "info"])
 def test_each_action_has_help_with_an_example(capsys: pytest.CaptureFixture[str], action: str) -> None:
-    code, out, _ = run(capsys, "database", action, "--help")
-    assert code == 0
+    out = done(capsys, "database", action, "--help")
     assert f"facepipe database {action}" in out.partition("example")[2]

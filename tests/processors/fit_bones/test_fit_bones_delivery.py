@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from agreement import limited
 from bone_faces import saved, small
+from command_line import exit_code
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference, played, random_coefficients
 
 import facepipe
-from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.parts import FaceParts, all_regions
 from facepipe.processors.fit_bones import read_targets
@@ -33,10 +33,6 @@ TOLERANCE = 1e-5  # head heights
 THRESHOLD = 0.1  # mm
 
 
-def ran(*words: object) -> int:
-    return main([str(word) for word in words])
-
-
 def sample() -> FaceParts:
     return limited(make(0), 8)
 
@@ -47,7 +43,7 @@ def makehuman() -> FaceParts:
 
 def nose(folder: Path) -> Path:
     """A target that MakeHuman's bones can't reach."""
-    assert ran("import", "makehuman", shared("makehuman/makehuman_head.npz"), folder / "nose.usdc", *HUMP) == 0
+    assert exit_code("import", "makehuman", shared("makehuman/makehuman_head.npz"), folder / "nose.usdc", *HUMP) == 0
     return folder / "nose.usdc"
 
 
@@ -61,7 +57,7 @@ class Fitted:
         self.out = folder / "fitted.usda"
         targets = [part for word in words for part in ("--target", word)]
         capsys.readouterr()
-        self.code = ran("fit-bones", rig, *targets, "-o", self.out, "--rounds", 0, "--json", *more)
+        self.code = exit_code("fit-bones", rig, *targets, "-o", self.out, "--rounds", 0, "--json", *more)
         self.report: dict[str, Any] = json.loads(capsys.readouterr().out)
         self.rig, self.face = facepipe.open(rig), facepipe.open(self.out)
         taken = {one.name for one in self.rig.animations}
@@ -179,7 +175,7 @@ def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path
     rig = saved(parts, tmp_path / "rig.usdc")
     clip = parts.animations[0].name
     fit = Fitted(tmp_path, capsys, rig, ["mouthSmileLeft", clip], *residual)
-    assert ran("export", fit.out, "-o", tmp_path / "x.glb", "--animations", "--influences", 8) == 0
+    assert exit_code("export", fit.out, "-o", tmp_path / "x.glb", "--animations", "--influences", 8) == 0
     glb = gltf_reader.read(tmp_path / "x.glb")
     for name in fit.report["targets"]:
         own = next(one for one in fit.face.animations if one.name == name)
@@ -200,13 +196,13 @@ def test_the_deformer_takes_the_same_coefficients(residual: tuple[str, ...], tmp
     """`facepipe eval` of the exported fit, coefficients word by word."""
     rig = saved(sample(), tmp_path / "rig.usdc")
     fit = Fitted(tmp_path, capsys, rig, ["jawOpen"], *residual)
-    assert ran("export", fit.out, "-o", tmp_path / "x.onnx") == 0
+    assert exit_code("export", fit.out, "-o", tmp_path / "x.onnx") == 0
     values = fit.coefficients("jawOpen")[0]
     words: list[object] = ["--set", "jawOpen_residual=1"] if residual else []
     for joint, row in zip(fit.face.skeleton.joints, values, strict=True):
         for channel, value in zip(CHANNELS, row, strict=True):
             words += ["--bone", f"{joint}:{channel}={float(value)!r}"]
-    assert ran("eval", tmp_path / "x.onnx", *words, "-o", tmp_path / "points.npz") == 0
+    assert exit_code("eval", tmp_path / "x.onnx", *words, "-o", tmp_path / "points.npz") == 0
     points = np.load(tmp_path / "points.npz")["points"].reshape(-1, 3)
     weights = {"jawOpen_residual": 1.0} if residual else {}
     assert difference(fit.face, points, fit.face.evaluate(weights, coefficients=values)) < TOLERANCE

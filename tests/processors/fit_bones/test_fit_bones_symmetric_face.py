@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bone_faces import pose, save_sources, saved, sculpt, small
-from command_line import Capsys, failed, run
+from command_line import Capsys, done, failed, run
 
 import facepipe
 from facepipe.names import mirrored_name
@@ -96,10 +96,10 @@ def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Cap
     assert own is not None
     check_mirrored(facepipe.open("a.usda").rig(), own[0])
     first = Path("a.usda").read_bytes()
-    assert run(capsys, "fit-bones", "--edit", "a.usda", "--force")[0] == 0
+    done(capsys, "fit-bones", "--edit", "a.usda", "--force")
     assert Path("a.usda").read_bytes() == first
-    assert run(capsys, "fit-bones", "--edit", "a.usda", "--no-symmetric", "-o", "b.usda")[0] == 0
-    assert run(capsys, "fit-bones", *line, "-o", "c.usda")[0] == 0
+    done(capsys, "fit-bones", "--edit", "a.usda", "--no-symmetric", "-o", "b.usda")
+    done(capsys, "fit-bones", *line, "-o", "c.usda")
     assert Path("b.usda").read_bytes() == Path("c.usda").read_bytes() != first
     assert not read_fit_bones_recipe("b.usda").fit.symmetric
 

@@ -13,10 +13,10 @@ import gltf_reader
 import numpy as np
 import pytest
 from faces import tiny_face
-from learned import tensor
 from oracle import played
 from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
+from with_torch import tensor
 
 import facepipe
 from facepipe import tokens

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from learned import tensor
+from with_torch import tensor
 
 from facepipe.cli.fit_photo_sheet import report_sheet
 from facepipe.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, failed, run
 from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
 
@@ -290,14 +290,12 @@ def test_the_command_trains_one_unless_told_not_to(tmp_path: Path, capsys: pytes
     save_parts(turning_face(), face)
     few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 100, "--json")
     few += ("--points", 16, "--encoder-steps", 20)
-    code, out, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
-    assert code == 0, err
+    out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
     told = json.loads(out)["encoder"]
     assert told["points"] == 16
     assert told["error_mean"] < told["constant_mean"]
     assert len(load_encoder(tmp_path / "head.fpnr").chosen) == 16
-    code, out, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "plain.fpnr", "--no-encoder", *few)
-    assert code == 0, err
+    out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "plain.fpnr", "--no-encoder", *few)
     assert json.loads(out)["encoder"] is None
     with pytest.raises(InputError, match="has no encoder"):
         load_encoder(tmp_path / "plain.fpnr")
@@ -319,11 +317,7 @@ def test_export_writes_its_graph_for_the_face(
     assert (np.abs(found - trained.encoder.values(points)) / span).max() < 1e-5
     other = replace(forward, topology="sha256:1"), file, {}, replace(trained.encoder, topology="sha256:1")
     save_neural_rig(*other)
-    code, _, err = run(capsys, *words, "--force")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "expected sha256:1... that the encoder was learned on" in err
+    assert "expected sha256:1... that the encoder was learned on" in failed(capsys, *words, "--force", folder=tmp_path)
     save_neural_rig(forward, file, {})
     for wrong, told in ((words, "has no encoder"), (("export", face, "--encoder", "-o", graph), "option encoder")):
-        code, _, err = run(capsys, *wrong, "--force")
-        assert (code, err.count("\n")) == (2, 1)
-        assert told in err
+        assert told in failed(capsys, *wrong, "--force", folder=tmp_path)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, failed
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from gltf_export import Writing, writing, written
 from neural_faces import CONTROLS, face, neural_rig, random_values
@@ -59,7 +59,7 @@ def test_matrices_on_the_glb_are_the_points_are_the_rig(
 
 
 def test_torch_is_onnxruntime(tmp_path: Path) -> None:
-    from learned import torch
+    from with_torch import torch
 
     from facepipe.learn.rig import DifferentiableRig
 
@@ -150,8 +150,7 @@ def test_the_commands_write_what_an_applied_stage_gives(tmp_path: Path, capsys: 
         ("eval", tmp_path / "rig.onnx", "--slider", "jaw=0.6", "--slider", "brow=-20", "-o", tmp_path / "points.npz"),
         ("eval", tmp_path / "same.onnx", "--slider", "jaw=0.6", "--slider", "brow=-20", "-o", tmp_path / "same.npz"),
     ):
-        code, out, err = run(capsys, *words)
-        assert code == 0, err
+        out = done(capsys, *words, quiet=False)
         if "--neural" in words:
             assert "points are off by at most 0.0000 mm for offsets that its shapes leave out" in out
     rig, found, same = load_neural_rig(file), np.load(tmp_path / "points.npz"), np.load(tmp_path / "same.npz")
@@ -169,9 +168,7 @@ def test_flags_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFix
         (("--neural", file, "--sliders", "--distil"), "--neural: given with --distil, expected one of them"),
         (("--offset-tolerance-mm", 0.1), "--offset-tolerance-mm: given without --neural, expected both"),
     ):
-        code, _, err = run(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx")
-        assert (code, err.count("\n")) == (2, 1)
-        assert told in err
+        assert told in failed(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx", folder=tmp_path)
 
 
 def test_what_shapes_leave_out_makes_a_smaller_file_and_is_told(
@@ -183,8 +180,7 @@ def test_what_shapes_leave_out_makes_a_smaller_file_and_is_told(
     found = []
     for tolerance in (0.0, 1.0):
         words = ("export", head, "--neural", file, "--offset-tolerance-mm", tolerance, "-o", out, "--force", "--json")
-        code, text, err = run(capsys, *words)
-        assert code == 0, err
+        text = done(capsys, *words, quiet=False)
         found.append(json.loads(text))
     assert found[1]["bytes"] < found[0]["bytes"]
     assert 0.0 == found[0]["dropped_mm"] < found[1]["dropped_mm"]

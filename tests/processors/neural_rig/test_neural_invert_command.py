@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, failed, run
 from neural_faces import frames, moving, untrained_rig
 from neural_training import turning_face
 from oracle import played
@@ -64,8 +64,7 @@ def test_a_clip_becomes_controls_that_train_and_others_read(
     clip = baked(tmp_path / "clip.usdc", rig.points(values), codes)
     assert read_targets(clip, rig).blocks.tolist() == [0] * 8 + [1] * 4
     out = tmp_path / "controls.usda"
-    code, told, err = run(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", clip, "-o", out, "--json")
-    assert code == 0, err
+    told = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", clip, "-o", out, "--json")
     report = json.loads(told)
     assert report["frames"] == 12
     assert report["error_mean_mm"] < 0.01
@@ -85,8 +84,7 @@ def test_a_pose_becomes_values_without_time(rig: NeuralRig, tmp_path: Path, caps
     save_neural_rig(rig, tmp_path / "one.fpnr", {})
     pose = baked(tmp_path / "pose.usda", rig.points(values), [])
     out = tmp_path / "controls.usda"
-    code, told, err = run(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", pose, "-o", out)
-    assert code == 0, err
+    told = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", pose, "-o", out)
     assert "controls of 1 frame," in told
     tracks = {track.name: track for track in read_controls(out)}
     found = [tracks[control.name].values for control in rig.controls]
@@ -123,8 +121,7 @@ def test_the_encoder_of_the_rig_starts_near_the_end(tmp_path: Path, capsys: pyte
     words = ("neural-rig", "invert", tmp_path / "one.fpnr", clip, "--starts", 1, "--smoothness", 0, "--json")
     reports = []
     for number, more in enumerate(((), ("--no-encoder",))):
-        code, told, err = run(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
-        assert code == 0, err
+        told = done(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
         reports.append(json.loads(told))
     guessed, still = reports
     print([(one["steps"], one["worst_frame_mm"]) for one in reports])
@@ -212,9 +209,7 @@ def test_a_missed_threshold_and_bad_input_are_told(
         ((clip, "-o", out, "--force", "--threshold-mm", "-1"), "--threshold-mm: -1, expected 0 or more"),
         ((clip, "-o", out, "--force", "--starts", "0"), "option starts: is 0"),
     ):
-        code, _, err = run(capsys, *words, *more)
-        assert (code, err.count("\n")) == (2, 1)
-        assert told in err
+        assert told in failed(capsys, *words, *more, folder=tmp_path)
 
 
 def test_other_meshes_are_refused(rig: NeuralRig, tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ from facepipe_onnx import Deformer, Options, export_parts, validate
 from gltf_export import Writing, limited, motion, writing, written
 from gltf_reader import Gltf, local_matrix
 from import_data import SHARED, shared
-from learned import torch
 from neural_graphs import TOLERANCE, Made, skinned
 from neural_rig_teacher import HEAD, Teacher, teacher
 from node import node_packages, three_load
+from with_torch import torch
 
 from facepipe.processors.neural_rig import (
     Motion,

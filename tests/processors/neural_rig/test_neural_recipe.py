@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import done, run
 from neural_faces import applied, face
 from neural_faces import saved_rig as saved
 
@@ -66,10 +66,9 @@ def test_a_changed_rig_is_cooked_to_the_bytes_that_apply_writes(
     words = ("-o", out, "--offset-tolerance-mm", 0.02, *flat)
     applied(tmp_path, capsys, *words)
     first = out.read_bytes()
-    assert run(capsys, "cook", out, "--dry-run")[0] == 0
+    done(capsys, "cook", out, "--dry-run")
     save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
-    code, told, err = run(capsys, "cook", out, "--json")
-    assert code == 0, err
+    told = done(capsys, "cook", out, "--json")
     assert json.loads(told)["nodes"][0]["why"] == ["head.fpnr changed"]
     cooked = out.read_bytes()
     applied(tmp_path, capsys, *words, "--force")

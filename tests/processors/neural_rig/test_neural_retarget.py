@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from baked_frames import bake
-from command_line import run
+from command_line import done, failed
 from neural_training import OPTIONS, SAMPLES, second_face, turning_face
 from pxr import Usd
 
@@ -137,8 +137,7 @@ def test_the_command_carries_a_rig_to_a_face(
     save_parts(second_face(), tmp_path / "second.usda")
     bake(seen, tmp_path / "clip.usdc")
     words = ("neural-rig", "retarget", tmp_path / "head.fpnr", tmp_path / "second.usda", "--json")
-    code, out, err = run(capsys, *words, "--frames", tmp_path / "clip.usdc", "-o", tmp_path / "second.fpnr")
-    assert code == 0, err
+    out = done(capsys, *words, "--frames", tmp_path / "clip.usdc", "-o", tmp_path / "second.fpnr")
     told = json.loads(out)
     assert told["controls"] == "given"
     assert told["between"] > 0
@@ -152,15 +151,12 @@ def test_the_command_carries_a_rig_to_a_face(
             prim.RemoveProperty(name)
     stage.Save()
     files = ("--frames", tmp_path / "mute.usdc", "-o", tmp_path / "mute.fpnr")
-    code, out, err = run(capsys, *words, *files, "--rounds", "1")
-    assert code == 0, err
+    out = done(capsys, *words, *files, "--rounds", "1")
     assert json.loads(out)["controls"] == "found"
-    code, _, err = run(capsys, *words, "--frames", tmp_path / "none.usdc", "-o", tmp_path / "other.fpnr")
-    assert (code, err.count("\n")) == (2, 1)
+    failed(capsys, *words, "--frames", tmp_path / "none.usdc", "-o", tmp_path / "other.fpnr", folder=tmp_path)
     save_parts(replace(second_face(), meshes=second_face().meshes[:1]), tmp_path / "less.usda")
     words = ("neural-rig", "retarget", tmp_path / "head.fpnr", tmp_path / "less.usda")
-    code, _, err = run(capsys, *words, "--frames", tmp_path / "clip.usdc", "-o", tmp_path / "other.fpnr")
-    assert (code, err.count("\n")) == (2, 1)
+    err = failed(capsys, *words, "--frames", tmp_path / "clip.usdc", "-o", tmp_path / "other.fpnr", folder=tmp_path)
     assert "less.usda: other meshes than those of the neural rig" in err
 
 

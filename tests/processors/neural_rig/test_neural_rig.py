@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done, failed, run
 from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 
 from facepipe.errors import InputError
@@ -155,8 +155,7 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     save_parts(turning_face(), face)
     drawn = ("--plot", tmp_path / "curve.png", "--checkpoint", tmp_path / "head.training")
     few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 200, "--encoder-steps", 50)
-    code, out, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", "--json", *drawn, *few)
-    assert code == 0, err
+    out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", "--json", *drawn, *few)
     assert (tmp_path / "curve.png").exists()
     assert not (tmp_path / "head.training").exists()
     told = json.loads(out)
@@ -164,15 +163,11 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     assert told["error_mean_mm"] < told["linear_mean_mm"]
     rig = load_neural_rig(tmp_path / "head.fpnr")
     assert {one.name for one in rig.controls} == {"open", "look", "jawOpen", "smile"}
-    code, _, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.onnx", *few)
-    assert (code, err.count("\n")) == (2, 1)
+    err = failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.onnx", *few, folder=tmp_path)
     assert "suffix '.onnx', expected .fpnr" in err
-    code, _, err = run(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
-    assert code == 2
+    failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few, folder=tmp_path)
     same = ("-o", tmp_path / "new.fpnr", "--checkpoint", tmp_path / "new.fpnr")
-    code, _, err = run(capsys, "neural-rig", "train", face, *same, *few)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "two outputs of one name" in err
+    assert "two outputs of one name" in failed(capsys, "neural-rig", "train", face, *same, *few, folder=tmp_path)
 
 
 def test_bones_are_learned_as_bones(motion: Motion, trained: TrainedNeuralRig, tmp_path: Path) -> None:

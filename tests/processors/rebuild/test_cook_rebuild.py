@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import scan_domes
-from command_line import content, run
+from command_line import content, done
 from neutral_files import Files
 from rebuild_project import PROJECT, rebuilt
 
@@ -26,16 +26,15 @@ def files(fit_files: Files) -> Files:
 
 def _cooked(capsys: Capsys, *stages: Path, more: tuple[str, ...] = ()) -> list[str]:
     """What was done about each file."""
-    code, out, err = run(capsys, "cook", *stages, *more)
-    assert code == 0, err
+    out = done(capsys, "cook", *stages, *more, quiet=False)
     return [line.split(": ", 2)[2].split(" in ")[0].partition(" (")[0] for line in out.splitlines()[:-1]]
 
 
 def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> None:
     fine = files.folder / "fine.usda"
     refine = ("refine-neutral", files["out.usda"], files["scan.ply"], "-o", fine)
-    assert run(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"))[0] == 0
-    assert run(capsys, *refine)[0] == 0
+    done(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"), quiet=False)
+    done(capsys, *refine, quiet=False)
     before = content(files.folder)
     assert _cooked(capsys, fine) == ["up to date"] * 2
     assert _cooked(capsys, fine, more=("--force",)) == ["cooked"] * 2
@@ -44,8 +43,8 @@ def test_a_neutral_and_what_was_refined_on_it(files: Files, capsys: Capsys) -> N
     assert _cooked(capsys, fine) == ["cooked"] * 2
     cooked = content(files.folder)
     assert cooked != before
-    assert run(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1", "--force"))[0] == 0
-    assert run(capsys, *refine, "--force")[0] == 0
+    done(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1", "--force"), quiet=False)
+    done(capsys, *refine, "--force", quiet=False)
     assert content(files.folder) == cooked
 
 
@@ -70,7 +69,7 @@ def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, caps
     rebuilt(capsys, project)
     marks = project.parent / "marks.json"
     marks.write_text(json.dumps(scan_domes.face().meshes[0].landmarks["multipie68"].indices.tolist()))
-    assert run(capsys, "landmarks", head, "--from", marks, "-o", middle)[0] == 0
+    done(capsys, "landmarks", head, "--from", marks, "-o", middle, quiet=False)
     with head.open("a") as text:
         text.write("# changed\n")
     project.write_text(PROJECT.replace("head.usda", "middle.usda"))
@@ -83,7 +82,7 @@ def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, caps
 
 def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, capsys: Capsys) -> None:
     """The fit is of the scan as it was read, the recipe of the scan as it is: together they would look up to date."""
-    assert run(capsys, *files.words("--unit", "cm"))[0] == 0
+    done(capsys, *files.words("--unit", "cm"), quiet=False)
     files.put(*scan_domes.scan(8))
     fits = 0
 
@@ -99,5 +98,5 @@ def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, ca
     (node,) = cook([files["out.usda"]], watch=watch).nodes
     assert (node.action, fits) == ("cooked", 2)
     cooked = content(files.folder)
-    assert run(capsys, *files.words("--unit", "cm", "--force"))[0] == 0
+    done(capsys, *files.words("--unit", "cm", "--force"), quiet=False)
     assert content(files.folder) == cooked

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done, failed, run
 from database_faces import person, source
 from import_data import shared
 from neutral_files import PERSON, Files
@@ -51,8 +51,7 @@ def fitted(files: Files) -> np.ndarray:
 
 
 def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = run(capsys, *files.words("--unit", "cm", "--json"))
-    assert code == 0, err
+    out = done(capsys, *files.words("--unit", "cm", "--json"), quiet=False)
     assert np.abs(fitted(files) - truth()).max() < 0.05
     told = json.loads(out)
     assert told["path"] == str(files["out.usda"])
@@ -66,8 +65,7 @@ def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture
 
 def test_the_size_is_found_with_the_rest(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """Identity and size look alike on a dome: what is left of the person is right but for a similarity."""
-    code, out, _ = run(capsys, *files.words())
-    assert code == 0
+    out = done(capsys, *files.words(), quiet=False)
     assert "10.01 mm (cm)" in out
     found = fitted(files)
     assert np.abs(fit_similarity(found, truth()).apply(found) - truth()).max() < 0.15
@@ -77,8 +75,7 @@ def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.Captu
     (files.folder / "fits").mkdir()
     out = files.folder / "fits" / "out.usda"
     words = files.words("--prior", 0.2, "--unit", "cm", "--json")
-    code, text, _ = run(capsys, *words[: words.index("-o")], "-o", out, *words[words.index("-o") + 2 :])
-    assert code == 0
+    text = done(capsys, *words[: words.index("-o")], "-o", out, *words[words.index("-o") + 2 :], quiet=False)
     recipe = facepipe.open(out).parts().recipe
     assert recipe is not None
     assert recipe.verb == "fit-neutral"
@@ -91,15 +88,14 @@ def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.Captu
 def test_the_same_scan_gives_the_same_bytes(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     made = []
     for _ in range(2):
-        assert run(capsys, *files.words("--force"))[0] == 0
+        done(capsys, *files.words("--force"), quiet=False)
         made.append(files["out.usda"].read_bytes())
     assert made[0] == made[1]
 
 
 def test_a_picture_is_drawn_beside_it(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """Two rows of scan, face and distance; the last has colours of the heat map, the others have not."""
-    code, out, _ = run(capsys, *files.words("--picture", files["out.png"]))
-    assert code == 0
+    out = done(capsys, *files.words("--picture", files["out.png"]), quiet=False)
     assert str(files["out.png"]) in out
     pixels = np.asarray(Image.open(files["out.png"]).convert("RGB")).astype(int)
     colored = (pixels[..., 2] - pixels[..., 1] > 25).mean(axis=0)  # violet: the low end of the heat map
@@ -109,7 +105,7 @@ def test_a_picture_is_drawn_beside_it(files: Files, capsys: pytest.CaptureFixtur
 
 
 def test_flattened_it_stands_alone(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(capsys, *files.words("--unit", "cm", "--flatten"))[0] == 0
+    done(capsys, *files.words("--unit", "cm", "--flatten"), quiet=False)
     files["head.usda"].unlink()
     assert np.abs(fitted(files) - truth()).max() < 0.05
 
@@ -117,8 +113,7 @@ def test_flattened_it_stands_alone(files: Files, capsys: pytest.CaptureFixture[s
 def test_a_cloud_does_nearly_as_well(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     scan, landmarks = scan_domes.scan(PERSON, side=121)
     files.put(Scan(name="cloud", points=scan.points), landmarks, "cloud.ply")
-    code, _, err = run(capsys, *files.words("--unit", "cm", scan="cloud.ply"))
-    assert code == 0, err
+    done(capsys, *files.words("--unit", "cm", scan="cloud.ply"), quiet=False)
     assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.2
 
 
@@ -166,7 +161,7 @@ def test_landmarks_that_are_said_to_be_rough_bend_less(files: Files, capsys: pyt
     errors = []
     for sigmas in (np.full(68, np.nan), np.full(68, 1.5)):
         files.put(scan, ScanLandmarks(points=rough, sigma_mm=sigmas))
-        assert run(capsys, *files.words("--unit", "cm", "--force"))[0] == 0
+        done(capsys, *files.words("--unit", "cm", "--force"), quiet=False)
         errors.append(np.linalg.norm(fitted(files) - truth(), axis=1).mean())
     assert errors[1] < 0.5 * errors[0]
 
@@ -242,11 +237,7 @@ def test_bad_input_is_told_in_one_line_and_nothing_written(
 ) -> None:
     monkeypatch.chdir(files.folder)
     spoil(files)
-    before = sorted(files.folder.iterdir())
-    code, out, err = run(capsys, *files.words(*more))
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert text in err
-    assert sorted(files.folder.iterdir()) == before
+    assert text in failed(capsys, *files.words(*more))
 
 
 def test_inputs_are_not_overwritten(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
@@ -269,7 +260,7 @@ def test_a_real_template_takes_the_shape_of_a_person(tmp_path: Path, capsys: pyt
 
     npz = shared("ict_facekit/ict_facekit.npz")
     files = Files(tmp_path)
-    assert run(capsys, "import", "ict", npz, files["head.usdc"])[0] == 0
+    done(capsys, "import", "ict", npz, files["head.usdc"])
     topology = Topology.of(facepipe.open(files["head.usdc"]).parts())
     people = [
         WholeFace(name=f"p{number}", topology=topology, points=points, digest=f"sha256:{number}")

@@ -9,7 +9,7 @@ import expression_domes
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done, failed
 from expression_domes import OWN, PERSON, SIDE
 
 import facepipe
@@ -70,8 +70,7 @@ def lifted() -> np.ndarray:
 
 def fitted(drawer: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: object) -> tuple[np.ndarray, dict]:
     files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", out)
-    code, text, err = run(capsys, "fit-neutral", drawer / "anna.ply", *files, "--unit", "cm", "--json", *more)
-    assert code == 0, err
+    text = done(capsys, "fit-neutral", drawer / "anna.ply", *files, "--unit", "cm", "--json", *more, quiet=False)
     return whole_points(facepipe.open(out).parts())[:DOME], json.loads(text)
 
 
@@ -112,10 +111,7 @@ def test_the_picture_shows_what_the_scan_does(
 def test_bad_weights_are_told_in_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", tmp_path / "out.usda")
     for word, text in (("eyeBlink=1", "no such shape, expected one of"), ("browUp=3", "above 0, up to 2"), ("x", "x")):
-        code, out, err = run(capsys, "fit-neutral", drawer / "anna.ply", *files, "--weights", word)
-        assert (code, out, err.count("\n")) == (2, "", 1), err
-        assert text in err
-    assert not list(tmp_path.iterdir())
+        assert text in failed(capsys, "fit-neutral", drawer / "anna.ply", *files, "--weights", word, folder=tmp_path)
 
 
 def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
@@ -217,15 +213,13 @@ def test_register_scan_takes_the_neutrals_weights(
 ) -> None:
     fitted(drawer, tmp_path / "anna.usda", capsys, "--weights", f"browUp={GIVEN}")
     personal = ("personal-template", tmp_path / "anna.usda", "--template", drawer / "head.usda")
-    assert run(capsys, *personal, "-o", tmp_path / "personal.usda")[0] == 0
+    done(capsys, *personal, "-o", tmp_path / "personal.usda", quiet=False)
     words = ("register-scan", drawer / "open.ply", "--personal", tmp_path / "personal.usda", "--weights", "jawOpen=1")
     shown = ("--neutral-weights", f"browUp={GIVEN}")
-    code, _, err = run(capsys, *words, "-o", tmp_path / "open.usda", *shown)
-    assert code == 2
+    err = failed(capsys, *words, "-o", tmp_path / "open.usda", *shown, folder=tmp_path)
     assert "--neutral-weights: expected --neutral-scan beside it" in err
     more = ("--neutral-scan", drawer / "anna.ply", *shown, "--json")
-    code, out, err = run(capsys, *words, "-o", tmp_path / "open.usda", *more)
-    assert code == 0, err
+    out = done(capsys, *words, "-o", tmp_path / "open.usda", *more, quiet=False)
     assert json.loads(out)["fit"]["mm_per_unit"] == pytest.approx(10.0, rel=0.01)
     recipe = facepipe.open(tmp_path / "open.usda").parts().recipe
     assert recipe is not None

@@ -9,7 +9,7 @@ from dataclasses import replace
 import expression_domes
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, run
 from expression_domes import OWN
 from rebuild_stages import Files
 
@@ -34,8 +34,7 @@ def test_starting_shapes_are_the_templates_carried_over(stages: Files) -> None:
 
 def test_on_the_template_itself_starting_shapes_are_its_own(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     save_parts(expression_domes.face(), files["anna.usda"])
-    code, out, _ = run(capsys, *files.personal("--json"))
-    assert code == 0
+    out = done(capsys, *files.personal("--json"))
     assert json.loads(out)["change_mean_mm"] < 1e-4
     for shape in OWN:
         assert np.abs(files.delta("p.usda", shape) - expression_domes.template_motion(shape)).max() < 1e-3

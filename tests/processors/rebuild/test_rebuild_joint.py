@@ -11,7 +11,7 @@ import expression_domes
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done
 from expression_domes import OWN, PERSON
 from scan_domes import POSE
 
@@ -124,8 +124,7 @@ def drawer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rebuilt(capsys: pytest.CaptureFixture[str], project: Path, *more: object) -> dict[str, object]:
-    code, out, err = run(capsys, "rebuild", project, "-o", project.with_suffix(".usda"), "--json", "--force", *more)
-    assert code == 0, err
+    out = done(capsys, "rebuild", project, "-o", project.with_suffix(".usda"), "--json", "--force", *more, quiet=False)
     return dict(json.loads(out))
 
 

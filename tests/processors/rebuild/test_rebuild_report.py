@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import failed
 from PIL import Image
 
 from facepipe.atomic import replacing_folder
@@ -145,20 +145,12 @@ def test_an_existing_folder_is_refused(made: Made, capsys: pytest.CaptureFixture
         (("--force",), "notes.txt", "holds"),
     ):
         (folder / file).write_text("mine", encoding="utf-8")
-        before = _names(folder)
-        code, out, err = run(capsys, *words, *more)
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert text in err
-        assert _names(folder) == before
-        assert not (made.folder / "other.usda").exists()
+        assert text in failed(capsys, *words, *more, folder=made.folder)
 
 
 @pytest.mark.parametrize("place", [".", "p", "p/corrections", "none/report", "p.toml"])
 def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str], place: str) -> None:
-    before = _names(made.folder)
-    code, out, err = run(capsys, *made.words("--report", made.folder / place))
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert _names(made.folder) == before
+    failed(capsys, *made.words("--report", made.folder / place), folder=made.folder)
 
 
 def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:

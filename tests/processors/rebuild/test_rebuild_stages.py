@@ -9,7 +9,7 @@ from pathlib import Path
 import expression_domes
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, failed, run
 from rebuild_stages import QUALITY, SEEN, Files
 
 import facepipe
@@ -42,7 +42,7 @@ def test_the_same_files_give_the_same_bytes(files: Files, capsys: pytest.Capture
     assert isinstance(out, Path)
     contents = []
     for _ in range(2):
-        assert run(capsys, *words, "--force")[0] == 0
+        done(capsys, *words, "--force")
         contents.append(out.read_bytes())
     assert contents[0] == contents[1]
 
@@ -53,9 +53,9 @@ def test_flattened_it_stands_alone(files: Files, capsys: pytest.CaptureFixture[s
     out = words[words.index("-o") + 1]
     assert isinstance(out, Path)
     shape = "open" if stage == "register" else "jawOpen"
-    assert run(capsys, *words, "--force")[0] == 0
+    done(capsys, *words, "--force")
     layered = files.delta(out.name, shape)
-    assert run(capsys, *words, "--force", "--flatten")[0] == 0
+    done(capsys, *words, "--force", "--flatten")
     for path in files.folder.glob("*.usda"):
         if path != out:
             path.unlink()
@@ -159,11 +159,7 @@ def test_bad_input_is_told_in_one_line_and_nothing_written(
     if stage == "register":
         files["open.usda"].unlink()
     spoil(files)
-    before = {path: path.read_bytes() for path in files.folder.iterdir()}
-    code, out, err = run(capsys, *_words(files, stage), *more)
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert text in err
-    assert {path: path.read_bytes() for path in files.folder.iterdir()} == before
+    assert text in failed(capsys, *_words(files, stage), *more)
 
 
 def test_inputs_are_not_overwritten(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

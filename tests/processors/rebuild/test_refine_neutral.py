@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import run
+from command_line import done, failed
 from scan_domes import POSE, dome, grid
 
 import facepipe
@@ -74,8 +74,7 @@ def _words(folder: Path, *more: object) -> tuple[object, ...]:
 
 
 def test_a_region_goes_to_its_scan_and_all_else_stays(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = run(capsys, *_words(folder, "--region", "bump", "--json"))
-    assert code == 0, err
+    out = done(capsys, *_words(folder, "--region", "bump", "--json"))
     told = json.loads(out)
     before, after = (facepipe.open(folder / name).parts() for name in ("anna.usda", "out.usda"))
     inside = before.meshes[0].regions["bump"] > 0
@@ -93,8 +92,7 @@ def test_a_region_goes_to_its_scan_and_all_else_stays(folder: Path, capsys: pyte
 
 
 def test_the_recipe_tells_what_was_refined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = run(capsys, *_words(folder, "--region", "bump", "right", "--detail-mm", 7, "--json"))
-    assert code == 0
+    out = done(capsys, *_words(folder, "--region", "bump", "right", "--detail-mm", 7, "--json"))
     recipe = facepipe.open(folder / "out.usda").parts().recipe
     assert recipe is not None
     assert recipe.verb == "refine-neutral"
@@ -110,14 +108,13 @@ def test_the_recipe_tells_what_was_refined(folder: Path, capsys: pytest.CaptureF
 def test_the_same_call_writes_the_same_bytes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = []
     for _ in range(2):
-        assert run(capsys, *_words(folder, "--force"))[0] == 0
+        done(capsys, *_words(folder, "--force"))
         written.append((folder / "out.usda").read_bytes())
     assert written[0] == written[1]
 
 
 def test_a_picture_and_a_text_tell_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = run(capsys, *_words(folder, "--region", "right", "--picture", folder / "out.png"))
-    assert code == 0
+    out = done(capsys, *_words(folder, "--region", "right", "--picture", folder / "out.png"))
     assert "refined" in out
     assert "right: " in out
     assert (folder / "out.png").stat().st_size > 1000
@@ -134,10 +131,7 @@ def test_a_picture_and_a_text_tell_of_it(folder: Path, capsys: pytest.CaptureFix
 def test_bad_input_is_told_in_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], message: str
 ) -> None:
-    code, out, err = run(capsys, *_words(folder, *more))
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert message in err
-    assert not (folder / "out.usda").exists()
+    assert message in failed(capsys, *_words(folder, *more), folder=folder)
 
 
 def test_a_face_without_regions_says_so() -> None:
@@ -202,8 +196,7 @@ def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys:
     told = {"quality": _QUALITY.__dict__, "found": {"jawOpen": weight}}
     for options, more in ((told, ()), ({}, ("--weights", f"jawOpen={weight}")), ({}, ())):
         save_parts(replace(_neutral(), recipe=Recipe(verb="fit-neutral", options=options)), folder / "anna.usda")
-        code, _, err = run(capsys, *_words(folder, "--force", *more))
-        assert code == 0, err
+        done(capsys, *_words(folder, "--force", *more))
         points = whole_points(facepipe.open(folder / "out.usda").parts())[: len(_OWN)]
         off.append(np.linalg.norm(points - _bumped(31), axis=1).mean())
     assert off[0] == pytest.approx(off[1], abs=1e-6)

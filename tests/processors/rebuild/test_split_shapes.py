@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, run
 from expression_domes import OWN
 from import_data import shared
 from rebuild_stages import Files
@@ -38,16 +38,14 @@ def test_shapes_become_the_persons_own(stages: Files) -> None:
 def test_the_table_tells_of_each_shape(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """One expression alone: what it does not show stays to the bit, and that is no failure."""
     words = ("split-shapes", files["open.usda"], "--personal", files["personal.usda"], "-o", files["actor.usda"])
-    code, out, _ = run(capsys, *words)
-    assert code == 0
+    out = done(capsys, *words, quiet=False)
     jaw = next(line.split() for line in out.splitlines() if line.startswith("jawOpen"))
     assert float(jaw[1]) > 0.5
     assert 1.1 < float(jaw[2]) < 1.45
     assert jaw[4] == "open"
     assert "1 shapes of scans, 1 told apart; 1 as the personal template has them" in out
     assert np.array_equal(files.delta("actor.usda", "browUp"), files.delta("personal.usda", "browUp"))
-    code, out, _ = run(capsys, *words, "--json", "--force")
-    told = json.loads(out)
+    told = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
     assert told["shapes"]["jawOpen"]["gain"] == pytest.approx(float(jaw[2]), abs=0.006)
     assert told["unseen"] == ["browUp"]
 
@@ -62,7 +60,7 @@ def test_a_correction_by_hand_is_split(files: Files, capsys: pytest.CaptureFixtu
             recipe = face.parts().recipe
             AuthorNeutral(shapes={"open": factor * own.deltas["open"]})(derived, own.points, recipe=recipe)
         words = ("split-shapes", files["corrected.usda"], "--personal", files["personal.usda"])
-        assert run(capsys, *words, "-o", files["actor.usda"], "--force", "--weight-spread", 0)[0] == 0
+        done(capsys, *words, "-o", files["actor.usda"], "--force", "--weight-spread", 0, quiet=False)
         sizes.append(np.linalg.norm(files.delta("actor.usda", "jawOpen"), axis=1).mean())
     assert 0.78 < sizes[1] / sizes[0] < 0.9
 
@@ -97,11 +95,11 @@ def test_a_real_template_gets_the_shapes_of_an_actor(tmp_path: Path, capsys: pyt
     from scan_simulator import simulate
 
     npz, files, actor = shared("ict_facekit/ict_facekit.npz"), Files(tmp_path), Actor(101)
-    assert run(capsys, "import", "ict", npz, files["head.usdc"])[0] == 0
+    done(capsys, "import", "ict", npz, files["head.usdc"])
     with facepipe.open(files["head.usdc"]).deriving(files["anna.usdc"]) as derived:
         AuthorNeutral()(derived, actor.neutral)
     words = (files["anna.usdc"], "--template", files["head.usdc"], "-o", files["personal.usdc"])
-    assert run(capsys, "personal-template", *words)[0] == 0
+    done(capsys, "personal-template", *words)
     for number, name in enumerate(("jaw_open", "smile", "laugh")):
         seen = simulate(actor.composite(COMPOSITES[name]), 100 * 101 + number)
         scan = Scan(name=name, points=seen.points, triangles=seen.triangles.astype(np.int32))
@@ -112,8 +110,7 @@ def test_a_real_template_gets_the_shapes_of_an_actor(tmp_path: Path, capsys: pyt
         assert code in (0, 1), err
     registered = [files[f"{name}.usdc"] for name in ("jaw_open", "smile", "laugh")]
     files_of = ("--personal", files["personal.usdc"], "-o", files["actor.usdc"])
-    code, out, err = run(capsys, "split-shapes", *registered, *files_of)
-    assert code == 0, err
+    out = done(capsys, "split-shapes", *registered, *files_of)
     print(out)
     assert validate(files["actor.usdc"]) == ()
     off: dict[str, list[float]] = {"personal.usdc": [], "actor.usdc": []}

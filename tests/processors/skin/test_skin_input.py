@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failed
 from faces import grid_mesh
 from skin_joints import TWO, bare, changed, head, retopologised, skinned, weights_of, without_joints
 
-from facepipe.cli import main
 from facepipe.errors import FacepipeError, InputError
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.warp import fit_warp
@@ -158,10 +158,7 @@ def test_a_damaged_source_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     save_parts(replace(source, skeleton=replace(source.skeleton, bind_transforms=binds)), tmp_path / "damaged.usdc")
     save_parts(bare(), tmp_path / "face.usdc")
     words = ["skin", str(tmp_path / "face.usdc"), "--from", str(tmp_path / "damaged.usdc")]
-    assert main([*words, "-o", str(tmp_path / "out.usda")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert "damaged.usdc" in lines[0]
+    assert "damaged.usdc" in failed(capsys, *words, "-o", tmp_path / "out.usda", folder=tmp_path)
     assert not (tmp_path / "out.usda").exists()
 
 
@@ -190,9 +187,8 @@ def test_options_of_another_way_are_refused(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "joints.json").write_text(json.dumps({"joints": {"a": {"position": [0, 0, 0]}}}))
     words = ["skin", str(tmp_path / "face.usdc"), "--joints", str(tmp_path / "joints.json")]
     for flag in ("--smoothing", "--iterations", "--evenness"):
-        assert main([*words, flag, "1", "-o", str(tmp_path / "out.usda")]) == 2
-        assert f"{flag}: given without" in capsys.readouterr().err
-    assert main([*words, "-o", str(tmp_path / "out.txt")]) == 2
-    assert "expected one of .usd" in capsys.readouterr().err
+        err = failed(capsys, *words, flag, "1", "-o", tmp_path / "out.usda", folder=tmp_path)
+        assert f"{flag}: given without" in err
+    assert "expected one of .usd" in failed(capsys, *words, "-o", tmp_path / "out.txt", folder=tmp_path)
     with pytest.raises(FacepipeError, match="1025 joints, expected 1 to 1024"):
         JointSet(joints=tuple(JointSpec(path=f"a{i}", position=(0, 0, 0)) for i in range(1025)))

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from PIL import Image
 
-from facepipe.cli import main
 from facepipe.parts import FaceParts
 from facepipe.render import PictureOptions, picture
 from facepipe.render.camera import Camera
@@ -58,10 +58,7 @@ def write_photos(parts: FaceParts, folder: Path) -> None:
 
 def fit_photo(*words: str | Path) -> int:
     """The exit code of the command."""
-    try:
-        return main(["fit-photo", *map(str, words)])
-    except SystemExit as end:  # usage
-        return int(end.code or 0)
+    return exit_code("fit-photo", *words)
 
 
 def fit_json(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str, Any]:
