@@ -38,16 +38,6 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert facepipe.__version__ in run(capsys, "--version")[1]
 
 
-def test_import_and_help_bring_nothing_heavy() -> None:
-    program = (
-        "import sys, facepipe, facepipe.cli\nfacepipe.cli.main([])\n"
-        "heavy = {'pxr', 'numpy', 'scipy', 'onnx', 'onnxruntime', 'PIL', 'torch', 'tqdm'}\n"
-        "sys.exit(' '.join(sorted(heavy & set(sys.modules))) or 0)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
