@@ -110,7 +110,7 @@ def test_a_real_template_gets_the_shapes_of_an_actor(tmp_path: Path, capsys: pyt
         assert code in (0, 1), err
     registered = [files[f"{name}.usdc"] for name in ("jaw_open", "smile", "laugh")]
     files_of = ("--personal", files["personal.usdc"], "-o", files["actor.usdc"])
-    out = done(capsys, "split-shapes", *registered, *files_of)
+    out = done(capsys, "split-shapes", *registered, *files_of, quiet=False)
     print(out)
     assert validate(files["actor.usdc"]) == ()
     off: dict[str, list[float]] = {"personal.usdc": [], "actor.usdc": []}
