@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from facepipe.options import check_ranges
+from facepipe.declare import check_ranges, option
 
 # of a step: landmarks of people, renders whose truth is known, pictures on the joint loss
 LANDMARK_BATCH, BATCH, JOINT_BATCH = 256, 32, 8
@@ -18,19 +18,11 @@ class StartOptions:
     :raises InputError: a number out of range
     """
 
-    people: int = field(
-        default=100_000,
-        metadata={"help": "random people whose landmarks are learnt from first", "range": (0, 100_000_000)},
-    )
-    renders: int = field(
-        default=2000, metadata={"help": "random renders of FACE with known parameters", "range": (0, 200_000)}
-    )
-    epochs: int = field(default=4, metadata={"help": "times that these are learnt from", "range": (0, 1000)})
-    steps: int = field(
-        default=400,
-        metadata={"help": f"of the joint loss after that, with {JOINT_BATCH} pictures each", "range": (0, 1_000_000)},
-    )
-    seed: int = field(default=0, metadata={"help": "of people, first weights and order", "range": (0, 2**31 - 1)})
+    people: int = option(100_000, "random people whose landmarks are learnt from first", 0, 100_000_000)
+    renders: int = option(2000, "random renders of FACE with known parameters", 0, 200_000)
+    epochs: int = option(4, "times that these are learnt from", 0, 1000)
+    steps: int = option(400, f"of the joint loss after that, with {JOINT_BATCH} pictures each", 0, 1_000_000)
+    seed: int = option(0, "of people, first weights and order", 0, 2**31 - 1)
 
     def __post_init__(self) -> None:
         check_ranges(self)

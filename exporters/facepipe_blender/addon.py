@@ -8,12 +8,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from typing import NamedTuple
 
 from facepipe import __version__
+from facepipe.declare import option
 from facepipe.errors import InputError
 from facepipe.reports import ExportReport
 
@@ -40,30 +41,17 @@ _TAGS = {
     "macos-arm64": [f"macosx_{major}_0_arm64" for major in (14, 13, 12, 11)],
     "windows-x64": ["win_amd64"],
 }
+_THIS = {"Darwin": "macos-arm64", "Windows": "windows-x64"}.get(platform.system(), "linux-x64")
 _MANIFEST = "blender_manifest.toml"
-
-
-def this_platform() -> str:
-    """The platform of this machine, as Blender names it."""
-    return {"Darwin": "macos-arm64", "Windows": "windows-x64"}.get(platform.system(), "linux-x64")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """What to build the extension for, and from what."""
 
-    platform: str = field(
-        default_factory=this_platform,
-        metadata={"help": "the machine that Blender runs on", "choices": tuple(_TAGS)},
-    )
-    blender: str = field(
-        default="5.0",
-        metadata={"help": "5.0 for Blender 4.2 to 5.0, 5.2 for 5.1 and 5.2", "choices": tuple(_HOSTS)},
-    )
-    wheels: Path | None = field(
-        default=None,
-        metadata={"help": "folder of wheels to take the libraries from, in place of the network"},
-    )
+    platform: str = option(_THIS, "the machine that Blender runs on", choices=tuple(_TAGS))
+    blender: str = option("5.0", "5.0 for Blender 4.2 to 5.0, 5.2 for 5.1 and 5.2", choices=tuple(_HOSTS))
+    wheels: Path | None = option(None, "folder of wheels to take the libraries from, in place of the network")
 
 
 def build(path: Path, options: Options) -> ExportReport:

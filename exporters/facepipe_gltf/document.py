@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import facepipe
-from facepipe.options import check_ranges
+from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.records.gltf import Record
 from facepipe.rig.linear_skinning import linear_skinning_notes

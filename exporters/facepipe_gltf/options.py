@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from facepipe.options import POSE_HELP
+from facepipe.declare import POSE_HELP, option
 from facepipe_gltf.engines import ANY, ENGINES, Engine
 
 
@@ -13,55 +13,29 @@ from facepipe_gltf.engines import ANY, ENGINES, Engine
 class Options:
     """What goes into the file, and how compactly; None: what the engine asks for."""
 
-    pose: str = field(default="set", metadata={"help": POSE_HELP})
-    mode: Literal["skin", "morph", "both"] = field(
-        default="both",
-        metadata={
-            "help": "skin: joints without morph targets; morph: targets without joints, posed at rest; both",
-            "choices": ("skin", "morph", "both"),
-        },
+    pose: str = option("set", POSE_HELP)
+    mode: Literal["skin", "morph", "both"] = option(
+        "both", "skin: joints without morph targets; morph: targets without joints, posed at rest; both"
     )
-    engine: str | None = field(
-        default=None,
-        metadata={
-            "help": "what will load the file: sets the options below as it needs them, refuses those that it can't "
-            "read, and says which names it changes",
-            "choices": tuple(ENGINES),
-        },
+    engine: str | None = option(
+        None,
+        "what will load the file: sets the options below as it needs them, refuses those that it can't "
+        "read, and says which names it changes",
+        choices=tuple(ENGINES),
     )
-    influences: Literal[4, 8] | None = field(
-        default=None,
-        metadata={
-            "help": "largest number of joints that move one vertex (default 4, or as many as --engine reads)",
-            "choices": (4, 8),
-        },
+    influences: Literal[4, 8] | None = option(
+        None, "largest number of joints that move one vertex (default 4, or as many as --engine reads)"
     )
-    shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
-    morph_normals: bool | None = field(
-        default=None,
-        metadata={"help": "compute the normals of blendshapes that have none"},
+    shapes: str = option("*", "blendshapes to export: globs, separated by commas")
+    morph_normals: bool | None = option(None, "compute the normals of blendshapes that have none")
+    animations: bool = option(False, "export poses and animations")
+    fps: float | None = option(None, "frames per second to sample clips at; their own keys by default", 1.0, 1000.0)
+    quantize: bool = option(False, "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)")
+    dense: bool | None = option(None, "store every value of every morph target, for readers that get sparse ones wrong")
+    meshopt: bool = option(
+        False, "compress without loss (EXT_meshopt_compression); needs node with its package meshoptimizer"
     )
-    animations: bool = field(default=False, metadata={"help": "export poses and animations"})
-    fps: float | None = field(
-        default=None,
-        metadata={"help": "frames per second to sample clips at; their own keys by default", "range": (1.0, 1000.0)},
-    )
-    quantize: bool = field(
-        default=False,
-        metadata={"help": "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)"},
-    )
-    dense: bool | None = field(
-        default=None,
-        metadata={"help": "store every value of every morph target, for readers that get sparse ones wrong"},
-    )
-    meshopt: bool = field(
-        default=False,
-        metadata={"help": "compress without loss (EXT_meshopt_compression); needs node with its package meshoptimizer"},
-    )
-    drop_deltas: float = field(
-        default=0.0,
-        metadata={"help": "leave out offsets of blendshapes shorter than this", "unit": "mm", "range": (0.0, 100.0)},
-    )
+    drop_deltas: float = option(0.0, "leave out offsets of blendshapes shorter than this", 0.0, 100.0, "mm")
 
     @property
     def reader(self) -> Engine:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
+from facepipe.declare import POSE_HELP, option
 from facepipe.errors import InputError
-from facepipe.options import POSE_HELP
 
 INPUTS = ("coefficients", "matrices")
 BATCHES = (1, 256)
@@ -17,41 +17,23 @@ WEIGHTS = ("float32", "float16", "int8")
 class Options:
     """Options of the ONNX exporter."""
 
-    pose: str = field(default="set", metadata={"help": POSE_HELP})
-    sliders: bool = field(
-        default=False,
-        metadata={"help": "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights"},
+    pose: str = option("set", POSE_HELP)
+    sliders: bool = option(False, "a graph of the face's sliders: bone coefficients, skinning matrices, morph weights")
+    encoder: bool = option(False, "with --neural: the graph from points back to controls, in place of the rig's")
+    points: bool = option(False, "with --sliders: also output the points")
+    weights: Literal["float32", "float16", "int8"] = option(
+        "float32",
+        "with --sliders: how the file holds gains and network; the report tells by how much points are off "
+        "(and need the operator Cast)",
     )
-    encoder: bool = field(
-        default=False, metadata={"help": "with --neural: the graph from points back to controls, in place of the rig's"}
+    inputs: Literal["coefficients", "matrices"] = option(
+        "coefficients", "what moves the joints: 9 bone coefficients each, or local 4x4 joint transforms"
     )
-    points: bool = field(default=False, metadata={"help": "with --sliders: also output the points"})
-    weights: Literal["float32", "float16", "int8"] = field(
-        default="float32",
-        metadata={
-            "help": "with --sliders: how the file holds gains and network; the report tells by how much points are off "
-            "(and need the operator Cast)",
-            "choices": WEIGHTS,
-        },
-    )
-    inputs: Literal["coefficients", "matrices"] = field(
-        default="coefficients",
-        metadata={
-            "help": "what moves the joints: 9 bone coefficients each, or local 4x4 joint transforms",
-            "choices": INPUTS,
-        },
-    )
-    joint_matrices: bool = field(default=False, metadata={"help": "also output the world matrices of all joints"})
-    normals: bool = field(
-        default=False, metadata={"help": "also output area-weighted point normals (needs the operators Div and Sqrt)"}
-    )
-    parent: bool = field(
-        default=False, metadata={"help": "add an input: the world matrix of the body joint that the face hangs under"}
-    )
-    shapes: str = field(default="*", metadata={"help": "blendshapes to export: globs, separated by commas"})
-    batch: int = field(
-        default=1, metadata={"help": "poses per evaluation, fixed in the graph", "range": BATCHES, "unit": "poses"}
-    )
+    joint_matrices: bool = option(False, "also output the world matrices of all joints")
+    normals: bool = option(False, "also output area-weighted point normals (needs the operators Div and Sqrt)")
+    parent: bool = option(False, "add an input: the world matrix of the body joint that the face hangs under")
+    shapes: str = option("*", "blendshapes to export: globs, separated by commas")
+    batch: int = option(1, "poses per evaluation, fixed in the graph", *BATCHES, "poses")
 
     def check(self) -> None:
         """Check the values.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from facepipe.declare import option
 from facepipe.errors import InputError
 
 _PORTS = (0, 65535)
@@ -13,13 +14,8 @@ _PORTS = (0, 65535)
 class Options:
     """Options of the viewer."""
 
-    port: int = field(
-        default=0, metadata={"help": "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", "range": _PORTS}
-    )
-    pose: str = field(
-        default="set",
-        metadata={"help": "the person at rest: set (as FACE is set), rest (the template), or an animation"},
-    )
+    port: int = option(0, "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", *_PORTS)
+    pose: str = option("set", "the person at rest: set (as FACE is set), rest (the template), or an animation")
 
     def check(self) -> None:
         """Check the values.

@@ -38,7 +38,7 @@ def request_of(arguments: argparse.Namespace) -> Request:
 
     :raises InputError: flags that don't go together, files that can't be read or written, weights of no meaning
     """
-    from facepipe.options import check_ranges
+    from facepipe.declare import check_ranges
     from facepipe.processors.blend import BlendOptions
     from facepipe.stage.files import check_suffix
 

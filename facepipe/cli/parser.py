@@ -6,12 +6,11 @@ import argparse
 import dataclasses
 import math
 import sys
-import types
-import typing
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from facepipe.declare import Field, fields_of
 from facepipe.errors import InputError
 
 
@@ -52,12 +51,11 @@ def add_options(
     :param sparse: arguments hold only the flags that were given, and what is on can be turned off
     """
     group = parser.add_argument_group(title) if title else parser
-    hints = typing.get_type_hints(options)
-    for field in dataclasses.fields(options):
+    for field in fields_of(options):
         flag = f"--{field.name.replace('_', '-')}"
         if flag in parser._option_string_actions:
             continue
-        settings = _settings(field, hints[field.name])
+        settings = _settings(field)
         if sparse:
             settings["default"] = argparse.SUPPRESS
             if settings.get("action") == "store_true":
@@ -65,36 +63,24 @@ def add_options(
         group.add_argument(flag, dest=field.name, **settings)
 
 
-def _settings(field: Any, hint: Any) -> dict[str, Any]:
-    default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
-    metadata = field.metadata
-    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
-    unsaid = isinstance(default, bool) or default in (None, "", (), {})
-    shown = "" if unsaid else f" (default {default})"
-    help_text = f"{metadata.get('help', '')}{unit}{shown}".replace("%", "%%")
-    kinds = [kind for kind in _flat(hint) if kind is not type(None)]
-    if kinds == [bool]:
-        action = "store_true" if default is False else argparse.BooleanOptionalAction
-        return {"action": action, "default": default, "help": help_text}
-    settings: dict[str, Any] = {"default": default, "help": help_text}
-    if "choices" in metadata:
-        settings["choices"] = metadata["choices"]
-    settings["type"] = _reader(metadata.get("parse") or _kind(kinds, metadata))
-    if "choices" not in metadata:
+def _settings(field: Field) -> dict[str, Any]:
+    unit = f" [{field.unit}]" if field.unit else ""
+    unsaid = isinstance(field.default, bool) or field.default in (None, "", (), {})
+    shown = "" if unsaid else f" (default {field.default})"
+    settings: dict[str, Any] = {"default": field.default, "help": f"{field.help}{unit}{shown}".replace("%", "%%")}
+    if field.kinds == (bool,) or field.kinds == (bool, type(None)):
+        return {"action": argparse.BooleanOptionalAction if field.default is not False else "store_true", **settings}
+    if field.choices:
+        settings["choices"] = field.choices
+    else:
         settings["metavar"] = field.name.upper()
-    return settings
+    return {"type": _reader(field.parse or _kind(field)), **settings}
 
 
-def _flat(hint: Any) -> list[Any]:
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return [kind for part in typing.get_args(hint) for kind in _flat(part)]
-    return [hint]
-
-
-def _kind(kinds: list[Any], metadata: Any) -> Any:
-    if "choices" in metadata:
-        return type(metadata["choices"][0])
-    return next((kind for kind in kinds if kind in (int, float, Path)), str)
+def _kind(field: Field) -> Any:
+    if field.choices:
+        return type(field.choices[0])
+    return next((kind for kind in field.kinds if kind in (int, float, Path)), str)
 
 
 def _reader(kind: Any) -> Any:

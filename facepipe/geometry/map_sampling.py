@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from facepipe.declare import option
 from facepipe.errors import InputError
 
 LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
@@ -31,20 +32,13 @@ class MapSampling:
     :raises InputError: an option out of range
     """
 
-    tolerance: float = field(
-        default=8.0,
-        metadata={"help": "distance to a legend colour that still is that colour", "unit": "RGB, 0 to 255 a channel"},
+    tolerance: float = option(
+        8.0, "distance to a legend colour that still is that colour", unit="RGB, 0 to 255 a channel"
     )
-    edge: int = field(
-        default=2,
-        metadata={"help": "how far antialiased borders run, and paint counts beyond its end", "unit": "texels"},
-    )
-    footprint: int = field(
-        default=1, metadata={"help": "side of the square averaged at a point; 1: its texel", "unit": "texels"}
-    )
-    tile: int | None = field(
-        default=FIRST_TILE,
-        metadata={"help": "UDIM tile that the map covers, or `all`: it repeats in every tile", "parse": tile_number},
+    edge: int = option(2, "how far antialiased borders run, and paint counts beyond its end", unit="texels")
+    footprint: int = option(1, "side of the square averaged at a point; 1: its texel", unit="texels")
+    tile: int | None = option(
+        FIRST_TILE, "UDIM tile that the map covers, or `all`: it repeats in every tile", parse=tile_number
     )
 
     def __post_init__(self) -> None:

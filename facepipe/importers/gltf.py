@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.declare import check_ranges
 from facepipe.errors import InputError
 from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_record, gltf_skins
 from facepipe.importers.gltf_assemble import Assembly
@@ -15,7 +16,6 @@ from facepipe.importers.gltf_document import Document, open_document
 from facepipe.importers.gltf_losses import note_losses
 from facepipe.importers.imported import Imported, as_told, import_recipe
 from facepipe.importers.options import GltfOptions
-from facepipe.options import check_ranges
 from facepipe.parts import FaceParts, Mesh
 
 Options = GltfOptions

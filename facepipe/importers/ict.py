@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import check_ranges
 from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.borders import back_of_border
 from facepipe.importers import ict_topology as topology
@@ -27,7 +28,6 @@ from facepipe.importers.mesh_pieces import (
     whole_region,
 )
 from facepipe.importers.options import IctOptions
-from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
 from facepipe.reading import read_json
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import check_ranges
 from facepipe.errors import InputError
 from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.landmark_file import read_landmarks
@@ -23,7 +24,6 @@ from facepipe.importers.obj_shapes import read_offsets
 from facepipe.importers.options import ObjOptions
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.names import handles
-from facepipe.options import check_ranges
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 
 Options = ObjOptions

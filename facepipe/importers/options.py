@@ -1,85 +1,55 @@
-"""What may be set about an import, kind by kind.
-
-An option's field metadata holds ``help``, and where they apply ``range`` (lowest, highest), ``unit``, and ``parse``
-(a function from the text a user types to the option's value).
-"""
+"""What may be set about an import, kind by kind."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+from facepipe.declare import option
 from facepipe.errors import InputError
 
-UNIT_HELP: dict[str, Any] = {
-    "help": "metres in a unit of the file, where it is not as the file says",
-    "range": (1e-6, 1e3),
-    "unit": "m",
-}
-UP_HELP: dict[str, Any] = {
-    "help": "axis that points up in the file, where it is not as the file says",
-    "choices": ("Y", "Z"),
-}
+_UNIT = "metres in a unit of the file, where it is not as the file says"
+_UP = "axis that points up in the file, where it is not as the file says"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GltfOptions:
     """What to read, and how."""
 
-    weld: bool = field(
-        default=True,
-        metadata={"help": "join vertices that were split at UV and normal seams into one point"},
+    weld: bool = option(True, "join vertices that were split at UV and normal seams into one point")
+    scene: int | None = option(None, "number of the scene to read; the file's default scene where not given")
+    fps: float | None = option(
+        None, "frames per second that animations are sampled at; their own keys where not given", 1.0, 1000.0
     )
-    scene: int | None = field(
-        default=None,
-        metadata={"help": "number of the scene to read; the file's default scene where not given"},
-    )
-    fps: float | None = field(
-        default=None,
-        metadata={
-            "help": "frames per second that animations are sampled at; their own keys where not given",
-            "range": (1.0, 1000.0),
-        },
-    )
-    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
-    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
+    meters_per_unit: float | None = option(None, _UNIT, 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] | None = option(None, _UP)
 
 
 @dataclass(frozen=True, kw_only=True)
 class IctOptions:
     """How to read an ICT-FaceKit model."""
 
-    identity: Path | None = field(
-        default=None,
-        metadata={
-            "help": 'JSON file of identity weights: {"identity003": 1.2, ...} or a list of up to 100 numbers',
-            "unit": "standard deviations",
-        },
+    identity: Path | None = option(
+        None,
+        'JSON file of identity weights: {"identity003": 1.2, ...} or a list of up to 100 numbers',
+        unit="standard deviations",
     )
-    identity_seed: int | None = field(
-        default=None,
-        metadata={"help": "draw all 100 identity weights from N(0, 1) with this seed", "range": (0, 2**63 - 1)},
+    identity_seed: int | None = option(None, "draw all 100 identity weights from N(0, 1) with this seed", 0, 2**63 - 1)
+    arkit_names: bool = option(
+        True,
+        "sides in shape names as ARKit writes them: eyeBlink_L becomes eyeBlinkLeft. browInnerUp and "
+        "cheekPuff, one shape each in ARKit, stay split in Left and Right",
     )
-    arkit_names: bool = field(
-        default=True,
-        metadata={
-            "help": "sides in shape names as ARKit writes them: eyeBlink_L becomes eyeBlinkLeft. browInnerUp and "
-            "cheekPuff, one shape each in ARKit, stay split in Left and Right"
-        },
-    )
-    extras: bool = field(
-        default=False, metadata={"help": "also read the shapes beyond the 53: PupilDilate and cheekRaiser, by side"}
-    )
-    threshold: float = field(
-        default=2e-4,
-        metadata={
-            "help": "point offsets up to this length are dropped from shapes: six-digit OBJ files hold coordinates "
-            "over 10 to 1e-4, so that rounding alone gives offsets up to 1.7e-4",
-            "range": (0.0, 1.0),
-            "unit": "cm",
-        },
+    extras: bool = option(False, "also read the shapes beyond the 53: PupilDilate and cheekRaiser, by side")
+    threshold: float = option(
+        2e-4,
+        "point offsets up to this length are dropped from shapes: six-digit OBJ files hold coordinates "
+        "over 10 to 1e-4, so that rounding alone gives offsets up to 1.7e-4",
+        0.0,
+        1.0,
+        "cm",
     )
 
 
@@ -102,53 +72,32 @@ def parse_targets(text: str) -> dict[str, float]:
 class MakeHumanOptions:
     """How to read the MakeHuman head."""
 
-    targets: Mapping[str, float] = field(
-        default_factory=dict,
-        metadata={
-            "help": "targets to apply, name=value,...: full names (nose/nose-point-up) or their last part where only "
-            "one target has it; values are usually 0..1",
-            "parse": parse_targets,
-        },
+    targets: Mapping[str, float] = option(
+        dict,
+        "targets to apply, name=value,...: full names (nose/nose-point-up) or their last part where only "
+        "one target has it; values are usually 0..1",
+        parse=parse_targets,
     )
-    shapes: str = field(
-        default="",
-        metadata={
-            "help": "targets to keep as blendshapes: patterns of full names, comma between "
-            "(expression/caucasian/*); none by default, since the face moves by its joints"
-        },
+    shapes: str = option(
+        "",
+        "targets to keep as blendshapes: patterns of full names, comma between "
+        "(expression/caucasian/*); none by default, since the face moves by its joints",
     )
-    sliders: Literal["units", "arkit"] = field(
-        default="units",
-        metadata={
-            "help": "sliders over the joints: one of each pose unit, or of the ARKit shapes that pose units make",
-            "choices": ("units", "arkit"),
-        },
+    sliders: Literal["units", "arkit"] = option(
+        "units", "sliders over the joints: one of each pose unit, or of the ARKit shapes that pose units make"
     )
-    meters_per_unit: float = field(
-        default=0.1, metadata={"help": "metres in a unit of the base mesh", "range": (1e-6, 1e3), "unit": "m"}
-    )
+    meters_per_unit: float = option(0.1, "metres in a unit of the base mesh", 1e-6, 1e3, "m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjOptions:
     """How to read a folder of OBJ files."""
 
-    neutral: str = field(
-        default="neutral", metadata={"help": "file of the neutral in the folder, .obj may be left out; any case"}
-    )
-    meters_per_unit: float = field(
-        default=0.01, metadata={"help": "metres in a unit of the files", "range": (1e-6, 1e3), "unit": "m"}
-    )
-    up_axis: Literal["Y", "Z"] = field(
-        default="Y", metadata={"help": "axis that points up in the files", "choices": ("Y", "Z")}
-    )
-    threshold: float = field(
-        default=0.0,
-        metadata={
-            "help": "point offsets up to this length are dropped from shapes",
-            "range": (0.0, 1e6),
-            "unit": "units of the files",
-        },
+    neutral: str = option("neutral", "file of the neutral in the folder, .obj may be left out; any case")
+    meters_per_unit: float = option(0.01, "metres in a unit of the files", 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] = option("Y", "axis that points up in the files")
+    threshold: float = option(
+        0.0, "point offsets up to this length are dropped from shapes", 0.0, 1e6, "units of the files"
     )
 
 
@@ -172,23 +121,15 @@ def parse_variants(text: str) -> dict[str, str]:
 class UsdOptions:
     """What of a stage to read."""
 
-    prim: str | None = field(
-        default=None,
-        metadata={"help": "path of the prim to read below; the default prim, or else the whole stage, where not given"},
+    prim: str | None = option(
+        None, "path of the prim to read below; the default prim, or else the whole stage, where not given"
     )
-    skeleton: str | None = field(
-        default=None,
-        metadata={"help": "path of the Skeleton of the face, where meshes are bound to several"},
+    skeleton: str | None = option(None, "path of the Skeleton of the face, where meshes are bound to several")
+    variant: Mapping[str, str] = option(
+        dict, "variants to read, SET=NAME,...; those that the file selects where not given", parse=parse_variants
     )
-    variant: Mapping[str, str] = field(
-        default_factory=dict,
-        metadata={
-            "help": "variants to read, SET=NAME,...; those that the file selects where not given",
-            "parse": parse_variants,
-        },
-    )
-    meters_per_unit: float | None = field(default=None, metadata=UNIT_HELP)
-    up_axis: Literal["Y", "Z"] | None = field(default=None, metadata=UP_HELP)
+    meters_per_unit: float | None = option(None, _UNIT, 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] | None = option(None, _UP)
 
 
 OPTIONS: dict[str, type] = {

@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from facepipe.options import from_json
+from facepipe.declare import from_json
 from facepipe.payload import PayloadContent, decode
 from facepipe.pipeline.verbs import Cooked, Watch, under_source
 from facepipe.processors.apply_bones import ApplyBones, ApplyBonesReport

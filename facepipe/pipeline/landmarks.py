@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.declare import from_json, to_json
 from facepipe.errors import InputError
 from facepipe.importers.landmark_file import read_landmarks
-from facepipe.options import from_json, to_json
 from facepipe.pipeline.verbs import Cooked, Watch
 from facepipe.processors.landmarks import SetLandmarks, mesh_of
 from facepipe.reports import Report

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from facepipe.declare import option
 
 
 @dataclass(frozen=True, kw_only=True)
 class CookOptions:
     """What to do with the recipes that are found."""
 
-    force: bool = field(default=False, metadata={"help": "cook also what is up to date"})
-    dry_run: bool = field(default=False, metadata={"help": "tell what would be cooked, and write nothing"})
-    validate: bool = field(default=False, metadata={"help": "then check each STAGE, as facepipe validate does"})
+    force: bool = option(False, "cook also what is up to date")
+    dry_run: bool = option(False, "tell what would be cooked, and write nothing")
+    validate: bool = option(False, "then check each STAGE, as facepipe validate does")

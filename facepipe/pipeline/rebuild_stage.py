@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from facepipe.declare import from_json
 from facepipe.errors import SchemaError
-from facepipe.options import from_json
 from facepipe.reports import Report
 from facepipe.stage.recipes import existing_source, recipe_of
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from facepipe.declare import from_json
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.importers.region_image import read_region_image
-from facepipe.options import from_json
 from facepipe.pipeline.verbs import Cooked, Watch, under_source
 from facepipe.processors.region_legend import read_legend
 from facepipe.processors.regions import RegionsReport, SetRegions

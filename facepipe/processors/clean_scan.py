@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import check_ranges, option
 from facepipe.errors import FacepipeError
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.scan_surface import SurfaceReport, clean_surface
-from facepipe.options import check_ranges
 from facepipe.reports import Report
 from facepipe.scans import IntArray, Scan
 
@@ -46,12 +46,8 @@ class CleanScan:
     the file's, or else those of the planes through neighbours.
     """
 
-    smallest: float = field(
-        default=0.01, metadata={"help": "pieces with less of the largest one's area are dropped", "range": (0.0, 1.0)}
-    )
-    neighbours: int = field(
-        default=16, metadata={"help": "points that tell the tangent plane at a point of a cloud", "range": (3, 100)}
-    )
+    smallest: float = option(0.01, "pieces with less of the largest one's area are dropped", 0.0, 1.0)
+    neighbours: int = option(16, "points that tell the tangent plane at a point of a cloud", 3, 100)
 
     def __call__(self, scan: Scan) -> CleanedScan:
         """Mend `scan`.

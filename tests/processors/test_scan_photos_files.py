@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +13,7 @@ import pytest
 from photo_booth import camera_at, noise_photos
 from PIL import Image
 
+from facepipe.declare import fields_of
 from facepipe.errors import FacepipeError, InputError
 from facepipe.processors.scan_photos import (
     Cameras,
@@ -149,10 +149,10 @@ def test_cameras_that_do_not_fit_the_photos_are_refused(tmp_path: Path) -> None:
 
 
 def test_options_have_ranges() -> None:
-    for field in dataclasses.fields(ScanPhotosOptions):
-        if "range" in field.metadata:
+    for field in fields_of(ScanPhotosOptions):
+        if field.high is not None:
             with pytest.raises(InputError, match=field.name):
-                ScanPhotosOptions(**{field.name: field.metadata["range"][1] * 2})
+                ScanPhotosOptions(**{field.name: field.high * 2})
     with pytest.raises(InputError, match="lens"):
         ScanPhotosOptions(lens="none")
     with pytest.raises(InputError, match="above 0"):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
+
+from facepipe.declare import option
 
 EdgeWeights = Literal["uniform", "cotangent"]
 Missing = Literal["error", "transfer", "skip"]
@@ -14,59 +16,29 @@ Expressions = Literal["static", "document"]
 class BlendOptions:
     """How to blend, whatever the weights."""
 
-    edges: EdgeWeights = field(
-        default="uniform",
-        metadata={
-            "help": "weights of the edges in the solve: all the same, or cotangents of the mean shape",
-            "choices": ("uniform", "cotangent"),
-        },
+    edges: EdgeWeights = option(
+        "uniform", "weights of the edges in the solve: all the same, or cotangents of the mean shape"
     )
-    expressions: Expressions = field(
-        default="static",
-        metadata={
-            "help": "points that move in no source: held in the bi-Laplacian solve of each shape, or (document) put "
-            "back after a free solve",
-            "choices": ("static", "document"),
-        },
+    expressions: Expressions = option(
+        "static",
+        "points that move in no source: held in the bi-Laplacian solve of each shape, or (document) put "
+        "back after a free solve",
     )
-    missing: Missing = field(
-        default="error",
-        metadata={
-            "help": "shapes that some sources lack: an error, deformation transfer from those that have it, or skipped",
-            "choices": ("error", "transfer", "skip"),
-        },
+    missing: Missing = option(
+        "error", "shapes that some sources lack: an error, deformation transfer from those that have it, or skipped"
     )
-    static_mm: float = field(
-        default=0.001,
-        metadata={
-            "help": "a point that moves no further in any source is static",
-            "range": (0.0, 100.0),
-            "unit": "mm",
-        },
+    static_mm: float = option(0.001, "a point that moves no further in any source is static", 0.0, 100.0, "mm")
+    region_width_mm: float = option(
+        0.0, "width of the harmonic transition put between regions; 0 takes their masks as they are", 0.0, 1000.0, "mm"
     )
-    region_width_mm: float = field(
-        default=0.0,
-        metadata={
-            "help": "width of the harmonic transition put between regions; 0 takes their masks as they are",
-            "range": (0.0, 1000.0),
-            "unit": "mm",
-        },
+    keep_shape: str = option(
+        "auto",
+        "meshes whose loose parts keep their shape up to rotation and scale: patterns, comma between; "
+        "auto: those named like eyeballs and teeth",
     )
-    keep_shape: str = field(
-        default="auto",
-        metadata={
-            "help": "meshes whose loose parts keep their shape up to rotation and scale: patterns, comma between; "
-            "auto: those named like eyeballs and teeth"
-        },
+    anchor: str | None = option(
+        None, "MESH:POINT that stays where it is in the first source; default its authored anchor"
     )
-    anchor: str | None = field(
-        default=None,
-        metadata={"help": "MESH:POINT that stays where it is in the first source; default its authored anchor"},
-    )
-    solver: Literal["auto", "cholespy", "splu"] = field(
-        default="auto",
-        metadata={
-            "help": "sparse factorisation: cholespy where installed, otherwise splu (scipy)",
-            "choices": ("auto", "cholespy", "splu"),
-        },
+    solver: Literal["auto", "cholespy", "splu"] = option(
+        "auto", "sparse factorisation: cholespy where installed, otherwise splu (scipy)"
     )

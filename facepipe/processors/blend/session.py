@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import check_ranges
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem
 from facepipe.geometry.grouping import group_sums
-from facepipe.options import check_ranges
 from facepipe.processors.blend.anchors import anchor_named
 from facepipe.processors.blend.expressions import Expression
 from facepipe.processors.blend.kept_parts import kept_parts

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
+from facepipe.declare import check_ranges
 from facepipe.errors import InputError
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import hold, no_basis
-from facepipe.options import check_ranges
 from facepipe.processors.database.face_checks import Facts, check_faces, facts_of, mesh_warnings
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
 from facepipe.processors.database.options import AddOptions, DatabaseOptions

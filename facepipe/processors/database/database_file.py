@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import json_value
 from facepipe.errors import InputError
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.options import json_value
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.database.content_json import Header, header_of
 from facepipe.processors.database.face_database import FaceDatabase

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from facepipe.declare import option
 from facepipe.processors.database.quality import QualityLimits
 
 
@@ -11,13 +12,8 @@ from facepipe.processors.database.quality import QualityLimits
 class DatabaseOptions:
     """How a database is made."""
 
-    tolerance_mm: float = field(
-        default=0.1,
-        metadata={
-            "help": "RMS error over all points to which each expression is held; less makes the file larger",
-            "unit": "mm",
-            "range": (1e-4, 10.0),
-        },
+    tolerance_mm: float = option(
+        0.1, "RMS error over all points to which each expression is held; less makes the file larger", 1e-4, 10.0, "mm"
     )
 
 
@@ -25,10 +21,7 @@ class DatabaseOptions:
 class AddOptions(QualityLimits):
     """What may be added to a database."""
 
-    ignore_quality: bool = field(
-        default=False, metadata={"help": "add faces that miss the limits too; the history says so"}
-    )
-    drop_shapes: bool = field(
-        default=False,
-        metadata={"help": "shapes of the database that a face lacks leave it; otherwise the face is refused"},
+    ignore_quality: bool = option(False, "add faces that miss the limits too; the history says so")
+    drop_shapes: bool = option(
+        False, "shapes of the database that a face lacks leave it; otherwise the face is refused"
     )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from facepipe.declare import check_ranges, from_json, option
 from facepipe.errors import InputError
-from facepipe.options import check_ranges, from_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,20 +32,10 @@ class Quality:
 class QualityLimits:
     """What a face must meet to be added."""
 
-    max_surface_mean_mm: float = field(
-        default=0.3,
-        metadata={"help": "largest mean distance from the scan of the neutral", "unit": "mm", "range": (0.0, 1e3)},
-    )
-    max_surface_p95_mm: float = field(
-        default=1.0,
-        metadata={"help": "largest 95th percentile of that distance", "unit": "mm", "range": (0.0, 1e3)},
-    )
-    min_coverage: float = field(
-        default=0.6, metadata={"help": "least share of the face area that the scan shows", "range": (0.0, 1.0)}
-    )
-    max_flipped_triangles: int = field(
-        default=20, metadata={"help": "most triangles turned over, in the neutral and its shapes", "range": (0, 10**9)}
-    )
+    max_surface_mean_mm: float = option(0.3, "largest mean distance from the scan of the neutral", 0.0, 1e3, "mm")
+    max_surface_p95_mm: float = option(1.0, "largest 95th percentile of that distance", 0.0, 1e3, "mm")
+    min_coverage: float = option(0.6, "least share of the face area that the scan shows", 0.0, 1.0)
+    max_flipped_triangles: int = option(20, "most triangles turned over, in the neutral and its shapes", 0, 10**9)
 
 
 def quality_from(values: object, where: str) -> Quality:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import check_ranges
 from facepipe.errors import InputError, TopologyError
-from facepipe.options import check_ranges
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name

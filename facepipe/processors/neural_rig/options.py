@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
+from facepipe.declare import check_ranges, option
 from facepipe.errors import InputError
-from facepipe.options import check_ranges
 
 HEADS = 4
 
@@ -18,22 +18,13 @@ class SampleMotionOptions:
     :raises InputError: a number out of range
     """
 
-    spread: int = field(
-        default=1000,
-        metadata={"help": "frames of many controls at once, spread evenly (latin hypercube)", "range": (0, 1e6)},
+    spread: int = option(1000, "frames of many controls at once, spread evenly (latin hypercube)", 0, 1e6)
+    busy: float = option(
+        0.6, "most of the controls that one of those frames moves, as a share; each draws its own, up to it", 0.01, 1.0
     )
-    busy: float = field(
-        default=0.6,
-        metadata={
-            "help": "most of the controls that one of those frames moves, as a share; each draws its own, up to it",
-            "range": (0.01, 1.0),
-        },
-    )
-    sweep: int = field(
-        default=8, metadata={"help": "frames of each control alone, from one limit to the other", "range": (0, 1000)}
-    )
-    together: int = field(default=500, metadata={"help": "frames of two or three controls at once", "range": (0, 1e6)})
-    seed: int = field(default=0, metadata={"help": "another number draws other frames", "range": (0, 2**31)})
+    sweep: int = option(8, "frames of each control alone, from one limit to the other", 0, 1000)
+    together: int = option(500, "frames of two or three controls at once", 0, 1e6)
+    seed: int = option(0, "another number draws other frames", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -50,12 +41,8 @@ class FrameBlocksOptions:
     :raises InputError: a number out of range, or margins that leave little of a block
     """
 
-    block: int = field(
-        default=30, metadata={"help": "frames of a clip that are held out together, about", "range": (2, 1e6)}
-    )
-    margin: int = field(
-        default=2, metadata={"help": "frames left out between two blocks of a clip", "range": (0, 1000)}
-    )
+    block: int = option(30, "frames of a clip that are held out together, about", 2, 1e6)
+    margin: int = option(2, "frames left out between two blocks of a clip", 0, 1000)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -70,39 +57,22 @@ class TrainNeuralRigOptions:
     :raises InputError: a number out of range
     """
 
-    width: int = field(default=256, metadata={"help": "units of the hidden layer", "range": (1, 4096)})
-    shapes: int = field(default=128, metadata={"help": "most shapes that motion is a sum of", "range": (1, 2048)})
-    tolerance_mm: float = field(
-        default=0.01,
-        metadata={"help": "what those shapes may leave of all frames, RMS", "unit": "mm", "range": (0.0, 10.0)},
+    width: int = option(256, "units of the hidden layer", 1, 4096)
+    shapes: int = option(128, "most shapes that motion is a sum of", 1, 2048)
+    tolerance_mm: float = option(0.01, "what those shapes may leave of all frames, RMS", 0.0, 10.0, "mm")
+    held_out: float = option(0.15, "share of the frames to check on, in whole blocks", 0.01, 0.9)
+    influences: Literal[4, 8, 0] = option(
+        4,
+        "largest number of joints that move a point, as engines and `export --influences` have it: shapes "
+        "make up for the others; 0 keeps all",
     )
-    held_out: float = field(
-        default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
+    steps: int = option(6000, "most steps of training", 1, 1e7)
+    detail: float = option(
+        1.0, "what an error of differential coordinates, dents and bumps, counts beside one of points", 0.0, 1000.0
     )
-    influences: Literal[4, 8, 0] = field(
-        default=4,
-        metadata={
-            "help": "largest number of joints that move a point, as engines and `export --influences` have it: shapes "
-            "make up for the others; 0 keeps all",
-            "choices": (4, 8, 0),
-        },
-    )
-    steps: int = field(default=6000, metadata={"help": "most steps of training", "range": (1, 1e7)})
-    detail: float = field(
-        default=1.0,
-        metadata={
-            "help": "what an error of differential coordinates, dents and bumps, counts beside one of points",
-            "range": (0.0, 1000.0),
-        },
-    )
-    sparsity: float = field(
-        default=0.2,
-        metadata={"help": "how strongly a unit of the hidden layer is held to few controls", "range": (0.0, 10.0)},
-    )
-    patience: int = field(
-        default=1000, metadata={"help": "steps without a better check that end it", "range": (1, 1e7)}
-    )
-    seed: int = field(default=0, metadata={"help": "of the split, the network and the batches", "range": (0, 2**31)})
+    sparsity: float = option(0.2, "how strongly a unit of the hidden layer is held to few controls", 0.0, 10.0)
+    patience: int = option(1000, "steps without a better check that end it", 1, 1e7)
+    seed: int = option(0, "of the split, the network and the batches", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -115,25 +85,16 @@ class TrainEncoderOptions:
     :raises InputError: a number out of range
     """
 
-    points: int = field(default=256, metadata={"help": "points that the encoder looks at", "range": (1, 16384)})
-    per_token: int = field(default=8, metadata={"help": "of them in one token, neighbours", "range": (1, 256)})
-    head_width: int = field(
-        default=8, metadata={"help": f"numbers of each of the {HEADS} heads of the attention", "range": (1, 256)}
-    )
-    layers: int = field(default=2, metadata={"help": "layers of the transformer", "range": (1, 24)})
-    reduced: int = field(default=64, metadata={"help": "numbers that a face is reduced to", "range": (1, 4096)})
-    noise_mm: float = field(
-        default=0.02,
-        metadata={"help": "noise on the points that it learns from; 0.1 for scans", "unit": "mm", "range": (0.0, 10.0)},
-    )
-    held_out: float = field(
-        default=0.15, metadata={"help": "share of the frames to check on, in whole blocks", "range": (0.01, 0.9)}
-    )
-    encoder_steps: int = field(default=2000, metadata={"help": "most steps of training", "range": (1, 1e7)})
-    encoder_patience: int = field(
-        default=1000, metadata={"help": "steps without a better check that end it", "range": (1, 1e7)}
-    )
-    seed: int = field(default=0, metadata={"help": "of the split, the network and the batches", "range": (0, 2**31)})
+    points: int = option(256, "points that the encoder looks at", 1, 16384)
+    per_token: int = option(8, "of them in one token, neighbours", 1, 256)
+    head_width: int = option(8, f"numbers of each of the {HEADS} heads of the attention", 1, 256)
+    layers: int = option(2, "layers of the transformer", 1, 24)
+    reduced: int = option(64, "numbers that a face is reduced to", 1, 4096)
+    noise_mm: float = option(0.02, "noise on the points that it learns from; 0.1 for scans", 0.0, 10.0, "mm")
+    held_out: float = option(0.15, "share of the frames to check on, in whole blocks", 0.01, 0.9)
+    encoder_steps: int = option(2000, "most steps of training", 1, 1e7)
+    encoder_patience: int = option(1000, "steps without a better check that end it", 1, 1e7)
+    seed: int = option(0, "of the split, the network and the batches", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -143,20 +104,13 @@ class TrainEncoderOptions:
 class AttachOptions:
     """What of the shapes is kept."""
 
-    offset_tolerance_mm: float = field(
-        default=1e-2,
-        metadata={
-            "help": "a shape leaves out points that it moves by less than this",
-            "range": (0.0, 1.0),
-            "unit": "mm",
-        },
+    offset_tolerance_mm: float = option(
+        1e-2, "a shape leaves out points that it moves by less than this", 0.0, 1.0, "mm"
     )
-    keep_shapes: bool = field(
-        default=True,
-        metadata={
-            "help": "keep the face's own shapes beside the rig's, to be set as before and for clips that play them; "
-            "without them files are smaller"
-        },
+    keep_shapes: bool = option(
+        True,
+        "keep the face's own shapes beside the rig's, to be set as before and for clips that play them; "
+        "without them files are smaller",
     )
 
 
@@ -167,47 +121,18 @@ class InvertNeuralRigOptions:
     :raises InputError: a number out of range
     """
 
-    mode: Literal["lm", "adam"] = field(
-        default="lm",
-        metadata={"help": "bounded Levenberg-Marquardt, or Adam from random controls", "choices": ("lm", "adam")},
+    mode: Literal["lm", "adam"] = option("lm", "bounded Levenberg-Marquardt, or Adam from random controls")
+    l1: float = option(2e-4, "price of a control its whole range from its default", 0.0, 1e6, "mm2")
+    smoothness: float = option(
+        1e-3, "price of a change of speed by the range a frame, squared, in clips", 0.0, 1e6, "mm2"
     )
-    l1: float = field(
-        default=2e-4,
-        metadata={
-            "help": "price of a control its whole range from its default",
-            "unit": "mm2",
-            "range": (0.0, 1e6),
-        },
-    )
-    smoothness: float = field(
-        default=1e-3,
-        metadata={
-            "help": "price of a change of speed by the range a frame, squared, in clips",
-            "unit": "mm2",
-            "range": (0.0, 1e6),
-        },
-    )
-    starts: int = field(
-        default=6,
-        metadata={"help": "starts of frames that fit much worse than the others, or are few", "range": (1, 100)},
-    )
-    steps: int = field(default=60, metadata={"help": "most steps from a start (lm)", "range": (1, 1e6)})
-    points: int = field(
-        default=500, metadata={"help": "points that second derivatives are of, with bones (lm)", "range": (3, 1e7)}
-    )
-    accuracy_mm: float = field(
-        default=0.01,
-        metadata={
-            "help": "how near targets are known, for what is told of controls",
-            "unit": "mm",
-            "range": (0, 10),
-        },
-    )
-    adam_steps: int = field(default=1000, metadata={"help": "steps (adam)", "range": (1, 1e7)})
-    adam_rate: float = field(
-        default=0.05, metadata={"help": "first rate, of ranges; it falls to a hundredth (adam)", "range": (1e-6, 10.0)}
-    )
-    seed: int = field(default=0, metadata={"help": "of random starts", "range": (0, 2**31)})
+    starts: int = option(6, "starts of frames that fit much worse than the others, or are few", 1, 100)
+    steps: int = option(60, "most steps from a start (lm)", 1, 1e6)
+    points: int = option(500, "points that second derivatives are of, with bones (lm)", 3, 1e7)
+    accuracy_mm: float = option(0.01, "how near targets are known, for what is told of controls", 0, 10, "mm")
+    adam_steps: int = option(1000, "steps (adam)", 1, 1e7)
+    adam_rate: float = option(0.05, "first rate, of ranges; it falls to a hundredth (adam)", 1e-6, 10.0)
+    seed: int = option(0, "of random starts", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -220,37 +145,22 @@ class RetargetOptions:
     :raises InputError: a number out of range
     """
 
-    mode: Literal["points", "network"] = field(
-        default="points",
-        metadata={
-            "help": "point by point in closed form, or the published fully connected network of the whole deformation",
-            "choices": ("points", "network"),
-        },
+    mode: Literal["points", "network"] = option(
+        "points", "point by point in closed form, or the published fully connected network of the whole deformation"
     )
-    noise_mm: float = field(
-        default=-1.0,
-        metadata={
-            "help": "noise on what the rig says while the subject is learned; -1: what does best on frames left out",
-            "unit": "mm",
-            "range": (-1.0, 100.0),
-        },
+    noise_mm: float = option(
+        -1.0,
+        "noise on what the rig says while the subject is learned; -1: what does best on frames left out",
+        -1.0,
+        100.0,
+        "mm",
     )
-    noise: float = field(
-        default=0.05,
-        metadata={"help": "noise at first, in deviations of the rig's deformations (network)", "range": (0.0, 100.0)},
-    )
-    steps: int = field(default=3000, metadata={"help": "most steps (network)", "range": (1, 1e7)})
-    rounds: int = field(
-        default=2, metadata={"help": "how often controls are found, where they aren't given", "range": (1, 20)}
-    )
-    held_out: float = field(
-        default=0.15,
-        metadata={"help": "share of the frames, the last ones, that the report is on", "range": (0.01, 0.9)},
-    )
-    shapes: int = field(default=256, metadata={"help": "most shapes of the subject's rig", "range": (1, 2048)})
-    tolerance_mm: float = field(
-        default=0.005, metadata={"help": "what those may leave, RMS", "unit": "mm", "range": (0.0, 10.0)}
-    )
+    noise: float = option(0.05, "noise at first, in deviations of the rig's deformations (network)", 0.0, 100.0)
+    steps: int = option(3000, "most steps (network)", 1, 1e7)
+    rounds: int = option(2, "how often controls are found, where they aren't given", 1, 20)
+    held_out: float = option(0.15, "share of the frames, the last ones, that the report is on", 0.01, 0.9)
+    shapes: int = option(256, "most shapes of the subject's rig", 1, 2048)
+    tolerance_mm: float = option(0.005, "what those may leave, RMS", 0.0, 10.0, "mm")
 
     def __post_init__(self) -> None:
         check_ranges(self)

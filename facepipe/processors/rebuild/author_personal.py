@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.declare import to_json
 from facepipe.errors import TopologyError
-from facepipe.options import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral

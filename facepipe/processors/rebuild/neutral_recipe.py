@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 
-from facepipe.options import to_json
+from facepipe.declare import to_json
 from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.options import FitNeutralOptions, RefineNeutralOptions

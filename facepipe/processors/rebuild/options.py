@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
+from facepipe.declare import check_ranges, option
 from facepipe.geometry.example_rigging import SplitOptions
 from facepipe.geometry.registration import RegistrationOptions
-from facepipe.options import check_ranges
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # mm
 
@@ -19,38 +19,17 @@ class FitNeutralOptions:
     :raises InputError: a number out of range
     """
 
-    unit: Literal["auto", "mm", "cm", "m", "in"] = field(
-        default="auto",
-        metadata={
-            "help": "unit of the scan: auto fits the size with the rest, a unit holds it",
-            "choices": ("auto", *UNITS),
-        },
+    unit: Literal["auto", "mm", "cm", "m", "in"] = option(
+        "auto", "unit of the scan: auto fits the size with the rest, a unit holds it"
     )
-    prior: float = field(
-        default=0.03,
-        metadata={
-            "help": "weight of the squared identity coefficients, in standard deviations, against the scan",
-            "range": (1e-6, 1e9),
-        },
+    prior: float = option(
+        0.03, "weight of the squared identity coefficients, in standard deviations, against the scan", 1e-6, 1e9
     )
-    membrane: float = field(
-        default=6.0,
-        metadata={"help": "stiffness of what the identity model can't show", "range": (1e-6, 1e9)},
-    )
-    landmark_sigma_mm: float = field(
-        default=0.16,
-        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
-    weight_sigma: float = field(
-        default=0.05,
-        metadata={
-            "help": "how far the weight of a shape that the scan shows may be from the given one",
-            "range": (1e-3, 10.0),
-        },
+    membrane: float = option(6.0, "stiffness of what the identity model can't show", 1e-6, 1e9)
+    landmark_sigma_mm: float = option(0.16, "smaller ones hold landmarks harder against the surface", 1e-3, 1e3, "mm")
+    reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
+    weight_sigma: float = option(
+        0.05, "how far the weight of a shape that the scan shows may be from the given one", 1e-3, 10.0
     )
 
     def __post_init__(self) -> None:
@@ -74,30 +53,14 @@ class RefineNeutralOptions:
     :raises InputError: a number out of range
     """
 
-    detail_mm: float = field(
-        default=10.0,
-        metadata={
-            "help": "waves of this length in the scan are followed by half, shorter ones less",
-            "unit": "mm",
-            "range": (0.1, 1e3),
-        },
+    detail_mm: float = option(
+        10.0, "waves of this length in the scan are followed by half, shorter ones less", 0.1, 1e3, "mm"
     )
-    drift_mm: float = field(
-        default=5.0,
-        metadata={
-            "help": "how far points may be off along the surface: smaller ones keep them where they are",
-            "unit": "mm",
-            "range": (1e-3, 1e3),
-        },
+    drift_mm: float = option(
+        5.0, "how far points may be off along the surface: smaller ones keep them where they are", 1e-3, 1e3, "mm"
     )
-    landmark_sigma_mm: float = field(
-        default=0.3,
-        metadata={"help": "smaller ones hold landmarks harder against the surface", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
+    landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks harder against the surface", 1e-3, 1e3, "mm")
+    reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -110,13 +73,10 @@ class PersonalTemplateOptions:
     :raises InputError: none of the choices
     """
 
-    shapes_from: Literal["auto", "database", "template"] = field(
-        default="auto",
-        metadata={
-            "help": "database: its mean person's and what its people have in common, auto where it has shapes; "
-            "template: the template's own, carried over by deformation transfer",
-            "choices": ("auto", "database", "template"),
-        },
+    shapes_from: Literal["auto", "database", "template"] = option(
+        "auto",
+        "database: its mean person's and what its people have in common, auto where it has shapes; "
+        "template: the template's own, carried over by deformation transfer",
     )
 
     def __post_init__(self) -> None:
@@ -130,32 +90,12 @@ class RegisterScansOptions:
     :raises InputError: a number out of range
     """
 
-    weight_sigma: float = field(
-        default=0.2,
-        metadata={"help": "how far a shape's weight may be from the given one", "range": (1e-3, 10.0)},
-    )
-    variation: float = field(
-        default=0.25,
-        metadata={
-            "help": "how far people's own motion is from the template's, as a share of it",
-            "range": (1e-3, 10.0),
-        },
-    )
-    still_mm: float = field(
-        default=0.1,
-        metadata={"help": "motion of what the expression does not move", "unit": "mm", "range": (1e-3, 10.0)},
-    )
-    membrane: float = field(
-        default=3.0, metadata={"help": "stiffness of what the shapes can't show", "range": (1e-6, 1e9)}
-    )
-    landmark_sigma_mm: float = field(
-        default=0.3,
-        metadata={"help": "smaller ones hold landmarks and markers harder", "unit": "mm", "range": (1e-3, 1e3)},
-    )
-    reach_mm: float = field(
-        default=4.0,
-        metadata={"help": "points further from the scan don't follow it", "unit": "mm", "range": (0.1, 1e3)},
-    )
+    weight_sigma: float = option(0.2, "how far a shape's weight may be from the given one", 1e-3, 10.0)
+    variation: float = option(0.25, "how far people's own motion is from the template's, as a share of it", 1e-3, 10.0)
+    still_mm: float = option(0.1, "motion of what the expression does not move", 1e-3, 10.0, "mm")
+    membrane: float = option(3.0, "stiffness of what the shapes can't show", 1e-6, 1e9)
+    landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks and markers harder", 1e-3, 1e3, "mm")
+    reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -168,4 +108,4 @@ class SplitExpressionsOptions(SplitOptions):
     :raises InputError: a number out of range
     """
 
-    noise: float = field(default=0.2, metadata=dict(SplitOptions.__dataclass_fields__["noise"].metadata))
+    noise: float = option(0.2, "error expected of the composites' points, in each coordinate", 1e-9, 1e6, "mm")

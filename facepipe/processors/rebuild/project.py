@@ -29,9 +29,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from facepipe.declare import from_json
 from facepipe.errors import InputError
 from facepipe.names import file_name
-from facepipe.options import from_json
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
 from facepipe.processors.rebuild.options import (
     FitNeutralOptions,

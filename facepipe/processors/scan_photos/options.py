@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from facepipe.declare import check_ranges, option
 from facepipe.errors import InputError
-from facepipe.options import check_ranges
 
 FEWEST_PHOTOS = 5
 
@@ -17,75 +17,41 @@ class ScanPhotosOptions:
     :raises InputError: an option out of range
     """
 
-    pixels: int = field(
-        default=1600,
-        metadata={"help": "longer side that larger photos are shrunk to", "unit": "pixels", "range": (200, 8000)},
+    pixels: int = option(1600, "longer side that larger photos are shrunk to", 200, 8000, "pixels")
+    lens: str = option(
+        "shared",
+        "cameras that take photos of one size and EXIF focal length have one lens, or each its own",
+        choices=("shared", "each"),
     )
-    lens: str = field(
-        default="shared",
-        metadata={
-            "help": "cameras that take photos of one size and EXIF focal length have one lens, or each its own",
-            "choices": ("shared", "each"),
-        },
+    neighbours: int = option(4, "other photos that each photo's depth is found with, at least", 1, 12)
+    support: int = option(2, "other photos whose depth must agree for a point to be kept", 1, 8)
+    agreement: float = option(
+        3.0, "how far depths may be apart that agree, in widths of a pixel on the skin", 0.2, 50.0, "pixels"
     )
-    neighbours: int = field(
-        default=4, metadata={"help": "other photos that each photo's depth is found with, at least", "range": (1, 12)}
+    texture: float = option(
+        2.0,
+        "contrast below which a place of a photo is too plain to be matched; above what noise has",
+        0.0,
+        50.0,
+        "levels of 255",
     )
-    support: int = field(
-        default=2, metadata={"help": "other photos whose depth must agree for a point to be kept", "range": (1, 8)}
+    spacing: float = option(2.0, "distance of the scan's points, in widths of a pixel on the skin", 0.5, 50.0, "pixels")
+    outliers: float = option(
+        2.5,
+        "points whose distance from their neighbours is above the mean by this many standard deviations go",
+        0.5,
+        100.0,
     )
-    agreement: float = field(
-        default=3.0,
-        metadata={
-            "help": "how far depths may be apart that agree, in widths of a pixel on the skin",
-            "unit": "pixels",
-            "range": (0.2, 50.0),
-        },
+    smallest: float = option(0.05, "least share of the points that a loose piece may have", 0.0, 0.9)
+    gap: float = option(4.0, "the surface ends this far from the nearest point, in distances of points", 1.0, 100.0)
+    radius: float = option(
+        250.0,
+        "of the ball that the cameras look at, where nothing tells the scale: about millimetres of a head",
+        1e-6,
+        1e6,
     )
-    texture: float = field(
-        default=2.0,
-        metadata={
-            "help": "contrast below which a place of a photo is too plain to be matched; above what noise has",
-            "unit": "levels of 255",
-            "range": (0.0, 50.0),
-        },
-    )
-    spacing: float = field(
-        default=2.0,
-        metadata={
-            "help": "distance of the scan's points, in widths of a pixel on the skin",
-            "unit": "pixels",
-            "range": (0.5, 50.0),
-        },
-    )
-    outliers: float = field(
-        default=2.5,
-        metadata={
-            "help": "points whose distance from their neighbours is above the mean by this many standard deviations go",
-            "range": (0.5, 100.0),
-        },
-    )
-    smallest: float = field(
-        default=0.05, metadata={"help": "least share of the points that a loose piece may have", "range": (0.0, 0.9)}
-    )
-    gap: float = field(
-        default=4.0,
-        metadata={
-            "help": "the surface ends this far from the nearest point, in distances of points",
-            "range": (1.0, 100.0),
-        },
-    )
-    radius: float = field(
-        default=250.0,
-        metadata={
-            "help": "of the ball that the cameras look at, where nothing tells the scale: about millimetres of a head",
-            "range": (1e-6, 1e6),
-        },
-    )
-    landmarks: bool = field(
-        default=True, metadata={"help": "find the 68 landmarks in the photos, where the extra [train] is installed"}
-    )
-    seed: int = field(default=0, metadata={"help": "seed of the random choices", "range": (0, 2**31 - 1)})
+    landmarks: bool = option(True, "find the 68 landmarks in the photos, where the extra [train] is installed")
+    seed: int = option(0, "seed of the random choices", 0, 2**31 - 1)
 
     def __post_init__(self) -> None:
         check_ranges(self)

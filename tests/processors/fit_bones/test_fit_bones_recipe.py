@@ -20,7 +20,7 @@ from import_data import refused
 
 import facepipe
 from facepipe.cli import main
-from facepipe.options import from_json, to_json
+from facepipe.declare import from_json, to_json
 from facepipe.parts import Animation, FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.processors.fit_bones import (

@@ -18,8 +18,8 @@ from neutral_files import PERSON, Files
 from PIL import Image
 
 import facepipe
+from facepipe.declare import to_json
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.options import to_json
 from facepipe.processors.database import (
     Topology,
     WholeFace,

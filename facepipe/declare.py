@@ -1,0 +1,175 @@
+"""What an action takes, said once: its options with help, range and unit, and their values as JSON.
+
+    width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
+
+Flags, checks of ranges and recipes are made of that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from facepipe.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T")
+Options = TypeVar("Options", bound="DataclassInstance")
+
+POSE_HELP = (  # of --pose, wherever a face is delivered
+    "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the same in joint "
+    "transforms alone: exact, for engines that keep scaled joints), rest (the template), or an animation of the face"
+)
+
+
+def option(
+    default: T | Callable[[], T],
+    help: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    unit: str = "",
+    *,
+    choices: tuple[Any, ...] = (),
+    parse: Callable[[str], Any] | None = None,
+) -> T:
+    """A field of an option dataclass.
+
+    :param default: a callable is called for each
+    :param low: numbers lie from `low` to `high`
+    :param choices: its values, where they are few and its type is no Literal
+    :param parse: its value from a word of the command line
+    """
+    said = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "parse": parse}
+    way = {"default_factory": default} if callable(default) else {"default": default}
+    found: T = field(**way, metadata=said)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """A field of an option dataclass."""
+
+    name: str
+    kinds: tuple[Any, ...]  # types that its values have
+    default: Any  # MISSING: it must be given
+    help: str = ""
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    choices: tuple[Any, ...] = ()
+    parse: Callable[[str], Any] | None = None
+
+    def check(self, value: object) -> None:
+        """:raises InputError: out of range, not finite, or none of its choices"""
+        if value is None and self.default is None:
+            return
+        if self.choices and value not in self.choices:
+            expected = ", ".join(map(str, self.choices))
+            raise InputError(f"option {self.name}", f"is {value!r}, expected one of {expected}")
+        if self.low is None or self.high is None or value is None:
+            return
+        if not (isinstance(value, int | float) and self.low <= value <= self.high and abs(value) < math.inf):
+            expected = f"a number from {self.low:g} to {self.high:g}"
+            raise InputError(f"option {self.name}", f"is {value!r}, expected {expected}")
+
+    def fits(self, value: object) -> bool:
+        """Whether a value that JSON holds is of its type."""
+        return any(_fits(value, kind) for kind in self.kinds)
+
+    @property
+    def expected(self) -> str:
+        """Its type in words."""
+        return " or ".join(
+            ", ".join(map(str, typing.get_args(kind))) if _is_literal(kind) else _WORDS.get(kind, "another value")
+            for kind in self.kinds
+        )
+
+
+@functools.cache
+def fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
+    """The fields of an option dataclass."""
+    hints = typing.get_type_hints(options)
+    return tuple(_field(one, hints[one.name]) for one in dataclasses.fields(options))
+
+
+def _field(one: dataclasses.Field[Any], hint: Any) -> Field:
+    kinds, said = _flat(hint), dict(one.metadata)
+    default = one.default if one.default_factory is MISSING else one.default_factory()
+    said["choices"] = said.get("choices") or next((typing.get_args(kind) for kind in kinds if _is_literal(kind)), ())
+    return Field(name=one.name, kinds=kinds, default=default, **said)
+
+
+def _flat(hint: Any) -> tuple[Any, ...]:
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return tuple(kind for part in typing.get_args(hint) for kind in _flat(part))
+    return (hint,)
+
+
+def check_ranges(options: DataclassInstance) -> None:
+    """:raises InputError: an option is out of range, not finite or none of its choices"""
+    for one in fields_of(type(options)):
+        one.check(getattr(options, one.name))
+
+
+def to_json(options: DataclassInstance) -> dict[str, Any]:
+    """Field -> its value as JSON holds it."""
+    return {one.name: json_value(getattr(options, one.name)) for one in dataclasses.fields(options)}
+
+
+def json_value(value: object) -> Any:
+    """`value` as JSON holds it: paths become strings, tuples lists, mappings dictionaries with sorted keys."""
+    if isinstance(value, Path):
+        return value.as_posix()
+    if isinstance(value, Mapping):
+        return {str(key): json_value(value[key]) for key in sorted(value)}
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    return value
+
+
+def from_json(kind: type[Options], values: object, where: str) -> Options:
+    """Options of texts, numbers, booleans and choices from what `to_json` gave; fields left out keep their defaults.
+
+    :raises InputError: no object, an unknown field, one without default left out, or a value of another type or range
+    """
+    fields = {one.name: one for one in fields_of(kind)}
+    if not isinstance(values, Mapping):
+        raise InputError(where, f"{str(values)[:40]}, expected an object of options")
+    for name, value in values.items():
+        if name not in fields:
+            raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
+        if not fields[name].fits(value):
+            raise InputError(f"{where} -> {name}", f"{repr(value)[:40]}, expected {fields[name].expected}")
+    for name, one in fields.items():
+        if one.default is MISSING and name not in values:
+            raise InputError(where, f"no '{name}', expected one")
+    try:
+        options = kind(**values)
+        check_ranges(options)
+    except InputError as error:
+        raise error.under(where) from None
+    return options
+
+
+_WORDS = {type(None): "null", float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+
+
+def _is_literal(kind: Any) -> bool:
+    return typing.get_origin(kind) is typing.Literal
+
+
+def _fits(value: object, kind: Any) -> bool:
+    if _is_literal(kind):
+        return isinstance(value, str) and value in typing.get_args(kind)
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return -1e300 <= value <= 1e300  # NaN and integers beyond any float too
+    return type(value) is kind
