@@ -457,18 +457,16 @@ def test_good_faces_are_clean(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "source"),
-    [("ict", "ict_facekit/ict_facekit.npz"), ("makehuman", "makehuman/makehuman_head.npz")],
+    "make",
+    [
+        lambda: sample.make(0),
+        lambda: load("ict", shared("ict_facekit/ict_facekit.npz")).parts,
+        lambda: load("makehuman", shared("makehuman/makehuman_head.npz")).parts,
+    ],
+    ids=["sample", "ict", "makehuman"],
 )
-def test_real_faces_are_clean(kind: str, source: str, tmp_path: Path) -> None:
-    save_parts(load(kind, shared(source)).parts, tmp_path / "face.usdc")
-    assert validate(tmp_path / "face.usdc") == ()
-    facepipe_gltf.export(facepipe.open(tmp_path / "face.usdc"), tmp_path / "face.glb")
-    assert facepipe_gltf.validate(tmp_path / "face.glb", khronos=False) == ()
-
-
-def test_the_sample_is_clean(tmp_path: Path) -> None:
-    save_parts(sample.make(0), tmp_path / "face.usdc")
+def test_whole_faces_are_clean(make: Callable[[], p.FaceParts], tmp_path: Path) -> None:
+    save_parts(make(), tmp_path / "face.usdc")
     assert validate(tmp_path / "face.usdc") == ()
     facepipe_gltf.export(facepipe.open(tmp_path / "face.usdc"), tmp_path / "face.glb")
     assert facepipe_gltf.validate(tmp_path / "face.glb", khronos=False) == ()

@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from command_line import content, failed
+from command_line import content, done, failed
 from cook_chain import CHAIN, LINES, actions, change, cook, layer, make_chain, why
 from faces import grid_mesh, tiny_face
 from places import REPOSITORY, SUPPORT
@@ -42,8 +42,7 @@ def _by_hand(folder: Path, capsys: Capsys, *names: str) -> dict[str, bytes]:
     """What the commands write for the results called `names`, in order."""
     for line in LINES:
         if line[line.index("-o") + 1] in names:
-            assert main([*line, "--force"]) == 0
-    capsys.readouterr()
+            done(capsys, *line, "--force", quiet=False)
     return {name: (folder / name).read_bytes() for name in CHAIN}
 
 
@@ -188,9 +187,8 @@ def test_a_link_leads_to_the_file_that_is_cooked(chain: Path, capsys: Capsys) ->
 
 
 def test_standalone_files_stay_standalone(folder: Path, capsys: Capsys) -> None:
-    assert main(["blend", "a.usda", "b.usda", "-o", "flat.usda", "--flatten"]) == 0
-    assert main(["blend", "a.usda", "b.usda", "-o", "packed.usdz"]) == 0
-    capsys.readouterr()
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "flat.usda", "--flatten")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "packed.usdz")
     before = content(folder)
     _, report, _ = cook(capsys, "flat.usda", "packed.usdz", "--force")
     assert set(actions(report).values()) == {"cooked"}
@@ -324,8 +322,7 @@ def test_recipes_below_references_are_found(chain: Path, capsys: Capsys) -> None
 
 def test_faces_without_recipes_need_no_cook(folder: Path, capsys: Capsys) -> None:
     save_parts(tiny_face(), folder / "plain.usda")
-    assert main(["sample", "-o", "head.usda"]) == 0
-    capsys.readouterr()
+    done(capsys, "sample", "-o", "head.usda")
     code, report, _ = cook(capsys, "plain.usda", "head.usda", "--force")
     assert (code, report["nodes"], report["good"]) == (0, [], True)
 
@@ -354,15 +351,13 @@ def test_the_text_tells_of_each_file_and_why(chain: Path, capsys: Capsys) -> Non
 
 def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) -> None:
     _, report, _ = cook(capsys, "posed.usda", "--force")
-    assert main([*LINES[2], "--force", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(done(capsys, *LINES[2], "--force", "--json"))
     assert report["nodes"][-1]["report"]["values"] == told["values"]
 
 
 def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:
     page = (REPOSITORY / "docs" / "cook.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    assert main(["blend", "a.usda", "b.usda", "-o", "child.usda"]) == 0
-    capsys.readouterr()
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "child.usda")
     exec("".join(blocks), {})
     assert capsys.readouterr().out == "child.usda blend up to date ()\n"

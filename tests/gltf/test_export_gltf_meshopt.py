@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failed
 from facepipe_gltf import Options, export, meshopt
 from facepipe_gltf import validate as check
 from faces import tiny_face
@@ -15,7 +16,6 @@ from gltf_export import Parts, random_weights
 from import_data import shared
 from node import HERE, node_packages, run_node, three_load, validate
 
-from facepipe.cli import main
 from facepipe.errors import ExportError
 from facepipe.importers import load
 from facepipe.parts import FaceParts
@@ -82,33 +82,23 @@ def test_a_face_without_meshes_has_nothing_to_compress(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("engine", ["blender", "godot", "unreal", "generic"])
 def test_engines_that_cannot_read_it(engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said = export_with(["--meshopt", "--engine", engine], tmp_path, capsys)
-    assert code == 2
-    assert "EXT_meshopt_compression" in said
+    assert "EXT_meshopt_compression" in export_refused(["--meshopt", "--engine", engine], tmp_path, capsys)
 
 
 def test_what_is_missing_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(meshopt, "_PROGRAM", meshopt._PROGRAM.replace("meshoptimizer/", "no-such-package/"))
-    code, said = export_with(["--meshopt"], tmp_path, capsys)
-    assert code == 2
-    assert "npm install --global meshoptimizer" in said
+    assert "npm install --global meshoptimizer" in export_refused(["--meshopt"], tmp_path, capsys)
     monkeypatch.setenv("PATH", str(tmp_path))
-    code, said = export_with(["--meshopt"], tmp_path, capsys)
-    assert code == 2
-    assert "needs node" in said
+    assert "needs node" in export_refused(["--meshopt"], tmp_path, capsys)
 
 
-def export_with(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Exit code and what is said of an export that must write nothing."""
+def export_refused(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """What is said of an export that must write nothing."""
     stage = folder / "face.usda"
     save_parts(tiny_face(), stage)
-    code = main(["export", str(stage), "-o", str(folder / "face.glb"), *words])
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert [path.name for path in folder.iterdir()] == ["face.usda"]
-    return code, said
+    return failed(capsys, "export", stage, "-o", folder / "face.glb", *words, folder=folder)
 
 
 def test_it_is_read_back_as_the_plain_file_is(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
+from command_line import done, failed, run
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from network_faces import SLIDERS, network, networked
 from slider_faces import random_values, sample_with_sliders
 from with_torch import torch
 
-from facepipe.cli import main
 from facepipe.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.sliders import DistilReport, DistilSliders
@@ -160,23 +160,19 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     """Exit code 1 and a warning beyond the threshold; the graph is written and sound all the same."""
     stage, model = tmp_path / "face.usda", tmp_path / "learned.onnx"
     save_parts(networked(None), stage)
-    words = ["export", str(stage), "--sliders", "--distil", "--distil-steps", "500", "-o", str(model), "--json"]
-    assert main([*words, "--distil-threshold-mm", "1000"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    words = ("export", stage, "--sliders", "--distil", "--distil-steps", "500", "-o", model, "--json")
+    report = json.loads(done(capsys, *words, "--distil-threshold-mm", "1000", quiet=False))
     assert report["distilled"]["points_mm"]["max"] == report["error_mm"] > 0
     assert report["distilled"]["vectors"] == 200
-    assert main(["validate", str(model)]) == 0
+    done(capsys, "validate", model, quiet=False)
     first = model.read_bytes()
-    capsys.readouterr()
-    assert main([*words, "--distil-threshold-mm", "1e-9", "--force"]) == 1
-    assert "expected at most 1e-09" in capsys.readouterr().err
+    code, _, err = run(capsys, *words, "--distil-threshold-mm", "1e-9", "--force")
+    assert (code, "expected at most 1e-09" in err) == (1, True)
     assert len(model.read_bytes()) == pytest.approx(len(first), abs=64)
     for wrong in (
-        ["export", str(stage), "--distil", "-o", str(tmp_path / "x.onnx")],
-        ["export", str(stage), "--sliders", "--distil-width", "4", "-o", str(tmp_path / "x.onnx")],
-        ["export", str(stage), "--distil", "-o", str(tmp_path / "x.glb")],
-        ["export", str(stage), "--sliders", "--distil", "--distil-width", "0", "-o", str(tmp_path / "x.onnx")],
+        ["--distil", "-o", tmp_path / "x.onnx"],
+        ["--sliders", "--distil-width", "4", "-o", tmp_path / "x.onnx"],
+        ["--distil", "-o", tmp_path / "x.glb"],
+        ["--sliders", "--distil", "--distil-width", "0", "-o", tmp_path / "x.onnx"],
     ):
-        assert main(wrong) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
-    assert not list(tmp_path.glob("x.*"))
+        failed(capsys, "export", stage, *wrong, folder=tmp_path)

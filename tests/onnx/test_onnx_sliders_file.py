@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
+from command_line import done, failed
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from faces import tiny_face
 from slider_faces import jointless
 
-from facepipe.cli import main
 from facepipe.errors import ExportError, InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.stage import save_parts
@@ -207,17 +207,15 @@ def test_names_and_inputs_are_checked(exported: Path) -> None:
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stage, model, out = (tmp_path / name for name in ("face.usda", "sliders.onnx", "out.npz"))
     save_parts(face(), stage)
-    assert main(["export", str(stage), "--sliders", "--points", "-o", str(model), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["counts"]["sliders"] == 3
-    assert main(["validate", str(model)]) == 0
+    report = done(capsys, "export", stage, "--sliders", "--points", "-o", model, "--json", quiet=False)
+    assert json.loads(report)["counts"]["sliders"] == 3
+    done(capsys, "validate", model, quiet=False)
     words = ["--slider", "jawRight=0.5", "--slider", "smile=7", "--set", "jawOpen=0.1"]
-    assert main(["eval", str(model), *words, "-o", str(out)]) == 0
+    done(capsys, "eval", model, *words, "-o", out, quiet=False)
     expected = Deformer(model).evaluate({"jawOpen": 0.1}, sliders={"jawRight": 0.5, "smile": 1.0})
     with np.load(out) as arrays:
         assert set(arrays) == {"coefficients", "skinning_matrices", "morph_weights", "points"}
         for name, values in expected.items():
             assert np.array_equal(arrays[name], values)
-    capsys.readouterr()
     for words in (["--slider", "brow=1"], ["--slider", "smile=wide"], ["--bone", "jaw:rx=0.1"]):
-        assert main(["eval", str(model), *words, "-o", str(out), "--force"]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
+        failed(capsys, "eval", model, *words, "-o", out, "--force", folder=tmp_path)

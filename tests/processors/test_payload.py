@@ -16,7 +16,7 @@ import gltf_reader
 import numpy as np
 import pytest
 from agreement import limited
-from command_line import exit_code, failed
+from command_line import done, exit_code, failed, run
 from facepipe_onnx import Deformer
 from faces import tiny_face
 from hypothesis import given, settings
@@ -433,8 +433,7 @@ def test_the_result_is_a_layer_with_a_recipe_or_standalone(tiny: Path, tmp_path:
 def test_info_tells_what_a_payload_holds(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "clip.fpb"
     tiny_payload(path, 2, times=np.array([0.5, 2.0]), precision="float16")
-    assert exit_code("apply-bones", tiny, "--info", path, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(done(capsys, "apply-bones", tiny, "--info", path, "--json"))
     assert (
         found
         | {
@@ -451,11 +450,10 @@ def test_info_tells_what_a_payload_holds(tiny: Path, tmp_path: Path, capsys: pyt
         }
         == found
     )
-    assert exit_code("apply-bones", tiny, path, "--info") == 0
-    assert "1 of 3 joints in float16" in capsys.readouterr().out
+    assert "1 of 3 joints in float16" in done(capsys, "apply-bones", tiny, path, "--info")
     path.write_bytes(SMALL)
-    assert exit_code("apply-bones", tiny, path, "--info") == 1
-    assert "is not for" in capsys.readouterr().out
+    code, out, _ = run(capsys, "apply-bones", tiny, path, "--info")
+    assert (code, "is not for" in out) == (1, True)
 
 
 def test_wrong_use_is_one_line_and_writes_nothing(
@@ -469,8 +467,7 @@ def test_wrong_use_is_one_line_and_writes_nothing(
     tiny_payload(tmp_path / "metres.fpb", meters_per_unit=1.0)
     tiny_payload(tmp_path / "huge.fpb", scale=1e5)
     tiny_payload(tmp_path / "many.fpb", 5000)
-    assert exit_code("apply-bones", tiny, good, "-o", tmp_path / "had.usda") == 0
-    capsys.readouterr()
+    done(capsys, "apply-bones", tiny, good, "-o", tmp_path / "had.usda", quiet=False)
     for words, message in (
         ((tiny, tmp_path / "other.fpb", "-o", out), "made for other joints"),
         ((tiny, tmp_path / "cut.fpb", "-o", out), "bytes, expected"),

@@ -11,7 +11,7 @@ import facepipe_onnx
 import gltf_reader
 import numpy as np
 import pytest
-from command_line import failed
+from command_line import done, failed
 from facepipe_onnx.runtime import Deformer
 from faces import tiny_face
 from oracle import bake, played
@@ -374,8 +374,7 @@ def test_a_person_of_no_size_is_refused(how: str) -> None:
 
 
 def test_the_report_holds_pose_and_error(person_file: Path, tmp_path: Path, capsys: Capsys) -> None:
-    assert main(["export", str(person_file), "-o", str(tmp_path / "p.glb"), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(done(capsys, "export", person_file, "-o", tmp_path / "p.glb", "--json", quiet=False))
     assert report["pose"].startswith("set by sliders")
     assert report["pose_error"]["poses"] == 50
     assert report["pose_error"]["shapes"] == 52

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failed
 from faces import grid_mesh, tiny_face
 from node import validate as khronos
 from oracle import bake, difference, random_coefficients
@@ -318,12 +319,9 @@ def test_bad_requests_say_so_in_one_line_and_write_nothing(
     face, joints, out = tmp_path / "face.usdc", tmp_path / "joints.json", tmp_path / "out.usdc"
     save_parts(without_joints(head("sample")), face)
     joints.write_text(json.dumps(content))
-    assert main(["skin", str(face), "--joints", str(joints), "-o", str(out)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert message in lines[0]
-    assert str(tmp_path) in lines[0] or "face.usdc" in lines[0]
-    assert not out.exists()
+    line = failed(capsys, "skin", face, "--joints", joints, "-o", out, folder=tmp_path)
+    assert message in line
+    assert str(tmp_path) in line or "face.usdc" in line
 
 
 def test_the_command_authors_a_layer_with_recipe_and_picture(

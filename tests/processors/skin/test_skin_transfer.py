@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from node import validate as khronos
@@ -248,12 +249,8 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
         ("bare", "blind", "blind.usdc -> </Face>: no 68 landmarks"),
         ("both", "rigged", "no 68 landmarks"),
     ):
-        words = ["skin", str(tmp_path / f"{target}.usdc"), "--from", str(tmp_path / f"{source}.usdc")]
-        assert main([*words, "-o", str(tmp_path / "out.usdc")]) == 2
-        lines = capsys.readouterr().err.splitlines()
-        assert len(lines) == 1
-        assert message in lines[0]
-        assert not (tmp_path / "out.usdc").exists()
+        files = (tmp_path / f"{target}.usdc", "--from", tmp_path / f"{source}.usdc", "-o", tmp_path / "out.usdc")
+        assert message in failed(capsys, "skin", *files, folder=tmp_path)
     words = ["skin", str(tmp_path / "bare.usdc"), "--from", str(tmp_path / "rigged.usdc")]
     assert main([*words, "-o", str(tmp_path / "out.usdc")]) == 0
     assert "mm from their own" in capsys.readouterr().out

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import done, failed
 from facepipe_onnx import Deformer
 from network_faces import SLIDERS, network, networked, save_network
 from oracle import bake_all
@@ -180,26 +181,21 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     face, learned, posed, model = (tmp_path / name for name in ("f.usda", "l.usda", "p.usda", "s.onnx"))
     save_parts(networked(None), face)
     file = save_network(tmp_path / "net.npz", network())
-    assert main(["sliders", str(face), "--from-network", str(file), "-o", str(learned)]) == 0
-    assert "4 -> 16 -> 5" in capsys.readouterr().out
-    assert main(["sliders", str(learned), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["network"]["layers"] == [4, 16, 5]
+    assert "4 -> 16 -> 5" in done(capsys, "sliders", face, "--from-network", file, "-o", learned)
+    assert json.loads(done(capsys, "sliders", learned, "--json"))["network"]["layers"] == [4, 16, 5]
     recipe = read_slider_recipe(learned)
     assert (recipe.network, recipe.table) == (file, None)
-    assert main(["sliders", str(learned), "--set", "jaw=0.5", "-o", str(posed)]) == 0
-    assert main(["export", str(posed), "--sliders", "--points", "-o", str(model)]) == 0
+    done(capsys, "sliders", learned, "--set", "jaw=0.5", "-o", posed)
+    done(capsys, "export", posed, "--sliders", "--points", "-o", model)
     found, expected = Deformer(model).evaluate()["points"], facepipe.open(posed).evaluate(sliders={})
     assert np.abs(found - expected).max() < TOLERANCE * facepipe.open(posed).head_height
-    capsys.readouterr()
     for words in (
-        ["--from-network", str(file)],
-        ["--from-network", str(face), "-o", str(tmp_path / "x.usda")],
-        ["--from-network", str(file), "--set", "jaw=1", "-o", str(tmp_path / "x.usda")],
-        ["--from-network", str(tmp_path / "none.npz"), "-o", str(tmp_path / "x.usda")],
+        [file],
+        [face, "-o", tmp_path / "x.usda"],
+        [file, "--set", "jaw=1", "-o", tmp_path / "x.usda"],
+        [tmp_path / "none.npz", "-o", tmp_path / "x.usda"],
     ):
-        assert main(["sliders", str(face), *words]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
-    assert not (tmp_path / "x.usda").exists()
+        failed(capsys, "sliders", face, "--from-network", *words, folder=tmp_path)
 
 
 def test_parts_without_its_sliders_are_not_authored() -> None:
