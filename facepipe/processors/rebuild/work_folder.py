@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
+from facepipe.atomic import collect
 from facepipe.errors import InputError
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.trust import check_writable
@@ -66,6 +67,7 @@ class WorkFolder:
         """
         key = stage_key(inputs)
         path = self.place(f"{name}.fpstage")
+        collect(path.parent)  # nothing may be written there any more
         known = self._read(path, key, check)
         if known is not None:
             return known

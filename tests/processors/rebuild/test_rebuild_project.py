@@ -122,6 +122,15 @@ def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
     assert WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 2}, compute).content == {"calls": 2}
 
 
+def test_what_a_killed_run_left_beside_a_result_goes_where_that_is_taken_again(tmp_path: Path) -> None:
+    folder, left = WorkFolder(tmp_path), tmp_path / ".facepipe-0123456789abcdef"
+    folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
+    left.mkdir()
+    (left / ".facepipe-lock").write_text("")
+    assert folder.stage("a", {}, lambda: ({}, {})).reused
+    assert not left.exists()
+
+
 def test_a_failing_stage_leaves_what_was_there(tmp_path: Path) -> None:
     folder = WorkFolder(tmp_path)
     folder.stage("a", {"x": 1}, lambda: ({"points": np.ones((1, 3))}, {}))
