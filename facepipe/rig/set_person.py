@@ -49,7 +49,8 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     leaves points, offsets and binds, and moves the rest transforms alone: exact, for engines that keep scaled joints.
 
     :param pose: ``set``, ``set-joints``, ``rest`` or an animation of the face, whose first sample is the person
-    :raises InputError: no such animation, or a person of shapes that the face lacks or who has joints of no size
+    :raises InputError: no such animation, a person of shapes that the face lacks, or joints of no size, at rest or with
+        the person
     :raises TopologyError: indices and counts that don't fit
     """
     person = person_of(parts, pose)
@@ -90,8 +91,12 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
 
 
 def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
-    volumes = np.abs(np.linalg.det(rig.joint_worlds(rig.rest @ person.matrices, np.eye(4))[:, :3, :3]))
-    flat = np.flatnonzero(volumes < _FLAT)
-    if flat.size:
-        what = f"scaled to nothing by the person ({person.description}), expected scales other than 0"
-        raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
+    by_person = f"by the person ({person.description})"
+    for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            volumes = np.abs(np.linalg.det(rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]))
+        flat = np.flatnonzero(~(volumes >= _FLAT) | np.isinf(volumes))
+        if flat.size:
+            size = "nothing" if volumes[flat[0]] < _FLAT else "more than numbers hold"
+            what = f"scaled to {size} {who}, expected scales near 1"
+            raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)

@@ -373,6 +373,15 @@ def test_a_person_of_no_size_is_refused(how: str) -> None:
         set_face(replace(parts, animations=(replace(animation, coefficients=flat),)), how)
 
 
+@pytest.mark.parametrize(("scale", "size"), [(0.0, "nothing"), (1e200, "more than numbers hold")])
+def test_joints_of_no_size_at_rest_are_refused(scale: float, size: str) -> None:
+    parts = with_person(tiny_face())
+    rest = parts.skeleton.rest_transforms.copy()
+    rest[1, :3, :3] *= scale
+    with pytest.raises(InputError, match=f"root/jaw: scaled to {size} at rest"):
+        set_face(replace(parts, skeleton=replace(parts.skeleton, rest_transforms=rest)))
+
+
 def test_the_report_holds_pose_and_error(person_file: Path, tmp_path: Path, capsys: Capsys) -> None:
     report = json.loads(done(capsys, "export", person_file, "-o", tmp_path / "p.glb", "--json", quiet=False))
     assert report["pose"].startswith("set by sliders")
