@@ -30,7 +30,7 @@ def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray 
     :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
     """
     own = np.arange(len(animation.joints)) if joints is None else joints
-    used = _places(skeleton, animation, own)
+    used = places(skeleton, animation, own)
     rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
     if animation.coefficients is not None:
         return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, own]))
@@ -55,8 +55,7 @@ def sample_transforms(skeleton: Skeleton, animation: Animation, index: int = 0) 
     values = {name: getattr(animation, name) for name in _JOINT_VALUES}
     one: dict[str, Any] = {name: None if value is None else value[index : index + 1] for name, value in values.items()}
     local = np.array(skeleton.rest_transforms, dtype=np.float64)
-    rows = _places(skeleton, animation, np.arange(len(animation.joints)))
-    local[rows] = local_transforms(skeleton, replace(animation, times=None, **one))[0]
+    local[places(skeleton, animation)] = local_transforms(skeleton, replace(animation, times=None, **one))[0]
     return local
 
 
@@ -67,14 +66,18 @@ def sample_weights(animation: Animation, index: int = 0) -> dict[str, float]:
     return {name: float(weight) for name, weight in zip(animation.shapes, animation.shape_weights[index], strict=True)}
 
 
-def _places(skeleton: Skeleton, animation: Animation, own: IntArray) -> IntArray:
-    """The animation's joints `own` in the skeleton."""
+def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = None) -> IntArray:
+    """(j,) numbers of the animation's joints in the skeleton.
+
+    :param joints: as for `local_transforms`
+    :raises InputError: a joint that the skeleton has not
+    """
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
-    joints = [animation.joints[i] for i in own]
-    missing = [joint for joint in joints if joint not in place]
+    own = animation.joints if joints is None else [animation.joints[i] for i in joints]
+    missing = [joint for joint in own if joint not in place]
     if missing:
         raise InputError(animation.name, f"'{missing[0]}' is no joint of the skeleton")
-    return np.array([place[joint] for joint in joints], dtype=np.int64)
+    return np.array([place[joint] for joint in own], dtype=np.int64)
 
 
 def _refuse_zero(animation: Animation, own: IntArray, rotations: FloatArray) -> None:

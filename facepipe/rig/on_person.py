@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.parts import Animation, BoneLimits, Curve, FaceParts, Skeleton, Slider, SliderNetwork
-from facepipe.rig.animation import local_transforms
+from facepipe.rig.animation import local_transforms, places
 from facepipe.rig.bone_coefficients import (
     CHANNELS,
     coefficient_derivatives,
@@ -89,8 +89,7 @@ def _animation_on(
         getattr(animation, one) is None for one in ("translations", "rotations", "scales", "coefficients")
     ):
         return animation
-    place = {joint: i for i, joint in enumerate(parts.skeleton.joints)}
-    rows = np.array([place[joint] for joint in animation.joints])
+    rows = places(parts.skeleton, animation)
     if animation.coefficients is not None:
         coefficients: FloatArray = np.array(animation.coefficients, dtype=np.float64)
         coefficients[..., :3] = np.einsum("jab,tjb->tja", new.stretch[rows], coefficients[..., :3])
@@ -108,10 +107,9 @@ def _animation_on(
 def _without(parts: FaceParts, animation: Animation, person: Person) -> Animation:
     """A pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's."""
     skeleton, joints = parts.skeleton, parts.skeleton.joints
-    place = {joint: i for i, joint in enumerate(joints)}
     count = 1 if animation.times is None else len(animation.times)
     local = np.tile(np.asarray(skeleton.rest_transforms, dtype=np.float64), (count, 1, 1, 1))
-    local[:, [place[joint] for joint in animation.joints]] = local_transforms(skeleton, animation)
+    local[:, places(skeleton, animation)] = local_transforms(skeleton, animation)
     under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices
     given = np.zeros((count, 0)) if animation.shape_weights is None else np.asarray(animation.shape_weights, np.float64)
     own = dict(zip(animation.shapes, given.T, strict=False))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from facepipe.errors import InputError
 from facepipe.names import unknown
 from facepipe.parts import Animation, FaceParts
-from facepipe.rig.animation import sample_transforms, sample_weights
+from facepipe.rig.animation import places, sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.sliders import slide
 
@@ -97,9 +97,7 @@ def _posed(parts: FaceParts, name: str, description: str) -> Person:
     skeleton = parts.skeleton
     if animation.coefficients is not None:
         coefficients = rest_coefficients(len(skeleton.joints))
-        place = {joint: i for i, joint in enumerate(skeleton.joints)}
-        sample_transforms(skeleton, animation)  # refuses joints that the skeleton lacks
-        coefficients[[place[joint] for joint in animation.joints]] = np.asarray(animation.coefficients)[0]
+        coefficients[places(skeleton, animation)] = np.asarray(animation.coefficients)[0]
     else:
         rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
         coefficients = matrix_coefficients(np.linalg.solve(rest, sample_transforms(skeleton, animation)))

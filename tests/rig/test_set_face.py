@@ -373,6 +373,16 @@ def test_a_person_of_no_size_is_refused(how: str) -> None:
         set_face(replace(parts, animations=(replace(animation, coefficients=flat),)), how)
 
 
+@pytest.mark.parametrize("how", ["clip", "person"])
+def test_an_animation_of_a_joint_that_is_not_there_is_refused(how: str) -> None:
+    parts = with_person(tiny_face())
+    (person,) = parts.animations
+    other = replace(person, joints=("root/nobody", *person.joints[1:]), name="other")
+    assert other.joints != person.joints
+    with pytest.raises(InputError, match="other: 'root/nobody' is no joint of the skeleton"):
+        set_face(replace(parts, animations=(person, other)), "set" if how == "clip" else "other")
+
+
 @pytest.mark.parametrize(("scale", "size"), [(0.0, "nothing"), (1e200, "more than numbers hold")])
 def test_joints_of_no_size_at_rest_are_refused(scale: float, size: str) -> None:
     parts = with_person(tiny_face())
