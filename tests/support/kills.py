@@ -370,6 +370,8 @@ class Case:
                 sides |= {_side(held, old, new)} if name in together else set()
             elif held is not None and (old or new or not (is_hidden(name) or self._is_single(name))):
                 found.append(f"{name} is neither old nor new")
+            elif held is None and any(one.startswith(f"{name}/") for one in together):
+                pass  # a folder that is replaced whole with what is in it
             elif held is None and (old == new or name not in together or len(together) == 1):
                 found.append(f"{name} is gone")
         if {"old", "new"} <= sides:
