@@ -126,7 +126,7 @@ def read_recipe(prim: Usd.Prim) -> Recipe | None:
     verb = prim.GetAttribute(tokens.RECIPE_VERB).Get()
     if not verb:
         return None
-    text = prim.GetAttribute(tokens.RECIPE_OPTIONS).Get() or "{}"
+    text = str(prim.GetAttribute(tokens.RECIPE_OPTIONS).Get() or "{}")  # of whatever type the layer says
     where = f"{prim.GetPath()}.{tokens.RECIPE_OPTIONS}"
     check_values(where, text.encode())
     try:

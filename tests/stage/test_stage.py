@@ -201,3 +201,14 @@ def test_recipe_sources_are_seen_from_the_stage(tmp_path: Path) -> None:
     again = facepipe.open(tmp_path / "out" / "face.usda").parts().recipe
     assert again is not None
     assert again.sources == ("../data/source.npz", "gone.npz")
+
+
+def test_recipe_options_of_another_type_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "face.usda"
+    save_parts(replace(tiny_face(), recipe=p.Recipe(verb="import x", sources=("a",), digests=("sha256:0",))), path)
+    text = path.read_text()
+    start = text.index("uniform string facepipe:recipe:options")
+    line = text[start : text.index("\n", start)]
+    path.write_text(text.replace(line, "matrix2d[] facepipe:recipe:options = [((1, 0), (0, 1))]"))
+    with pytest.raises(SchemaError, match="recipe:options: no JSON"):
+        facepipe.open(path).parts()
