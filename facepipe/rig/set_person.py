@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.floating]
 
-_FLAT = 1e-12  # of a joint's volume: there is no way back
+_FLAT = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,10 +93,11 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
 def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
     by_person = f"by the person ({person.description})"
     for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
-        with np.errstate(over="ignore", invalid="ignore"):
-            volumes = np.abs(np.linalg.det(rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]))
-        flat = np.flatnonzero(~(volumes >= _FLAT) | np.isinf(volumes))
+        worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
+        finite = np.isfinite(worlds).all(axis=(1, 2))
+        sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
+        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT)
+        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT * np.maximum(sizes[:, 0], 1.0)))
         if flat.size:
-            size = "nothing" if volumes[flat[0]] < _FLAT else "more than numbers hold"
-            what = f"scaled to {size} {who}, expected scales near 1"
+            what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
             raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
