@@ -38,7 +38,7 @@ def build(parts: FaceParts) -> Rig:
         rest=np.asarray(skeleton.rest_transforms, dtype=np.float64),
         inverse_bind=np.array(
             [
-                _inverse(bind, f"{parts.name} -> {skeleton.name} -> {joint}")
+                inverse(bind, f"{parts.name} -> {skeleton.name} -> {joint}")
                 for bind, joint in zip(skeleton.bind_transforms, skeleton.joints, strict=True)
             ]
         ).reshape(-1, 4, 4),
@@ -59,7 +59,7 @@ def mesh_spaces(parts: FaceParts) -> list[FloatArray]:
 
     :raises TopologyError: a singular skeleton transform
     """
-    to_skeleton = _inverse(parts.skeleton.transform, f"{parts.name} -> {parts.skeleton.name}")
+    to_skeleton = inverse(parts.skeleton.transform, f"{parts.name} -> {parts.skeleton.name}")
     return [mesh.skin.geom_bind_transform if mesh.skin else to_skeleton @ mesh.transform for mesh in parts.meshes]
 
 
@@ -67,14 +67,18 @@ def _transform(matrix: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _inverse(matrix: FloatArray, where: str) -> FloatArray:
+def inverse(matrix: FloatArray, where: str) -> FloatArray:
+    """(4, 4) inverse.
+
+    :raises TopologyError: there is none
+    """
     try:
-        inverse = np.linalg.inv(np.asarray(matrix, dtype=np.float64))
+        found = np.linalg.inv(np.asarray(matrix, dtype=np.float64))
     except np.linalg.LinAlgError:
-        inverse = np.full((4, 4), np.nan)
-    if not np.isfinite(inverse).all():
+        found = np.full((4, 4), np.nan)
+    if not np.isfinite(found).all():
         raise TopologyError(where, "singular matrix, expected an invertible one")
-    return np.asarray(inverse)
+    return np.asarray(found)
 
 
 def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_array:

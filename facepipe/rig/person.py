@@ -100,5 +100,9 @@ def _posed(parts: FaceParts, name: str, description: str) -> Person:
         coefficients[places(skeleton, animation)] = np.asarray(animation.coefficients)[0]
     else:
         rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
-        coefficients = matrix_coefficients(np.linalg.solve(rest, sample_transforms(skeleton, animation)))
+        try:
+            change = np.linalg.solve(rest, sample_transforms(skeleton, animation))
+        except np.linalg.LinAlgError:
+            raise InputError(f"{parts.name} -> {skeleton.name}", "joints scaled to nothing at rest") from None
+        coefficients = matrix_coefficients(change)
     return Person(description=description, coefficients=coefficients, weights=sample_weights(animation))

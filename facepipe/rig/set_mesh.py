@@ -11,6 +11,7 @@ import numpy.typing as npt
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Blendshape, Inbetween, Mesh
 from facepipe.rig.activation import curves
+from facepipe.rig.build_rig import inverse
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -23,6 +24,7 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     :param weights: of the person, by shape
     :param moved: (n, 3, 4) matrices of the points in skeleton space at bind time; None leaves points where shapes take
         them
+    :raises TopologyError: a singular bind transform
     """
     points = np.array(mesh.points, dtype=np.float64)
     for shape in mesh.blendshapes:
@@ -31,7 +33,7 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     linear = None
     if moved is not None and mesh.skin is not None:
         space = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
-        back = np.linalg.inv(space)
+        back = inverse(space, f"{mesh.name} -> geomBindTransform")
         whole = np.zeros((len(points), 4, 4))
         whole[:, :3], whole[:, 3, 3] = moved, 1.0
         whole = back @ whole @ space

@@ -94,7 +94,7 @@ def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
     by_person = f"by the person ({person.description})"
     for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
         worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
-        finite = np.isfinite(worlds).all(axis=(1, 2))
+        finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
         sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
         large = ~finite | (sizes[:, 0] > 1.0 / _FLAT)
         flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT * np.maximum(sizes[:, 0], 1.0)))

@@ -18,7 +18,7 @@ from oracle import bake, played
 
 import facepipe
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
 from facepipe.rig import (
     build,
@@ -383,7 +383,23 @@ def test_an_animation_of_a_joint_that_is_not_there_is_refused(how: str) -> None:
         set_face(replace(parts, animations=(person, other)), "set" if how == "clip" else "other")
 
 
-@pytest.mark.parametrize(("scale", "size"), [(0.0, "to nothing"), (1e200, "beyond measure"), ([1e306, 1.0, 1e-3], "beyond measure")])
+def test_matrices_without_a_way_back_are_refused() -> None:
+    parts = with_person(tiny_face())
+    (person,) = parts.animations
+    flat = np.diag([1.0, 0.0, 1.0, 1.0])
+    assert parts.meshes[0].skin is not None
+    skinned = replace(parts.meshes[0], skin=replace(parts.meshes[0].skin, geom_bind_transform=flat))
+    with pytest.raises(TopologyError, match="geomBindTransform: singular matrix"):
+        set_face(replace(parts, meshes=(skinned, *parts.meshes[1:])))
+    rest = parts.skeleton.rest_transforms @ flat
+    pose = replace(person, name="pose", coefficients=None, translations=np.zeros((1, len(person.joints), 3)))
+    with pytest.raises(InputError, match="joints scaled to nothing at rest"):
+        set_face(replace(parts, animations=(pose,), skeleton=replace(parts.skeleton, rest_transforms=rest)), "pose")
+
+
+@pytest.mark.parametrize(
+    ("scale", "size"), [(0.0, "to nothing"), (1e200, "beyond measure"), ([1e306, 1.0, 1e-3], "beyond measure")]
+)
 def test_joints_of_no_size_at_rest_are_refused(scale: float | list[float], size: str) -> None:
     parts = with_person(tiny_face())
     rest = parts.skeleton.rest_transforms.copy()
