@@ -94,7 +94,7 @@ def packages() -> list[str]:
         *(
             one.name
             for name, root in roots
-            for one in pkgutil.walk_packages(root.__path__, f"{name}.")
+            for one in pkgutil.walk_packages(root.__path__, f"{name}.", onerror=lambda _: None)  # without torch
             if one.ispkg and not one.name.startswith("facepipe.learn")
         ),
     ]

@@ -15,7 +15,6 @@ from onnx import TensorProto, helper
 
 import facepipe
 from facepipe.errors import InputError
-from facepipe.learn.features.onnx_file import read_model
 from facepipe.names import file_name
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
 from facepipe.processors.rebuild import read_project
@@ -108,6 +107,9 @@ def test_expressions_have_names_that_files_can_have(tmp_path: Path, name: str) -
 
 def test_networks_with_data_in_other_files_are_refused(tmp_path: Path) -> None:
     """In constants of nodes too, which the runtime would read."""
+    pytest.importorskip("torch")
+    from facepipe.learn.features.onnx_file import read_model
+
     tensor = helper.make_tensor("t", TensorProto.FLOAT, [1], [1.0])
     tensor.data_location = TensorProto.EXTERNAL
     tensor.external_data.add(key="location", value="../secret.bin")
