@@ -25,7 +25,7 @@ ANY_MM = 1e-6  # threshold of fits that go on to their optimum
 
 def bound(arrays: str) -> Json:
     """Errors in mm of free affine bones and of 9 degrees of freedom, by least squares and by least means."""
-    from facepipe.threads import one_thread
+    from facepipe.core.threads import one_thread
 
     task = load(arrays)
     with one_thread():

@@ -32,10 +32,10 @@ from onnx_timing import median, start
 from slider_graphs import driven
 from tables import aligned
 
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.processors.sliders import DistilSliders
-from facepipe.sample import make
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 LARGE = (256, 256, 256)

@@ -46,8 +46,8 @@ def _imports() -> None:
     import scipy.linalg.lapack
     import scipy.sparse  # noqa: F401
 
+    from facepipe.core.threads import one_thread
     from facepipe.processors.fit_bones.session import BoneFit  # noqa: F401
-    from facepipe.threads import one_thread
 
     with one_thread():  # loads threadpoolctl, which looks for the libraries it controls
         pass

@@ -36,12 +36,12 @@ from photo_peer import compare, peer_table
 from slider_graphs import slider_rows
 from tables import aligned
 
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts
-from facepipe.render.camera import Frame, portrait
-from facepipe.sample import make
+from facepipe.pictures.camera import Frame, portrait
 
 
 def main() -> None:

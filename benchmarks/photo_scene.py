@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
 from facepipe.learn.surfaces import Surfaces, opaque_surfaces
 from facepipe.parts import FaceParts
-from facepipe.render.camera import Camera as RenderCamera
-from facepipe.render.camera import Frame, portrait
+from facepipe.pictures.camera import Camera as RenderCamera
+from facepipe.pictures.camera import Frame, portrait
 from facepipe.rig import build, slide
-from facepipe.sample import make
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from facepipe.geometry.polygons import edges, point_normals, point_triangles
 from facepipe.parts import FaceParts, Mesh
-from facepipe.render.camera import Camera
+from facepipe.pictures.camera import Camera
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

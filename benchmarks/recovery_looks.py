@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
-from facepipe.render.camera import Camera
-from facepipe.render.lighting import Light, Studio
+from facepipe.pictures.camera import Camera
+from facepipe.pictures.lighting import Light, Studio
 
 FloatArray = npt.NDArray[np.floating]
 Color = tuple[float, float, float]

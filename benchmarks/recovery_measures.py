@@ -13,8 +13,8 @@ from recovery_targets import EXPRESSION_GROUP, RecoveryTarget, posed
 
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts, Slider
-from facepipe.render.camera import Camera
-from facepipe.render.occlusion import ambient_occlusion
+from facepipe.pictures.camera import Camera
+from facepipe.pictures.occlusion import ambient_occlusion
 from facepipe.rig import Rig
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def face_points(parts: FaceParts) -> BoolArray:
 
 def _sky(parts: FaceParts) -> FloatArray:
     """(n,) share of its sky that each point of the first mesh sees, that mesh alone."""
-    from facepipe.render.scene import build_scene
+    from facepipe.pictures.scene import build_scene
 
     alone = FaceParts(meshes=parts.meshes[:1], materials=parts.materials)
     scene = build_scene(alone, None)
@@ -154,7 +154,7 @@ def _sky(parts: FaceParts) -> FloatArray:
 
 
 def render_camera(camera: FittedCamera) -> Camera:
-    """A fitted camera as `facepipe.render` has it."""
+    """A fitted camera as `facepipe.pictures` has it."""
     from scipy.spatial.transform import Rotation
 
     axes = Rotation.from_rotvec(camera.rotation).as_matrix()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.pose import PoseSpace
     from facepipe.learn.photo.subject import Subject
-    from facepipe.render.camera import Camera
+    from facepipe.pictures.camera import Camera
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -1,7 +1,7 @@
 """Portraits of known people: what a fit is given, and what it should find.
 
 Every person is the built-in sample face with other sliders: 30 of its 45 bone sliders have values drawn evenly from
-their range, the others and those of expressions keep their defaults. The pictures are made by `facepipe.render`, which
+their range, the others and those of expressions keep their defaults. `facepipe.pictures` draws them, which
 shares no code with the renderer of the fit: lamps with shadows, highlights and soft shade instead of spherical
 harmonics, skin and hair in other colours, backgrounds plain to cluttered.
 """
@@ -17,11 +17,11 @@ import numpy.typing as npt
 from recovery_landmarks import FaceLandmarks
 from recovery_looks import camera_of, random_backdrop, random_pose, random_studio, recolored
 
+from facepipe.heads import make
 from facepipe.parts import FaceParts
-from facepipe.render import PictureOptions, picture
-from facepipe.render.camera import Camera
+from facepipe.pictures import PictureOptions, picture
+from facepipe.pictures.camera import Camera
 from facepipe.rig import Rig, build, slide
-from facepipe.sample import make
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -16,9 +16,9 @@ import numpy as np
 from facepipe_onnx import Deformer, Options, export_parts
 from onnx_timing import median, start
 
+from facepipe.heads import make
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import CHANNELS, Rig, build, slide
-from facepipe.sample import make
 
 AIM_US = 100.0
 SLIDERS = 60

@@ -14,9 +14,9 @@ import numpy as np
 from facepipe.importers import load
 from facepipe.importers.ict import Options
 from facepipe.parts import FaceParts, FloatArray
+from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
 from facepipe.processors.blend import BlendSession, Weights
 from facepipe.processors.blend.mixing import mix
-from facepipe.render import PictureOptions, contact_sheet, picture, save_png
 from facepipe.rig.trs import rotation_matrices
 from facepipe.stage import Face
 

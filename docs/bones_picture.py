@@ -17,8 +17,8 @@ from bone_faces import DATA, HERE, LIMITS, ict_face, makehuman_face, skinned
 import facepipe
 from facepipe.importers import makehuman
 from facepipe.parts import FloatArray
+from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.processors.fit_bones import FitBones, Target, read_limits, read_targets
-from facepipe.render import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.stage import Face
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 from facepipe.cli import main
-from facepipe.render import save_png
+from facepipe.pictures import save_png
 
 HERE = Path(__file__).parent
 PHOTOS = HERE.parent.parent / "shared" / "data" / "photos"

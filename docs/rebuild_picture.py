@@ -16,8 +16,8 @@ from PIL import Image
 
 from facepipe.cli import main
 from facepipe.importers import ict, load
+from facepipe.pictures import save_png
 from facepipe.processors.database import WholeFace, create_database, save_database, whole_face
-from facepipe.render import save_png
 
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "shared" / "data"

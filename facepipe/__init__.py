@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.stage.face import open_face as open

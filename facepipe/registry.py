@@ -11,7 +11,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 GROUP = "facepipe.exporters"
 HOSTS = "facepipe.hosts"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from facepipe.heads import make
 from facepipe.parts import Blendshape, FaceParts
-from facepipe.sample import make
 from facepipe.stage import save_parts
 
 SEEDS = (0, 5)

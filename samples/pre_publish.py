@@ -14,9 +14,9 @@ from pathlib import Path
 
 import facepipe
 from facepipe import registry
-from facepipe.errors import FacepipeError
+from facepipe.checks import validate
+from facepipe.core.errors import FacepipeError
 from facepipe.pipeline import CookOptions, CookReport, cook
-from facepipe.validate import validate
 
 FORMATS = (".glb", ".onnx")
 

@@ -12,7 +12,7 @@ import scipy.linalg  # noqa: F401  (its BLAS is limited too)
 from small_sources import made
 from threadpoolctl import threadpool_limits
 
-from facepipe.render import PictureOptions
+from facepipe.pictures import PictureOptions
 from facepipe.stage import save_parts
 
 threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:

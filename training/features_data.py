@@ -13,7 +13,7 @@ from features_network import SIZE
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import face_crop, to_crop
 
 FloatArray = npt.NDArray[np.floating]

@@ -17,11 +17,11 @@ import torch
 from scipy.interpolate import RBFInterpolator
 
 from facepipe.geometry.polygons import triangulate
+from facepipe.heads import make
 from facepipe.learn.normals import PointNormals
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts
 from facepipe.rig import build
-from facepipe.sample import make
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -32,7 +32,7 @@ from features_scores import held_out_scores
 from script_arguments import add_training
 from torch import Tensor, nn
 
-from facepipe.atomic import write_bytes
+from facepipe.core.atomic import write_bytes
 
 HELD_OUT = 0.08  # share of the heads
 BATCH = 16  # heads, each seen twice

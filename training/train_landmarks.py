@@ -19,7 +19,7 @@ from script_arguments import add_training
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
-from facepipe.atomic import write_bytes
+from facepipe.core.atomic import write_bytes
 from facepipe.learn.networks.landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
 
 _BATCH, _RATE, _DECAY = 32, 3e-3, 1e-2

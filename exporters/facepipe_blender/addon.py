@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facepipe import __version__
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 from facepipe.declare import option
-from facepipe.errors import InputError
-from facepipe.reports import ExportReport
 
 from .own_wheel import write_own_wheel
 from .plain_zip import write_zip

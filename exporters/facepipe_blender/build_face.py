@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from facepipe.names import identifier, unique_identifiers
+from facepipe.core.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts, FloatArray, Material, Mesh
 from facepipe.pipeline.edited_face import edited_face, made_face
 from facepipe.pipeline.host_face import recipe_from

@@ -8,8 +8,8 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
-from facepipe.errors import InputError
-from facepipe.names import identifier, unique_identifiers
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.pipeline.host_face import author_neural_rig, face_layer, is_face
 

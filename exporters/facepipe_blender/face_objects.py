@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from facepipe.errors import InputError
-from facepipe.names import identifier
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier
 
 from .record import kept_in, record_of
 

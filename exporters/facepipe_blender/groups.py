@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 from facepipe.parts import FloatArray, Skin
 from facepipe.pipeline.host_face import check_region_name
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 from .export_stage import export_faces
 from .import_stage import import_faces, objects_by_name

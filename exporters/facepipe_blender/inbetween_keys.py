@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from facepipe.names import identifier
+from facepipe.core.names import identifier
 from facepipe.pipeline.host_face import Curve, curves
 
 _MARK = "@"

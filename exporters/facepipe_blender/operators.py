@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.pipeline.deliver import DeliveryReport, deliver, outputs
 
 from .blend_again import blend_again

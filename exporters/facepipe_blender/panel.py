@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 from .face_objects import face_of
 from .inbetween_keys import read_key_name

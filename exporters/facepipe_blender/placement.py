@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Blendshape, FaceParts, FloatArray, Inbetween, Mesh
 
 from .read_armature import skeleton_at_rest

@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from facepipe.atomic import replacing
+from facepipe.core.atomic import replacing
 
 
 def write_zip(path: Path, files: Mapping[str, bytes]) -> None:

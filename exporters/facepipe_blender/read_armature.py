@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.names import identifier, unique_identifiers
+from facepipe.core.names import identifier, unique_identifiers
 from facepipe.parts import FloatArray, Skeleton
 
 

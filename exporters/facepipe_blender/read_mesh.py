@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Blendshape, FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.pipeline.host_face import sculpted
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import SchemaError
+from facepipe.core.errors import SchemaError
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pipeline.host_face import face_from_bytes, face_to_bytes
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe.parts import (
     Animation,
     Blendshape,

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.atomic import discard_stale, replacing, together, write_bytes
-from facepipe.errors import ExportError
+from facepipe.core.atomic import discard_stale, replacing, together, write_bytes
+from facepipe.core.errors import ExportError
 from facepipe.records.gltf import content_digest
 from facepipe_gltf.buffers import Chunk
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe.parts import FloatArray, IntArray, Skin
 
 _EVERY = slice(None)

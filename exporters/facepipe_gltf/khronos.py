@@ -8,7 +8,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
-from facepipe.reports import Finding
+from facepipe.core.reports import Finding
 from facepipe_gltf.node import find_node
 
 # Modules beside the file or in the working folder are left alone: a downloaded folder must not bring code along.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe.parts import Material, Mesh, TextureInput, exact
 from facepipe_gltf.textures import Channel, Textures, merged
 

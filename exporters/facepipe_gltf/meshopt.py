@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.meshopt import EXTENSION
 from facepipe_gltf.node import find_node
 

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args, get_type_hints
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe_gltf.files import json_bytes
 from facepipe_gltf.raw import RawDocument
 from facepipe_gltf.validation import errors

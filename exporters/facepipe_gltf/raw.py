@@ -13,9 +13,9 @@ from urllib.parse import unquote
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_values, read_bytes
 from facepipe.meshopt import EXTENSION, decode
-from facepipe.reading import check_values, read_bytes
 
 FloatArray = npt.NDArray[np.floating]
 Json = dict[str, Any]

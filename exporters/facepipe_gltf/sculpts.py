@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from facepipe.errors import ExportError
-from facepipe.names import select
+from facepipe.core.errors import ExportError
+from facepipe.core.names import select
 from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh, exact
 
 Json = dict[str, Any]

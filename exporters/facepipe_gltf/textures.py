@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.images import open_image
-from facepipe.images import pixels as decoded
+from facepipe.core.errors import InputError
+from facepipe.core.images import open_image
+from facepipe.core.images import pixels as decoded
 from facepipe.parts import Texture, TextureInput
 
 Json = dict[str, Any]

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from facepipe.reports import Finding
+from facepipe.core.reports import Finding
 from facepipe_gltf import mesh_validation as mesh
 from facepipe_gltf import skin_validation as skin
 from facepipe_gltf.khronos import check_khronos

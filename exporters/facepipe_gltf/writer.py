@@ -9,9 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts
-from facepipe.reports import ExportReport
 from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.files import embedded, separate, write_glb, write_gltf

@@ -6,7 +6,7 @@ onnxruntime; `validate` checks a file.
 
 from typing import TYPE_CHECKING
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe_onnx.encoder_writer import export_encoder

@@ -6,8 +6,8 @@ import os
 import time
 from collections.abc import Mapping
 
-from facepipe.errors import TopologyError
-from facepipe.reports import ExportReport
+from facepipe.core.errors import TopologyError
+from facepipe.core.reports import ExportReport
 from facepipe.rig.neural_encoder import NeuralEncoder
 from facepipe_onnx import encoder_graph
 from facepipe_onnx.describe_encoder import describe

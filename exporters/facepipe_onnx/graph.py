@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.errors import ExportError
-from facepipe.names import select
+from facepipe.core.errors import ExportError
+from facepipe.core.names import select
 from facepipe.rig import Rig
 from facepipe_onnx import morph, skin
 from facepipe_onnx.joints import tree_order, world_nodes

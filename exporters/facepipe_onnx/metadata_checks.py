@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe_onnx import sidecar
 from facepipe_onnx.kinds import KINDS, Kind
 from facepipe_onnx.operators import FURTHER

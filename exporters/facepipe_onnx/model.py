@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from facepipe import __version__
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.operators import IR_VERSION, MAX_BYTES, OPSET
 

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from facepipe.atomic import together, write_bytes
-from facepipe.errors import ExportError, InputError
+from facepipe.core.atomic import together, write_bytes
+from facepipe.core.errors import ExportError, InputError
 from facepipe_onnx import sidecar
 from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.read import problems

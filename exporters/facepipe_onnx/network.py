@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.slider_network import ACTIVATIONS

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from facepipe.core.errors import InputError
 from facepipe.declare import POSE_HELP, option
-from facepipe.errors import InputError
 
 INPUTS = ("coefficients", "matrices")
 BATCHES = (1, 256)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
 from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.reading import read_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe_onnx.metadata_checks import TYPES, metadata_faults, shape_of
 from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe_onnx import sidecar
 from facepipe_onnx.metadata_checks import properties
 from facepipe_onnx.read import problems, read

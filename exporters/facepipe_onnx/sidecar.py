@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 PREFIX = "facepipe."
 

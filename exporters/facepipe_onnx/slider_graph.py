@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import ExportError
-from facepipe.names import select
+from facepipe.core.errors import ExportError
+from facepipe.core.names import select
 from facepipe.parts import FloatArray, IntArray, Slider, SliderNetwork
 from facepipe.rig import Rig, rest_coefficients, slide
 from facepipe.rig.slider_network import kept as kept_outputs

@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from facepipe.errors import InputError
-from facepipe.reading import read_bytes
-from facepipe.reports import Finding
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
+from facepipe.core.reports import Finding
 from facepipe_onnx import sidecar
 from facepipe_onnx.metadata_checks import properties
 from facepipe_onnx.operators import MAX_BYTES

@@ -10,12 +10,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from facepipe.errors import ExportError, InputError
-from facepipe.finite import require_finite
+from facepipe.core.errors import ExportError, InputError
+from facepipe.core.finite import require_finite
+from facepipe.core.names import select
+from facepipe.core.reports import ExportReport
 from facepipe.geometry.polygons import point_triangles
-from facepipe.names import select
 from facepipe.parts import FaceParts, IntArray, Slider
-from facepipe.reports import ExportReport
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe.rig.linear_skinning import linear_skinning_notes

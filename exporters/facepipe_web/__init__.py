@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe_web.options import Options

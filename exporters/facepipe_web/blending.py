@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe_web.assets import axes_of, write_assets
 from facepipe_web.server import Answer, Server
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe_web import build
 
 

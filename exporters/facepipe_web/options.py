@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from facepipe.core.errors import InputError
 from facepipe.declare import option
-from facepipe.errors import InputError
 
 _PORTS = (0, 65535)
 

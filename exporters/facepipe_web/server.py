@@ -19,7 +19,7 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 
 HOST = "127.0.0.1"
 Answer = tuple[str, bytes]  # MIME type and content

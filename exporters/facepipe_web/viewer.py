@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import facepipe
-from facepipe.errors import InputError
-from facepipe.reading import check_regular
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_regular
 from facepipe_web.assets import given_assets, write_assets
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.options import Options

@@ -19,9 +19,9 @@ from pathlib import Path
 from facepipe import __version__
 from facepipe.cli.parser import Parser
 from facepipe.cli.quiet import quiet_libraries
-from facepipe.errors import FacepipeError
-from facepipe.reading import check_input
-from facepipe.trust import Trust, trust, trusting
+from facepipe.core.errors import FacepipeError
+from facepipe.core.reading import check_input
+from facepipe.core.trust import Trust, trust, trusting
 
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {

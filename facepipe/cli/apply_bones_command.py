@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.payload import Header, PayloadContent
@@ -69,7 +69,7 @@ def _refuse_flags(arguments: argparse.Namespace, beside: str, names: tuple[str, 
 
 
 def _author(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
-    from facepipe.names import identifier
+    from facepipe.core.names import identifier
     from facepipe.pipeline.apply_bones import ApplyJob, ApplyOptions, make, missed
 
     name = arguments.name if arguments.name is not None else identifier(arguments.coefficients.stem)
@@ -88,7 +88,7 @@ def _author(face: Face, content: PayloadContent, arguments: argparse.Namespace, 
 def _points(face: Face, content: PayloadContent, arguments: argparse.Namespace, out: Path) -> int:
     import numpy as np
 
-    from facepipe.atomic import write_bytes
+    from facepipe.core.atomic import write_bytes
     from facepipe.processors.apply_bones import check_fits, limit_warnings, posed_points
     from facepipe.processors.bone_limits import beyond_limits, within_limits
 

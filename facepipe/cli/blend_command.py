@@ -114,9 +114,9 @@ def _match(session: BlendSession, target: Face, request: Request) -> MatchReport
 
 def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendReport:
     """Blend, author, save; the picture is drawn before anything is saved."""
-    from facepipe.atomic import together
+    from facepipe.core.atomic import together
+    from facepipe.pictures import save_png
     from facepipe.pipeline.blend import make
-    from facepipe.render import save_png
 
     images: list[Image] = []
 
@@ -132,8 +132,8 @@ def _blend(session: BlendSession, request: Request, weights: Weights) -> BlendRe
 
 
 def _draw(face: Face) -> Image:
-    from facepipe.render import HeatMap, PictureOptions, picture
-    from facepipe.tokens import SEAM_RESIDUAL
+    from facepipe.core.tokens import SEAM_RESIDUAL
+    from facepipe.pictures import HeatMap, PictureOptions, picture
 
     heatmap = HeatMap(values=face.primvar(SEAM_RESIDUAL), label="seam residual")
     return picture(face.parts(), None, PictureOptions(heatmap=heatmap))

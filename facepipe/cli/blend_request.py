@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from facepipe.cli.parser import given_options, output_or_edited, picture_of
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.processors.blend import BlendOptions, BlendRecipe, Weights

@@ -15,7 +15,7 @@ import argparse
 from facepipe import registry
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 _HOST = "blender-addon"
 

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 if TYPE_CHECKING:
     from facepipe.pipeline import CookReport, NodeReport

@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Any
 from facepipe.cli.database_text import as_json, as_text
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import InputError
-from facepipe.locks import locked
+from facepipe.core.errors import InputError
+from facepipe.core.locks import locked
 
 if TYPE_CHECKING:
     from facepipe.processors.database import AddOptions, FaceDatabase, Quality
@@ -134,7 +134,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _output(arguments: argparse.Namespace) -> Path:
     """Where to write: in place, unless said otherwise."""
-    from facepipe.atomic import collect
+    from facepipe.core.atomic import collect
 
     if arguments.output is None:
         collect(arguments.database.parent)
@@ -158,8 +158,8 @@ def _qualities(
     arguments: argparse.Namespace, sources: Sequence[StageSource], options: AddOptions
 ) -> dict[str, Quality]:
     """Face name -> its measures, from reports and recipes."""
+    from facepipe.core.reading import read_json
     from facepipe.processors.database import quality_from
-    from facepipe.reading import read_json
 
     found: dict[str, Quality] = {}
     for word in arguments.quality:

@@ -14,7 +14,7 @@ from facepipe import registry
 from facepipe.cli.inspect_command import as_text, summarise
 from facepipe.cli.sample_command import make_sample, seed
 from facepipe.cli.show import progress
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.stage import Face
@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make everything, saying what was made."""
-    from facepipe.atomic import hidden_folder, replacing, together
+    from facepipe.core.atomic import hidden_folder, replacing, together
 
     start = time.perf_counter()
     folder = _folder(arguments)
@@ -100,7 +100,7 @@ def _inspected(path: Path) -> Face:
 
 
 def _validated(paths: list[Path]) -> int:
-    from facepipe.validate import validate
+    from facepipe.checks import validate
 
     errors = 0
     for path in paths:
@@ -118,7 +118,7 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
 
     import numpy as np
 
-    from facepipe.atomic import write_bytes
+    from facepipe.core.atomic import write_bytes
 
     outputs: dict[str, Any] = registry.exporter(model).Deformer(model).evaluate(POSE)
     buffer = io.BytesIO()
@@ -129,7 +129,7 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
 
 
 def _sheet(face: Face, out: Path) -> None:
-    from facepipe.render import PictureOptions, contact_sheet, picture, save_png
+    from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
 
     parts = face.parts()
     options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from facepipe import registry
-from facepipe.atomic import write_bytes
 from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
 from facepipe.cli.show import emit
-from facepipe.errors import InputError
+from facepipe.core.atomic import write_bytes
+from facepipe.core.errors import InputError
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:

@@ -42,8 +42,8 @@ from facepipe.cli.export_neural import (
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.rename import add_rename, rename_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import InputError
-from facepipe.reports import ExportReport
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:

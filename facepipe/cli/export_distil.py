@@ -7,8 +7,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from facepipe.errors import InputError
-from facepipe.reports import ExportReport
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from
-from facepipe.errors import InputError
-from facepipe.reports import ExportReport
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import AttachedNeuralRig

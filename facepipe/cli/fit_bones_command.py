@@ -33,12 +33,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from facepipe.atomic import replacing, together
 from facepipe.cli.fit_bones_request import Request, request_of
 from facepipe.cli.fit_bones_text import as_text
 from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import InputError
+from facepipe.core.atomic import replacing, together
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -152,7 +152,7 @@ def _draw(face: Face, targets: Sequence[Target], report: FitBonesReport, path: P
     """The targets that bones miss most, in the pose of their worst frame, on one scale."""
     import numpy as np
 
-    from facepipe.render import HeatMap, PictureOptions, contact_sheet, picture, save_png
+    from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 
     order = sorted(zip(targets, report.targets.items(), strict=True), key=lambda pair: -pair[1][1].distances.max_mm)
     largest = max(order[0][1][1].distances.max_mm, report.threshold_mm)

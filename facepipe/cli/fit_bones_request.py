@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import given_options, output_of, output_or_edited, pairs, picture_of
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.pipeline.fit_bones import FitJob

@@ -36,11 +36,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing_folder, together
 from facepipe.cli.fit_photo_request import Request, request_of
 from facepipe.cli.fit_photo_text import as_text
 from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, progress, warn
+from facepipe.core.atomic import replacing_folder, together
 
 if TYPE_CHECKING:
     from facepipe.pipeline.fit_photo import Fitted, PhotoInputs

@@ -12,8 +12,8 @@ from facepipe.cli.report_folder import REPORT, check_report_folder
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+    from facepipe.pictures import PhotoSheet, SheetPhoto
     from facepipe.processors.photo_fit import Landmarks68, Photo, PhotoFitReport
-    from facepipe.render import PhotoSheet, SheetPhoto
 
 _SHEET = "sheet.png"
 _KNOWN = re.compile(r"report\.json|sheet\.png|[^/]+\.(landmarks\.json|render\.png|overlay\.png)")
@@ -35,9 +35,9 @@ def write_folder(
     folder: Path, sheet: PhotoSheet, photos: Sequence[Photo], landmarks: Sequence[Landmarks68], report: PhotoFitReport
 ) -> None:
     """Write sheet.png, report.json and, called as the poses of the photos, their renders, overlays and landmarks."""
-    from facepipe.atomic import write_bytes
+    from facepipe.core.atomic import write_bytes
+    from facepipe.pictures import photo_sheet, save_png
     from facepipe.processors.photo_fit import write_landmarks
-    from facepipe.render import photo_sheet, save_png
 
     names = [one.animation for one in report.photos.values()]
     for name, one, photo, marks in zip(names, sheet.photos, photos, landmarks, strict=True):
@@ -53,7 +53,7 @@ def render_image(one: SheetPhoto) -> Image:
     import numpy as np
     from PIL import Image
 
-    from facepipe.render.textures import linear_to_srgb
+    from facepipe.pictures.textures import linear_to_srgb
 
     cover = np.clip(one.render[..., 3:], 0, 1)
     color = linear_to_srgb(np.clip(one.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
@@ -64,7 +64,7 @@ def overlay_image(one: SheetPhoto, sheet: PhotoSheet) -> Image:
     """The photo, darker, with the edges of the fitted face, its landmarks, and those that it was given as rings."""
     import numpy as np
 
-    from facepipe.render import photo_pictures as pictures
+    from facepipe.pictures import photo_pictures as pictures
 
     height, width = one.photo.shape[:2]
     crop = pictures.whole(width, height, _OVERLAY)

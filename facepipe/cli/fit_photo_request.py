@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.fit_photo_folder import check_folder
 from facepipe.cli.parser import given_options, output_or_edited
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.pipeline.photo_job import PhotoJob, PhotoSettings

@@ -15,14 +15,14 @@ from facepipe.rig import Rig, build, slide
 if TYPE_CHECKING:
     from facepipe.learn.face_model import FaceModel
     from facepipe.learn.photo.result import FittedView, PhotoFit
+    from facepipe.pictures import PhotoSheet, SheetPhoto
     from facepipe.processors.photo_fit import Photo
-    from facepipe.render import PhotoSheet, SheetPhoto
 
 
 def report_sheet(
     parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo], *, seconds: float | None = None
 ) -> PhotoSheet:
-    """The sheet of a fit, ready for `facepipe.render.photo_sheet`.
+    """The sheet of a fit, ready for `facepipe.pictures.photo_sheet`.
 
     :param parts: the face that was fitted, without the result
     :param photos: that were fitted, one a view
@@ -30,7 +30,7 @@ def report_sheet(
     :raises InputError: sliders, shapes or materials that the face does not have
     """
     from facepipe.learn.face_model import FaceModel
-    from facepipe.render import PhotoSheet
+    from facepipe.pictures import PhotoSheet
 
     tinted = replace(parts, materials=tuple(_tinted(one, fit.tint.get(one.name)) for one in parts.materials))
     rig, model = build(tinted), FaceModel(tinted)
@@ -57,7 +57,7 @@ def _points(rig: Rig, parts: FaceParts, fit: PhotoFit, view: FittedView | None =
 def _photo(rig: Rig, parts: FaceParts, fit: PhotoFit, model: FaceModel, photo: Photo, view: FittedView) -> SheetPhoto:
     from facepipe.geometry.eye_distance import eye_distance
     from facepipe.learn.photo.view_image import project, view_image
-    from facepipe.render import SheetPhoto
+    from facepipe.pictures import SheetPhoto
 
     points = _points(rig, parts, fit, view)
     height, width = photo.pixels.shape[:2]

@@ -78,7 +78,7 @@ def summarise(face: Face) -> dict[str, Any]:
 
 def _neural_rig(face: Face) -> dict[str, str] | None:
     """The file that a face links, and whether it is still what was applied."""
-    from facepipe.digests import digest
+    from facepipe.core.digests import digest
     from facepipe.stage.neural_rig_link import read_neural_rig_link
 
     link = read_neural_rig_link(face.prim)

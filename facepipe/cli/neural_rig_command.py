@@ -34,7 +34,7 @@ from facepipe.cli.neural_rig_invert import add_invert, invert
 from facepipe.cli.neural_rig_retarget import add_retarget, retarget
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder, TrainedNeuralRig
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace) -> int:
-    from facepipe.atomic import together
+    from facepipe.core.atomic import together
     from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions, save_neural_rig
     from facepipe.processors.neural_rig.neural_rig_file import SUFFIX
 
@@ -119,7 +119,7 @@ def _check_files(arguments: argparse.Namespace, out: Path) -> None:
 def _draw(path: Path | None, trained: TrainedNeuralRig) -> None:
     if path is None or trained.report.straight:
         return
-    from facepipe.render.training_curve import draw_training_curve
+    from facepipe.pictures.training_curve import draw_training_curve
 
     draw_training_curve(trained.curve, path)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

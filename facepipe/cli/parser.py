@@ -10,8 +10,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from facepipe.core.errors import InputError
 from facepipe.declare import Field, fields_of
-from facepipe.errors import InputError
 
 
 class Parser(argparse.ArgumentParser):
@@ -120,7 +120,7 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
 
     :raises InputError: none given, an existing file without --force, a missing folder, or an input
     """
-    from facepipe.atomic import collect
+    from facepipe.core.atomic import collect
 
     path = arguments.output or getattr(arguments, "out", None)
     if path is None:
@@ -217,7 +217,7 @@ def named(values: Mapping[str, float], known: Collection[str], flag: str, what: 
 
     :raises InputError: no such name, or one twice
     """
-    from facepipe.names import find
+    from facepipe.core.names import find
 
     found: dict[str, float] = {}
     for given, value in values.items():
@@ -234,7 +234,7 @@ def coefficients_of(words: Sequence[str], joints: Sequence[str], names: Sequence
     :param joints: paths, and the source's `names` of each
     :raises InputError: an unknown or ambiguous joint, or an unknown channel
     """
-    from facepipe.names import find_joint
+    from facepipe.core.names import find_joint
     from facepipe.rig import CHANNELS, rest_coefficients
 
     if not words:

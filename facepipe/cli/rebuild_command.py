@@ -41,10 +41,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.atomic import replacing_folder, together
 from facepipe.cli.parser import add_output, output_of
 from facepipe.cli.rebuild_report import RebuildPictures, check_folder, refined_line
 from facepipe.cli.show import emit, progress, table, warn
+from facepipe.core.atomic import replacing_folder, together
 
 if TYPE_CHECKING:
     from facepipe.pipeline.rebuild import Actor, RebuildReport

@@ -13,9 +13,9 @@ from facepipe.cli.report_folder import REPORT, check_report_folder
 
 if TYPE_CHECKING:
     from facepipe.parts import FloatArray
+    from facepipe.pictures.shapes_table import ShapeRow
+    from facepipe.pictures.turntable import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template
-    from facepipe.render.shapes_table import ShapeRow
-    from facepipe.render.turntable import Turntable
     from facepipe.scans import Scan
 
 _KNOWN = re.compile(r"report\.json|(neutral|shapes|shapes_heat)\.png|expressions(/\w+\.png)?")
@@ -58,9 +58,9 @@ class RebuildPictures:
         :param drawn: called after each step
         :raises FacepipeError: a scan that can't be read any more, or files that can't be written
         """
-        from facepipe.atomic import write_bytes
-        from facepipe.render import save_png
-        from facepipe.render.turntable import turntable
+        from facepipe.core.atomic import write_bytes
+        from facepipe.pictures import save_png
+        from facepipe.pictures.turntable import turntable
 
         for stage, shown in self._turntables(drawn):
             path = folder / f"{stage}.png"
@@ -81,10 +81,10 @@ class RebuildPictures:
         """Scans are read twice: all are measured before the first is drawn, for one scale of colours."""
         import numpy as np
 
+        from facepipe.pictures.fit_sheet import round_above
+        from facepipe.pictures.turntable import Turntable
         from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
-        from facepipe.render.fit_sheet import round_above
-        from facepipe.render.turntable import Turntable
 
         distances, places = {}, self.rebuilt.places
         for stage, (one, points) in self._scans().items():
@@ -138,10 +138,10 @@ class RebuildPictures:
         return tuple(lines)
 
     def _draw_shapes(self, folder: Path, drawn: Callable[[], object]) -> None:
+        from facepipe.pictures import save_png
+        from facepipe.pictures.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
+        from facepipe.pictures.shapes_table import shapes_table
         from facepipe.processors.database.whole_faces import whole_parts
-        from facepipe.render import save_png
-        from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
-        from facepipe.render.shapes_table import shapes_table
 
         rebuilt, template = self.rebuilt, self.template
         if "shapes" in rebuilt.reports:
@@ -164,7 +164,7 @@ class RebuildPictures:
 
 def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
     """A row for each shape that the split of expressions reports, in the order of the face's shapes."""
-    from facepipe.render.shapes_table import ShapeRow
+    from facepipe.pictures.shapes_table import ShapeRow
 
     report, rows = rebuilt.reports["shapes"], []
     for name in rebuilt.shapes:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from, output_of, picture_of
 from facepipe.cli.show import emit, table, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -86,7 +86,7 @@ def _list(face: Face, arguments: argparse.Namespace, picture: Path | None) -> in
 
 
 def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> int:
-    from facepipe.atomic import together
+    from facepipe.core.atomic import together
     from facepipe.geometry.map_sampling import MapSampling
     from facepipe.pipeline.regions import RegionJob, RegionPlace, make
 
@@ -116,14 +116,14 @@ def _author(arguments: argparse.Namespace, out: Path, picture: Path | None) -> i
 
 
 def _draw(face: Face) -> Image:
-    from facepipe.render import PictureOptions, RegionColors, picture
+    from facepipe.pictures import PictureOptions, RegionColors, picture
 
     parts = face.parts()
     return picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.of(parts)))
 
 
 def _save(image: Image, path: Path) -> None:
-    from facepipe.render import save_png
+    from facepipe.pictures import save_png
 
     save_png(image, path)
 

@@ -24,11 +24,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.atomic import replacing, together
 from facepipe.cli.parser import add_options, add_output
 from facepipe.cli.register_scan_request import Request, request_of
 from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, table, warn
+from facepipe.core.atomic import replacing, together
 
 if TYPE_CHECKING:
     from facepipe.pipeline.rebuild_stage import Made

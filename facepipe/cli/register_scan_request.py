@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.cli.parser import options_from, output_of, pairs, picture_of
-from facepipe.errors import InputError
-from facepipe.names import identifier
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier
 from facepipe.pipeline.scan_input import landmark_file
 
 if TYPE_CHECKING:

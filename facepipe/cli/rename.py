@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.show import note, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.rig.conventions import CONVENTIONS, recognised
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def rename_of(arguments: argparse.Namespace) -> Rename | None:
         return None
     if given.lower() in CONVENTIONS:
         return Rename(given.lower(), None)
+    from facepipe.core.names import did_you_mean
     from facepipe.importers.rename_table import read_rename_table
-    from facepipe.names import did_you_mean
 
     if not Path(given).suffix:
         near = did_you_mean(given, CONVENTIONS)

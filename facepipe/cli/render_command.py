@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
 from facepipe.cli.show import progress
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.parts import FloatArray
-    from facepipe.render import HeatMap
+    from facepipe.pictures import HeatMap
     from facepipe.stage import Face
 
 VIEWS = ("front", "side", "three-quarter")
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Path) -> None:
-    from facepipe.render import PictureOptions, RegionColors, picture, save_png
+    from facepipe.pictures import PictureOptions, RegionColors, picture, save_png
 
     parts = face.parts()
     options = PictureOptions(
@@ -91,8 +91,8 @@ def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
 def _heatmap(face: Face, points: FloatArray, name: str | None) -> HeatMap | None:
     import numpy as np
 
-    from facepipe import tokens
-    from facepipe.render import HeatMap
+    from facepipe.core import tokens
+    from facepipe.pictures import HeatMap
 
     if name is None:
         return None

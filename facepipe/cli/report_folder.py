@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 REPORT = "report.json"
 

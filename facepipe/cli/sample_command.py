@@ -34,7 +34,7 @@ def seed(text: str) -> int:
 
 def make_sample(out: Path, seed: int) -> None:
     """Save the sample head of `seed` as `out`."""
-    from facepipe.sample import make
+    from facepipe.heads import make
     from facepipe.stage import save_parts
 
     save_parts(make(seed), out)

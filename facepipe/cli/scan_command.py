@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from facepipe.processors.scan_photos import PhotoScan, ScanPhotosReport
@@ -53,7 +53,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, scan, write, report."""
-    from facepipe.atomic import discard_stale, together
+    from facepipe.core.atomic import discard_stale, together
     from facepipe.importers.scan_landmarks import write_scan_landmarks
     from facepipe.importers.scan_ply import write_ply
     from facepipe.processors.scan_photos import write_cameras

@@ -36,11 +36,11 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, search, write."""
-    from facepipe.atomic import together
+    from facepipe.core.atomic import together
     from facepipe.importers.scan_file import read_scan
     from facepipe.importers.scan_landmarks import write_scan_landmarks
+    from facepipe.pictures.surface_view import draw_surface
     from facepipe.processors.scan_landmarks import FindScanLandmarks
-    from facepipe.render.surface_view import draw_surface
 
     out = output_of(arguments, [arguments.scan])
     picture = None
@@ -63,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(found: FoundScanLandmarks, path: Path) -> None:
-    from facepipe.render import save_png
-    from facepipe.render.scan_sheet import scan_sheet
+    from facepipe.pictures import save_png
+    from facepipe.pictures.scan_sheet import scan_sheet
 
     views = [found.frame.view(yaw, 0.0, _SIZE, 1.4) for yaw in _TURNS]
     save_png(scan_sheet(found.look, views, found.landmarks.points), path)

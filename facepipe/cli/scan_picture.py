@@ -26,10 +26,10 @@ def draw_fit(
     :param place: from the scan's coordinates to those
     :param neutral: (n, 3) those without what the scan shows besides, where that is something
     """
+    from facepipe.pictures import save_png
+    from facepipe.pictures.fit_sheet import FitPicture, fit_sheet
     from facepipe.processors.database.whole_faces import whole_parts
     from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
-    from facepipe.render import save_png
-    from facepipe.render.fit_sheet import FitPicture, fit_sheet
 
     shown = FitPicture(
         parts=whole_parts(template.parts, points),

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from facepipe.errors import printable
-from facepipe.reports import Report
+from facepipe.core.errors import printable
+from facepipe.core.reports import Report
 
 
 def table(rows: Iterable[Sequence[object]]) -> str:

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, picture_of
 from facepipe.cli.show import emit, progress, warn
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -61,7 +61,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, skin, author the layer."""
-    from facepipe.atomic import together
+    from facepipe.core.atomic import together
     from facepipe.pipeline.skin import SkinJob, make
     from facepipe.processors.skin import SkinOptions
     from facepipe.stage.files import check_suffix
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     with together(out):
         report = make(job, progress, seen)
         if images and picture is not None:
-            from facepipe.render import save_png
+            from facepipe.pictures import save_png
 
             save_png(images[0], picture)
     warn(report.warnings)
@@ -108,7 +108,7 @@ def _check_flags(arguments: argparse.Namespace) -> None:
 
 
 def _draw(face: Face) -> Image:
-    from facepipe.render import PictureOptions, RegionColors, picture
+    from facepipe.pictures import PictureOptions, RegionColors, picture
 
     weights = face.rig().influences.toarray()
     names = [joint.rpartition("/")[2] for joint in face.skeleton.joints]

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, table, warn
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.amortised.pictures import Picture
@@ -55,7 +55,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render, train, write."""
     import facepipe
-    from facepipe.atomic import write_bytes
+    from facepipe.core.atomic import write_bytes
     from facepipe.learn.photo.amortised.graph import start_graph
     from facepipe.learn.photo.amortised.metadata import start_metadata
     from facepipe.learn.photo.subject import Subject

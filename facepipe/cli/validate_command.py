@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check each file and print the findings."""
-    from facepipe.validate import validate
+    from facepipe.checks import validate
 
     findings = []
     with progress("validate", len(arguments.files)) as bar:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.triangle_frames import duals, frames, hat_gradients, pieces

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import coefficients_in
 from facepipe.geometry.trust import Block, trust

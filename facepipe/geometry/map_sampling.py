@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from facepipe.core.errors import InputError
 from facepipe.declare import option
-from facepipe.errors import InputError
 
 LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
 WIDEST_EDGE, WIDEST_FOOTPRINT = 8, 256  # texels

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
 from facepipe.geometry.region_texels import Image8, Palette, texel_shares
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.surface_sheets import Sheets, cut_sheets, outwardness
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.grouping import group_sums
 
 FloatArray = npt.NDArray[np.floating]

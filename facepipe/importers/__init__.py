@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers.options import OPTIONS
 
 if TYPE_CHECKING:

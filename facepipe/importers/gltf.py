@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError
 from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_record, gltf_skins
 from facepipe.importers.gltf_assemble import Assembly
 from facepipe.importers.gltf_document import Document, open_document

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.names import handles
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_key_times import (
@@ -26,7 +27,6 @@ from facepipe.importers.gltf_names import given_name
 from facepipe.importers.gltf_nodes import Nodes, Trs, decompose, local_trs, trs_matrix
 from facepipe.importers.gltf_samplers import read_sampler
 from facepipe.importers.gltf_skins import Joints
-from facepipe.names import handles
 from facepipe.parts import Animation, FloatArray
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from facepipe.core.names import handles
 from facepipe.importers import gltf_materials, gltf_meshes, gltf_morphs, gltf_primitives
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
@@ -15,7 +16,6 @@ from facepipe.importers.gltf_nodes import Nodes
 from facepipe.importers.gltf_placement import placed
 from facepipe.importers.gltf_primitives import Geometry
 from facepipe.importers.gltf_skins import Joints
-from facepipe.names import handles
 from facepipe.parts import Mesh, Skin
 
 

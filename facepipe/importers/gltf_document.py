@@ -13,7 +13,7 @@ import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import gltf_files, gltf_json
 from facepipe.importers.gltf_json import Value, members, quote
 from facepipe.meshopt import EXTENSION, decode

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
-from facepipe.errors import InputError
-from facepipe.reading import check_values
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_values
 
 LARGEST = 1e18
 """Largest number believed: products of two still fit in float32, which is what files and engines hold."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_primitives import Geometry

@@ -9,12 +9,12 @@ from collections.abc import Iterable
 from pathlib import PurePosixPath
 from typing import Literal
 
+from facepipe.core.names import handles
 from facepipe.importers import gltf_files
 from facepipe.importers.gltf_document import Document, optional_integer
 from facepipe.importers.gltf_json import Value
 from facepipe.importers.gltf_meshes import uv_name
 from facepipe.importers.gltf_names import Names, file_name, given_name
-from facepipe.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
 
 Channels = Literal["rgb", "r", "g", "b", "a"]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.names import identifier
 from facepipe.importers.gltf_accessors import Deltas
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_json import Value, members
@@ -18,7 +19,6 @@ from facepipe.importers.gltf_names import Names
 from facepipe.importers.gltf_primitives import Geometry
 from facepipe.importers.gltf_vertices import Target
 from facepipe.importers.gltf_weld import Weld
-from facepipe.names import identifier
 from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections import Counter
 
-from facepipe import names
+from facepipe.core import names
 from facepipe.importers.gltf_json import Value
 
 _LONGEST = 80

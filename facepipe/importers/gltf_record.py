@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.importers.gltf_document import Document
 from facepipe.importers.gltf_record_joints import filled_animations, joints_as_recorded

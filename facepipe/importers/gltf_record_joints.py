@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts, FloatArray, IntArray, Skeleton
 from facepipe.records.gltf import Record
 from facepipe.rig.animation import local_transforms

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.reading import read_json
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError, TopologyError
 from facepipe.geometry.borders import back_of_border
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
@@ -29,7 +30,6 @@ from facepipe.importers.mesh_pieces import (
 )
 from facepipe.importers.options import IctOptions
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
-from facepipe.reading import read_json
 
 Options = IctOptions
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.npz import Field, check_indices, read_arrays
 from facepipe.importers.obj_shapes import read_offsets

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facepipe import __version__
+from facepipe.core.digests import digest
 from facepipe.declare import to_json
-from facepipe.digests import digest
 from facepipe.parts import FaceParts, Recipe
 
 if TYPE_CHECKING:

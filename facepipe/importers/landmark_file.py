@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json
 from facepipe.parts import Landmarks
-from facepipe.reading import read_json
 
 _DEFAULT = "multipie68"
 _MOST_BYTES = 1 << 24

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError
 from facepipe.geometry.borders import back_of_border
 from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
@@ -26,7 +27,6 @@ from facepipe.importers.makehuman_sliders import arkit_sliders, unit_sliders
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions
-from facepipe.names import identifier
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
 
 Options = MakeHumanOptions

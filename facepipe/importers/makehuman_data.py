@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers.npz import Field, check_indices, read_arrays
 
 FloatArray = npt.NDArray[np.floating]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers.makehuman_data import MakeHumanData
 
 FloatArray = npt.NDArray[np.floating]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.names import handles, unique_identifiers
 from facepipe.importers.makehuman_data import MakeHumanData
-from facepipe.names import handles, unique_identifiers
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import matrix_coefficients
 

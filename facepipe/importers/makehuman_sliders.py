@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.names import unique_identifiers
 from facepipe.importers.makehuman_data import MakeHumanData
-from facepipe.names import unique_identifiers
 from facepipe.parts import Curve, Skeleton, Slider
 from facepipe.rig import CHANNELS, matrix_coefficients
 from facepipe.rig.sliders import with_mutual_mirrors

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import is_file, read_bytes
+from facepipe.core.trust import check_copied
 from facepipe.importers.wavefront import read_text
 from facepipe.parts import Material, Texture, TextureInput
-from facepipe.reading import is_file, read_bytes
-from facepipe.trust import check_copied
 
 MAX_TEXTURE_BYTES = 1 << 28
 

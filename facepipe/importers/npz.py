@@ -21,8 +21,8 @@ from typing import IO, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.reading import check_regular
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_regular
 
 MAX_BYTES = 1 << 30  # of a file
 FREE_BYTES, PER_BYTE = 1 << 26, 8  # of arrays together: these, and as many for each byte of the file

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError
+from facepipe.core.names import handles
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError
 from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
@@ -23,7 +24,6 @@ from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_f
 from facepipe.importers.obj_shapes import read_offsets
 from facepipe.importers.options import ObjOptions
 from facepipe.importers.wavefront import Obj, read_obj
-from facepipe.names import handles
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 
 Options = ObjOptions

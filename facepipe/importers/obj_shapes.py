@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.importers.wavefront import Obj, read_obj
 
 FloatArray = npt.NDArray[np.floating]

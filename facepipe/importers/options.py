@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from facepipe.core.errors import InputError
 from facepipe.declare import option
-from facepipe.errors import InputError
 
 _UNIT = "metres in a unit of the file, where it is not as the file says"
 _UP = "axis that points up in the file, where it is not as the file says"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.images import decoding, open_image, pixels
-from facepipe.reading import read_bytes
+from facepipe.core.images import decoding, open_image, pixels
+from facepipe.core.reading import read_bytes
 
 MOST_BYTES = 1 << 28
 

@@ -7,8 +7,8 @@ import io
 from collections.abc import Iterable
 from pathlib import Path
 
-from facepipe.errors import InputError
-from facepipe.reading import read_bytes, read_json_object
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes, read_json_object
 
 MAX_BYTES = 1 << 24
 _HEADER = ("old", "new")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import point_triangles

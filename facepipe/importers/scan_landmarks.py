@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.atomic import write_bytes
-from facepipe.errors import InputError
-from facepipe.finite import require_finite
+from facepipe.core.atomic import write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.finite import require_finite
+from facepipe.core.reading import read_json_object
 from facepipe.importers.scan_file import LARGEST
-from facepipe.reading import read_json_object
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME, FloatArray, ScanLandmarks, no_landmarks, no_sigmas
 
 _MOST_BYTES = 1 << 24

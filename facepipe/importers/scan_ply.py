@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.atomic import replacing
-from facepipe.errors import InputError
+from facepipe.core.atomic import replacing
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import point_triangles
 from facepipe.importers.ply_elements import Columns, Element, Lists, read_elements
 from facepipe.importers.wavefront import LARGEST
-from facepipe.reading import read_bytes
 from facepipe.scans import FloatArray, IntArray, Scan, no_triangles
 
 MOST_BYTES = 1 << 31

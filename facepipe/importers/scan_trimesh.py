@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe.importers.wavefront import MAX_BYTES, read_text
-from facepipe.reading import read_bytes
 from facepipe.scans import Scan
 
 _NOWHERE = logging.NullHandler()

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_regular
 from facepipe.importers.npz import Field, array_names, read_arrays
 from facepipe.parts import SliderNetwork
-from facepipe.reading import check_regular
 from facepipe.rig import CHANNELS
 from facepipe.rig.slider_network import network_fault
 

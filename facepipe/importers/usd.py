@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.errors import SchemaError, TopologyError
+from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
-from facepipe.errors import SchemaError, TopologyError
 from facepipe.importers.imported import Imported, as_told, import_recipe
 from facepipe.importers.options import UsdOptions
-from facepipe.names import unique_identifiers
 from facepipe.parts import (
     Animation,
     FaceParts,

@@ -17,8 +17,8 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.reading import read_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if find_spec("torch") is None:
     raise InputError("facepipe.learn", "torch is not installed, expected: pip install 'facepipe[train]'")

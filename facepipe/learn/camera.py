@@ -1,6 +1,6 @@
 """Where a face is seen from: pose, focal length and principal point to pixel positions, with gradients.
 
-Camera coordinates are x right, y up, z towards the viewer, as in `facepipe.render`: the depth along the view is -z.
+Camera coordinates are x right, y up, z towards the viewer, as in `facepipe.pictures`: the depth along the view is -z.
 Pixels count from the top left corner of the image, x right and y down; the first pixel's centre is (0.5, 0.5).
 """
 

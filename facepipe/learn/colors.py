@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facepipe.images import open_image, pixels
+from facepipe.core.images import open_image, pixels
 from facepipe.learn.rasterise import Raster, interpolate
 from facepipe.learn.rows import take
 from facepipe.learn.surfaces import Surfaces

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import torch
 
-from facepipe import threads
+from facepipe.core import threads
 
 
 @contextmanager

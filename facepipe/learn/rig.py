@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
 from facepipe.learn.sliders import DifferentiableSliders

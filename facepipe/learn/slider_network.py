@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS
 from facepipe.rig.slider_network import check_network

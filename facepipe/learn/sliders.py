@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
 from facepipe.learn.slider_network import DifferentiableNetwork
 from facepipe.parts import Curve, Slider, SliderNetwork

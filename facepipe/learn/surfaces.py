@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.geometry.polygons import triangulate
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 

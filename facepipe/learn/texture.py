@@ -15,7 +15,7 @@ Wrap = Literal["repeat", "mirror", "clamp"]
 def bilinear(texels: Tensor, uv: Tensor, wrap_s: Wrap = "repeat", wrap_t: Wrap = "repeat") -> Tensor:
     """(m, c) values of texels (h, w, c), top row first, at UVs (m, 2) with v up.
 
-    The same lookup as the pictures of `facepipe.render`: texel centres are half a texel inside.
+    The same lookup as the pictures of `facepipe.pictures`: texel centres are half a texel inside.
     """
     height, width, channels = texels.shape
     x = uv[:, 0] * width - 0.5

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 Array = npt.NDArray[Any]
 

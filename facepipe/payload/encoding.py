@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.payload.content import Encoded, PayloadContent
 from facepipe.payload.layout import (
     CRC,

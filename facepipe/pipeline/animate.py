@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.names import identifier
 from facepipe.declare import check_ranges, from_json, to_json
-from facepipe.errors import InputError, SchemaError
-from facepipe.names import identifier
 from facepipe.pipeline.verbs import Cooked, Watch, under_source, unwatched
 from facepipe.processors.animate import AnimateFace, AnimateOptions, AnimateReport, read_performance
 from facepipe.stage import open_face

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 from facepipe.pipeline.verbs import Cooked, Watch
 from facepipe.processors.blend import Blend, BlendReport, BlendSession, Weights, blend_recipe, read_blend_recipe
 from facepipe.stage import Face, open_face

@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from facepipe.atomic import collect
-from facepipe.errors import FacepipeError, InputError
-from facepipe.locks import discard_lock, locked
+from facepipe.core.atomic import collect
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.locks import discard_lock, locked
+from facepipe.core.trust import trust, trusting
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import Action, CookReport, NodeReport
 from facepipe.pipeline.verbs import Cooked, Watch, cooker, unwatched
-from facepipe.trust import trust, trusting
 
 AnyPath = str | os.PathLike[str]
 
@@ -52,7 +52,7 @@ def cook(
         told(node)
     findings = {}
     if options.validate:
-        from facepipe.validate import validate
+        from facepipe.checks import validate
 
         findings = {str(path): validate(path) for path in files}
     warnings = tuple(f"{shown(one.file)}: {line}" for one in nodes for line in one.warnings)

@@ -7,12 +7,12 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from facepipe.atomic import hidden_folder, replacing, together
-from facepipe.errors import InputError
+from facepipe.checks import validate
+from facepipe.core.atomic import hidden_folder, replacing, together
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport, Finding, Report
 from facepipe.registry import exporter
-from facepipe.reports import ExportReport, Finding, Report
 from facepipe.stage import open_face
-from facepipe.validate import validate
 
 _SUFFIXES = ("glb", "onnx")
 

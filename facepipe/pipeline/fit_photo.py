@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 from facepipe.parts import FaceParts, Recipe
 from facepipe.photo_options import MODELS
 from facepipe.pipeline.photo_job import PhotoJob, recipe_job

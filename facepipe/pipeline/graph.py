@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
 from facepipe.pipeline.verbs import VERBS
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
 from facepipe.stage.recipes import check_recipe, check_source, file_recipe
-from facepipe.trust import check_readable, is_writable, roots_of
 
 _IMPORT = "import "  # its faces are taken as they are
 _ENDS = 8  # files at each end of a trail that are named

@@ -9,7 +9,7 @@ from pathlib import Path
 from facepipe_schemas import register as register_schemas
 from pxr import Sdf, Usd
 
-from facepipe import tokens
+from facepipe.core import tokens
 from facepipe.parts import FaceParts, Material, Recipe
 from facepipe.pipeline.edited_mesh import sculpted
 from facepipe.rig.activation import Curve, curves

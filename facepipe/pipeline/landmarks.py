@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
 from facepipe.declare import from_json, to_json
-from facepipe.errors import InputError
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.pipeline.verbs import Cooked, Watch
 from facepipe.processors.landmarks import SetLandmarks, mesh_of
-from facepipe.reports import Report
 from facepipe.stage import open_face
 from facepipe.stage.author_skeleton import author_recipe
 from facepipe.stage.source_recipes import read_source_recipe, source_recipe

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
-from facepipe.errors import InputError
 from facepipe.parts import Recipe
 from facepipe.photo_options import MODELS, PhotoFitOptions
 from facepipe.processors.photo_fit import PhotoRecipe, photo_recipe, read_photo_recipe

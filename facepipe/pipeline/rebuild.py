@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from facepipe.atomic import apart
-from facepipe.errors import SchemaError
+from facepipe.core.atomic import apart
+from facepipe.core.errors import SchemaError
+from facepipe.core.reports import Report
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.parts import FaceParts
@@ -19,7 +20,6 @@ from facepipe.processors.rebuild import Project, Readers, Rebuild, Rebuilt, Temp
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.processors.rebuild.rebuild import stage_count
 from facepipe.processors.rebuild.rebuild_recipe import VERB, rebuild_recipe
-from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face
 from facepipe.stage.recipes import existing_source, recipe_of
@@ -104,8 +104,8 @@ def _readers() -> Readers:
 
 
 def _found(scan: Scan) -> ScanLandmarks:
+    from facepipe.pictures.surface_view import draw_surface
     from facepipe.processors.scan_landmarks import FindScanLandmarks
-    from facepipe.render.surface_view import draw_surface
 
     return FindScanLandmarks(draw=draw_surface)(scan).landmarks
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from facepipe.core.errors import SchemaError
+from facepipe.core.reports import Report
 from facepipe.declare import from_json
-from facepipe.errors import SchemaError
-from facepipe.reports import Report
 from facepipe.stage.recipes import existing_source, recipe_of
 
 Told = TypeVar("Told", bound=Report)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from facepipe.errors import SchemaError
+from facepipe.core.errors import SchemaError
 from facepipe.importers.scan_file import read_scan
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pipeline.rebuild_stage import Made, StageRecipe, read_stage_recipe

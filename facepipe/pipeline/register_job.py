@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.declare import json_value, to_json
-from facepipe.errors import InputError, SchemaError
 from facepipe.parts import Recipe
 from facepipe.pipeline.rebuild_stage import read_stage_recipe
 from facepipe.processors.rebuild import RegisterScansOptions, ScanFit, resolved

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from facepipe.reports import Finding, Report
+from facepipe.core.reports import Finding, Report
 
 Action = Literal["up to date", "cooked", "stale", "outside the roots"]
 

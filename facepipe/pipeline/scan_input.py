@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 if TYPE_CHECKING:
     from facepipe.scans import Scan, ScanLandmarks
@@ -30,8 +30,8 @@ def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[st
 
     if file is not None:
         return read_scan_landmarks(file), ()
+    from facepipe.pictures.surface_view import draw_surface
     from facepipe.processors.scan_landmarks import FindScanLandmarks
-    from facepipe.render.surface_view import draw_surface
 
     found = FindScanLandmarks(draw=draw_surface)(scan)
     return found.landmarks, found.report.warnings

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.reports import Report
 from facepipe.pipeline.verbs import Cooked, Watch, under_source
 from facepipe.processors.sliders import (
     AuthorNetwork,
@@ -20,7 +21,6 @@ from facepipe.processors.sliders import (
     read_table,
     slider_recipe,
 )
-from facepipe.reports import Report
 from facepipe.stage import Face, open_face
 
 Made = TypeVar("Made", bound=Report)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from facepipe.errors import FacepipeError
-from facepipe.reports import Report
+from facepipe.core.errors import FacepipeError
+from facepipe.core.reports import Report
 
 # verb of a recipe -> its module
 VERBS = {

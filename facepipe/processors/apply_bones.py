@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
 from facepipe.parts import Animation, FloatArray, Recipe
 from facepipe.payload import PayloadContent
 from facepipe.processors.bone_limits import beyond_limits, within_limits
-from facepipe.reports import Report
 from facepipe.stage import Face
 from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes

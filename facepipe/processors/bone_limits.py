@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits
 from facepipe.payload import PayloadContent, as_stored
 from facepipe.rig import CHANNELS

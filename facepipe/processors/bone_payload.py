@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.atomic import write_bytes
-from facepipe.errors import InputError
+from facepipe.core.atomic import write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
+from facepipe.core.reports import Report
 from facepipe.payload import PayloadContent, decode, encode
-from facepipe.reading import read_bytes
-from facepipe.reports import Report
 from facepipe.rig import Rig
 
 SUFFIX = ".fpb"

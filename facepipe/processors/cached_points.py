@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.parts import Mesh
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import open_face

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
+from facepipe.core.reports import Report
 from facepipe.parts import Landmarks, Mesh
-from facepipe.reports import Report
 from facepipe.stage import Face
 from facepipe.stage.author_mesh import author_landmarks
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.reading import read_json_object
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json_object
 
 RGB = tuple[int, int, int]
 

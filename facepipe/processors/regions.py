@@ -9,15 +9,15 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier, select
+from facepipe.core.reports import Report
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.geometry.region_texels import Image8
-from facepipe.names import identifier, select
 from facepipe.parts import FloatArray, IntArray, Mesh, UvSet
 from facepipe.processors.landmarks import mesh_of
 from facepipe.processors.region_legend import RegionLegend
-from facepipe.reports import Report
 from facepipe.stage import Face
 from facepipe.stage.author_regions import author_region_subsets, author_regions, check_region_name
 

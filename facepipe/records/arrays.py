@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 AnyArray = npt.NDArray[Any]
 Json = dict[str, Any]

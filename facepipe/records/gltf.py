@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, FloatArray, IntArray, Mesh
 from facepipe.records.arrays import ArrayReader, ArrayWriter
 from facepipe.records.fields import from_json, to_json

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.trs import decompose, rotation_matrices

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.rig.activation import Curve, curves
 from facepipe.rig.rig import Rig, Target

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
-from facepipe.finite import require_finite
+from facepipe.core.errors import TopologyError
+from facepipe.core.finite import require_finite
 from facepipe.rig.neural_rig import Control
 
 FloatArray = npt.NDArray[np.floating]

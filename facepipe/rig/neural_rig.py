@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.rig import Rig
 

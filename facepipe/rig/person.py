@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig.animation import places, sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients

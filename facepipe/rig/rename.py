@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 from facepipe.rig.conventions import CONVENTIONS, meaning
 
 if TYPE_CHECKING:

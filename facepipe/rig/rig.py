@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
 

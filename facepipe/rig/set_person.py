@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
 from facepipe.rig.person import Person, person_of

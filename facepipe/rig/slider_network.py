@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS
 

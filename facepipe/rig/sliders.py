@@ -11,8 +11,8 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 from facepipe.rig.slider_network import add_network

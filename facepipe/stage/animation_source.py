@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pxr import UsdSkel
 
-from facepipe.errors import InputError
-from facepipe.finite import require_finite
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.finite import require_finite
+from facepipe.core.names import unknown
 from facepipe.parts import Animation, FloatArray
 from facepipe.stage.author_animations import author_source
 from facepipe.stage.face import Face, animation_prims

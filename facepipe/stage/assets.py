@@ -7,10 +7,10 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Usd
 
-from facepipe.errors import InputError
-from facepipe.images import is_image
-from facepipe.reading import check_regular
-from facepipe.trust import check_copied
+from facepipe.core.errors import InputError
+from facepipe.core.images import is_image
+from facepipe.core.reading import check_regular
+from facepipe.core.trust import check_copied
 
 _DEFAULT = Usd.TimeCode.Default()
 _MOST_BYTES = 1 << 28  # of an image

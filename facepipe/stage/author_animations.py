@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FloatArray, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel, Vt
 
-from facepipe.names import unique_identifiers
+from facepipe.core.names import unique_identifiers
 from facepipe.parts import Blendshape, FloatArray, Inbetween
 from facepipe.stage.api_schemas import put
 from facepipe.stage.differences import same

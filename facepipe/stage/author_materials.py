@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
-from facepipe.errors import InputError
-from facepipe.names import unique_identifiers
+from facepipe.core.errors import InputError
+from facepipe.core.names import unique_identifiers
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
 from facepipe.stage.display_names import author_name
 

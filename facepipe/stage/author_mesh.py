@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError
-from facepipe.names import unique_identifiers
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
+from facepipe.core.names import unique_identifiers
 from facepipe.parts import FloatArray, Mesh, Skin
 from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_blendshapes import author_blendshapes

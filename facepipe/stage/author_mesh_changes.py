@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError, TopologyError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Mesh
 from facepipe.stage.api_schemas import put, put_value, remove_schema
 from facepipe.stage.author_blendshapes import author_blendshape_changes

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
 from facepipe.parts import PhotoView
 from facepipe.stage.api_schemas import apply_schema, put, put_value
 from facepipe.stage.differences import same

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
 from facepipe.parts import FloatArray, IntArray, Mesh
 from facepipe.stage.api_schemas import apply_schema, instances, remove_schema
 from facepipe.stage.property_names import check_property_name

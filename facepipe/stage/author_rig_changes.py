@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError, TopologyError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
 from facepipe.stage.api_schemas import put, put_value, remove_schema
 from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits, Recipe, Skeleton, Slider
 from facepipe.rig.sliders import curves_fault, sliders_fault
 from facepipe.stage.api_schemas import apply_schema, put_value

@@ -7,7 +7,7 @@ import json
 import numpy as np
 from pxr import Usd
 
-from facepipe import tokens
+from facepipe.core import tokens
 from facepipe.parts import SliderNetwork
 from facepipe.stage.api_schemas import apply_schema, put, put_value, remove_schema
 from facepipe.stage.differences import same

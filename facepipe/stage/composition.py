@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pxr import Ar, Pcp, Sdf
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.guard import USD_ERRORS
 from facepipe.stage.layer_files import MOST_LEVELS, open_layer
 from facepipe.stage.layer_table import LayerTable

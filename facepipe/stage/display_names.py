@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from pxr import Usd
 
-from facepipe import tokens
-from facepipe.names import unique_identifiers
+from facepipe.core import tokens
+from facepipe.core.names import unique_identifiers
 from facepipe.parts import Mesh, Named, exact
 
 

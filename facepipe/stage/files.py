@@ -13,12 +13,12 @@ from pathlib import Path
 import facepipe_schemas
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
-from facepipe.atomic import replacing, when_placed
-from facepipe.errors import ExportError, InputError, SchemaError
+from facepipe.core.atomic import replacing, when_placed
+from facepipe.core.errors import ExportError, InputError, SchemaError
+from facepipe.core.trust import is_below
 from facepipe.stage.composition import checked_layers, composable_layers
 from facepipe.stage.guard import USD_ERRORS, reason
 from facepipe.stage.stage_counts import check_counts
-from facepipe.trust import is_below
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
 _METADATA = (

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 from pxr import Tf
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 Reader = TypeVar("Reader", bound=Callable[..., Any])
 

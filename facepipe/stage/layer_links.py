@@ -8,8 +8,8 @@ from typing import NamedTuple
 import facepipe_schemas
 from pxr import Ar, Sdf
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
 from facepipe.stage.files import SUFFIXES, quiet_diagnostics
 from facepipe.stage.guard import USD_ERRORS, reason
 from facepipe.stage.layer_files import open_layer

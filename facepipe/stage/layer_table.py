@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pxr import Ar, Sdf
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.layer_files import MOST_LEVELS, check_regular
 
 _LISTS = {"references": False, "payload": False, "inheritPaths": True, "specializes": True}  # field: of classes

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pxr import Sdf, Usd
 
-from facepipe import tokens
+from facepipe.core import tokens
 from facepipe.stage.api_schemas import apply_schema, is_applied, put_value
 from facepipe.stage.guard import reads_prim
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pxr import Sdf, Usd, UsdGeom
 
-from facepipe.names import unique_identifiers
+from facepipe.core.names import unique_identifiers
 
 
 def editable(prim: Usd.Prim, *, below: bool = False) -> Usd.Prim:

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import InputError, TopologyError
-from facepipe.finite import require_finite
+from facepipe.core import tokens
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.finite import require_finite
 from facepipe.parts import Animation, FloatArray, IntArray, Mesh
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import check_units, open_stage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pxr import Sdf
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.api_schemas import is_reserved
 
 _RESERVED_SUFFIX = ":indices"

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdSkel
 
-from facepipe.errors import SchemaError, TopologyError
+from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Blendshape, Inbetween
 from facepipe.stage.display_names import label
 from facepipe.stage.guard import reads_prim

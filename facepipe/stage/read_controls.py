@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.parts import Animation, Slider
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.control_track import Clip, ControlTrack

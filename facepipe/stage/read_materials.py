@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pxr import Sdf, Usd, UsdShade
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Color, Material, Texture, TextureInput
 from facepipe.stage.assets import copy_refusal, name_of, read_image
 from facepipe.stage.display_names import label

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import SchemaError, TopologyError
+from facepipe.core import tokens
+from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.display_names import data_label, label
 from facepipe.stage.guard import reads_prim

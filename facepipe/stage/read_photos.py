@@ -6,8 +6,8 @@ from typing import Any
 
 from pxr import Usd, UsdGeom
 
-from facepipe import tokens
-from facepipe.errors import SchemaError
+from facepipe.core import tokens
+from facepipe.core.errors import SchemaError
 from facepipe.parts import KeyLamp, PhotoView
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.film import Film, from_film

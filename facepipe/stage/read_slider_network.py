@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
-from facepipe import tokens
-from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.reading import check_values
 from facepipe.parts import FaceParts, SliderNetwork
-from facepipe.reading import check_values
 from facepipe.rig.slider_network import network_fault
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.guard import reads_prim

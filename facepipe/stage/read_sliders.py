@@ -7,8 +7,8 @@ from typing import Any
 
 from pxr import Usd
 
-from facepipe import tokens
-from facepipe.errors import SchemaError
+from facepipe.core import tokens
+from facepipe.core.errors import SchemaError
 from facepipe.parts import Curve, Slider
 from facepipe.rig.sliders import curves_fault, sliders_fault
 from facepipe.stage.guard import reads_prim

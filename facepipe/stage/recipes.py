@@ -10,13 +10,13 @@ from typing import NamedTuple
 from urllib.parse import unquote
 
 from facepipe import __version__
-from facepipe.digests import digest
-from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.digests import digest
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.reading import is_file, read_json_object
+from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
-from facepipe.reading import is_file, read_json_object
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage
 from facepipe.stage.read_skeleton import read_recipe
-from facepipe.trust import check_model
 
 _MOST_BYTES = 1 << 28  # of a glTF document
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facepipe import __version__
-from facepipe.errors import SchemaError
+from facepipe.core.errors import SchemaError
 from facepipe.parts import Recipe
 from facepipe.stage.files import relative_path
 from facepipe.stage.recipes import existing_source, recipe_of, source_digest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pxr import Sdf, Usd, UsdSkel
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.layer_files import MOST_LEVELS
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pxr import Usd, UsdUtils
 
-from facepipe.atomic import together
+from facepipe.core.atomic import together
 from facepipe.stage.assets import asset_values, copy_refusal, name_of, read_image
 from facepipe.stage.files import check_suffix, save_layer
 from facepipe.stage.textures import TextureFolder, texture_home

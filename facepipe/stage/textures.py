@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from facepipe.atomic import collect, hidden_folder, replacing_folder, write_bytes
-from facepipe.errors import InputError
-from facepipe.names import file_name
-from facepipe.trust import check_beside
+from facepipe.core.atomic import collect, hidden_folder, replacing_folder, write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.names import file_name
+from facepipe.core.trust import check_beside
 
 
 class TextureFolder:

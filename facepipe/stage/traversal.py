@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from pxr import Usd
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 MOST_PRIMS = 200_000  # a few lines of instances of instances make more prims than memory holds
 

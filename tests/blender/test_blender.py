@@ -19,13 +19,13 @@ from import_data import shared
 from node import validate as khronos
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import main
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
-from facepipe.sample import make
 from facepipe.stage import save_parts
 from facepipe.stage.differences import same
-from facepipe.validate import validate
 
 pytestmark = [pytest.mark.slow, needs_blender]
 

@@ -11,7 +11,7 @@ import pytest
 from facepipe_blender.addon import Options, build
 from facepipe_blender.own_wheel import write_own_wheel
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 
 def test_own_wheel_is_the_same_every_time_and_its_record_holds(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 from blender_python import blender, needs_blender
 from pxr import Usd
 
+from facepipe.checks import validate
 from facepipe.pipeline.host_face import Face, faces_on
-from facepipe.validate import validate
 
 pytestmark = [pytest.mark.slow, needs_blender]
 

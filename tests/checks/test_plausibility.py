@@ -12,13 +12,13 @@ import pytest
 from import_data import shared
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import main
+from facepipe.heads import make
 from facepipe.importers import gltf, load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.rig import implausible
-from facepipe.sample import make
 from facepipe.stage import save_parts
-from facepipe.validate import validate
 
 
 @pytest.fixture(scope="module")

@@ -19,17 +19,17 @@ from neural_faces import neural_rig
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 import facepipe
+from facepipe import heads as sample
 from facepipe import parts as p
-from facepipe import sample
-from facepipe.digests import digest
-from facepipe.errors import InputError
+from facepipe.checks import CHECKS, validate, validate_stage
+from facepipe.checks.usd_registry import available, register
+from facepipe.core.digests import digest
+from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.processors.neural_rig import save_neural_rig
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.neural_rig_link import author_neural_rig_link
-from facepipe.validate import CHECKS, validate, validate_stage
-from facepipe.validate.usd_registry import available, register
 
 NAN = float("nan")
 RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link
@@ -552,9 +552,9 @@ def test_finding_of_numbers_names_the_worst(good_file: Path, tmp_path: Path) -> 
 @pytest.mark.skipif(not available(), reason="this USD takes no checks written in Python")
 def test_importing_the_package_registers_every_check() -> None:
     program = (
-        "import facepipe.validate\nfrom pxr import UsdValidation\n"
+        "import facepipe.checks\nfrom pxr import UsdValidation\n"
         "registry = UsdValidation.ValidationRegistry()\n"
-        "assert all(registry.HasValidator(check.full_name) for check in facepipe.validate.CHECKS)\n"
+        "assert all(registry.HasValidator(check.full_name) for check in facepipe.checks.CHECKS)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

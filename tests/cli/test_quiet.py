@@ -15,7 +15,7 @@ import ctypes, os, sys, types, warnings
 import numpy as np
 from pxr import Tf
 from facepipe import cli
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 def run(arguments):
     np.float32(1e38) * np.float32(1e38)

@@ -20,8 +20,8 @@ from places import REPOSITORY, SUPPORT
 import facepipe
 from facepipe import pipeline
 from facepipe.cli import main
-from facepipe.errors import FacepipeError
-from facepipe.locks import locked
+from facepipe.core.errors import FacepipeError
+from facepipe.core.locks import locked
 from facepipe.parts import FaceParts
 from facepipe.stage import save_parts
 

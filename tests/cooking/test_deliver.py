@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from faces import tiny_face
 
-from facepipe.atomic import collect
-from facepipe.errors import InputError
+from facepipe.core.atomic import collect
+from facepipe.core.errors import InputError
 from facepipe.pipeline.deliver import deliver, outputs
 from facepipe.stage import save_parts
 

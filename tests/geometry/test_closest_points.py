@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from solids import ball
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places, surface_distances
 
 

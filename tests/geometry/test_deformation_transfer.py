@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from import_data import shared
 
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
 from facepipe.geometry.example_rigging.detail import dealt_out
 from facepipe.geometry.example_rigging.examples import checked

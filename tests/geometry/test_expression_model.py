@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import coefficients_in, hold, no_basis

@@ -10,7 +10,7 @@ from import_data import shared
 from scipy.spatial.transform import Rotation
 from solids import ball
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import components, edges, point_areas, point_triangles
 from facepipe.geometry.radial import RadialSurface

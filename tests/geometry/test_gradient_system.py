@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from solvers import SOLVERS
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.bridges import Bridges, joint_bridges, part_bridges
 from facepipe.geometry.differences import cotangent_weights, edge_vectors, incidence
 from facepipe.geometry.factor import Solver, factorise

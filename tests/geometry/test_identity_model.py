@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.identity_model import IdentityModel
 
 

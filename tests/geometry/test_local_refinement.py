@@ -8,7 +8,7 @@ from scan_domes import POSE, dome, grid
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.block_system import BlockSystem, Groups, pairs_within
 from facepipe.geometry.change_smoothness import ChangeSmoothness
 from facepipe.geometry.elimination import Elimination

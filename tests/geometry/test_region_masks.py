@@ -8,7 +8,7 @@ from faces import grid_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.region_masks import normalise_masks, smooth_masks
 

@@ -9,7 +9,7 @@ from scan_actors import Actor, database_faces, ict
 from scan_simulator import SimulatedScan, simulate, visible_triangles
 from scipy.spatial.transform import Rotation
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.registration import (
     Anchors,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from solids import ball
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.scan_surface import CleanSurface, clean_surface

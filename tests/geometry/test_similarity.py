@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
 
 LINE = np.outer([-1.0, 0.0, 0.5, 2.0], [1.0, 2.0, -0.5])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.simplex_fit import SimplexFit, fit_simplex
 
 ProblemArrays = tuple[np.ndarray, np.ndarray, int, int]

@@ -18,7 +18,7 @@ from facepipe_gltf import Options
 from facepipe_gltf.engines import ENGINES, check_engine, renamed
 from gltf_builder import Builder
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 TOLERANCE = 1e-5
 WRONG = 1e-3  # an engine that can't read a layout is off by more

@@ -18,7 +18,7 @@ from node import node_packages, validate
 from textures import COLORS, picture, textured
 
 import facepipe
-from facepipe.errors import ExportError, FacepipeError, InputError
+from facepipe.core.errors import ExportError, FacepipeError, InputError
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Slider, UvSet
 
 __all__ = ["writing", "written"]

@@ -16,10 +16,10 @@ from gltf_export import Parts, random_weights
 from import_data import shared
 from node import HERE, node_packages, run_node, three_load, validate
 
-from facepipe.errors import ExportError
+from facepipe.core.errors import ExportError
+from facepipe.core.reports import ExportReport
 from facepipe.importers import load
 from facepipe.parts import FaceParts
-from facepipe.reports import ExportReport
 from facepipe.stage import save_parts
 
 

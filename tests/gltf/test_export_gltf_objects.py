@@ -16,8 +16,8 @@ from faces import tiny_face
 from gltf_export import Parts, written
 from import_data import shared
 
-from facepipe import sample
-from facepipe.errors import ExportError
+from facepipe import heads as sample
+from facepipe.core.errors import ExportError
 from facepipe.importers import gltf, ict
 from facepipe.parts import FaceParts
 

@@ -31,7 +31,7 @@ from vrm_export import (
     seen,
 )
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import gltf, load
 from facepipe.parts import FaceParts, FloatArray, Slider
 from facepipe.rig import build, slide

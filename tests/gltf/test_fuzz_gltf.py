@@ -18,7 +18,7 @@ from gltf_builder import Builder, Json, build, full_document, glb, make_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.importers import gltf
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)

@@ -25,8 +25,8 @@ from import_data import shared
 from parts_differences import differences
 
 import facepipe
-from facepipe import sample
-from facepipe.errors import FacepipeError
+from facepipe import heads as sample
+from facepipe.core.errors import FacepipeError
 from facepipe.geometry.polygons import triangulate
 from facepipe.importers import gltf, ict, makehuman
 from facepipe.importers.imported import Imported

@@ -15,7 +15,7 @@ from gltf_builder import PNG, Array, Builder, Model, animated, build, make_model
 from places import SHARED
 from pxr import Usd, UsdSkel
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import gltf
 from facepipe.importers.imported import Imported
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from node import node_packages
 from places import SUPPORT
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.checks import validate
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.parts import FaceParts
 from facepipe.stage import Face
-from facepipe.validate import validate
 
 Json = dict[str, Any]
 Seed = Callable[[Json, bytearray], None]

@@ -26,9 +26,9 @@ from vrm_export import (
 )
 
 from facepipe.cli import main
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
+from facepipe.core.names import identifier
 from facepipe.importers import gltf
-from facepipe.names import identifier
 from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin
 from facepipe.stage import save_parts
 

@@ -24,7 +24,7 @@ from vrm_export import (
     read_json,
 )
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Landmarks
 
 

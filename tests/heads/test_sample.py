@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from facepipe.geometry.polygons import components, edges, point_triangles
+from facepipe.heads import eyes, identity, layout, make, mouth, shapes, topology
+from facepipe.heads.meshes import build as build_neutral
 from facepipe.parts import Blendshape, FaceParts, FloatArray, Mesh
-from facepipe.sample import eyes, identity, layout, make, mouth, shapes, topology
-from facepipe.sample.meshes import build as build_neutral
 from facepipe.stage import save_parts
 
 SEEDS = (0, 1, 2, 24)

@@ -10,8 +10,8 @@ from PIL import Image
 
 import facepipe
 from facepipe.cli import main
+from facepipe.heads import make
 from facepipe.processors.sliders.author_sliders import sliders_beyond
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 
 

@@ -70,7 +70,7 @@ def test_export_loads_what_it_needs(tmp_path: Path) -> None:
     assert main(["sample", str(head)]) == 0
     modules = loaded("export", str(head), "-o", str(tmp_path / "head.glb"))
     assert {"pxr", "numpy"} <= {*modules}
-    assert not {"torch", "onnx", "onnxruntime", "facepipe.learn", "facepipe.sample", "facepipe.cli.view"} & {*modules}
+    assert not {"torch", "onnx", "onnxruntime", "facepipe.learn", "facepipe.heads", "facepipe.cli.view"} & {*modules}
     assert len(ours(modules)) <= MOST_FOR_EXPORT, ours(modules)
 
 

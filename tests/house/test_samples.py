@@ -13,8 +13,8 @@ import pytest
 from places import REPOSITORY
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import main
-from facepipe.validate import validate
 
 FOLDER = REPOSITORY / "samples"
 FILES = sorted(FOLDER.glob("*.usdz"))

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from import_data import damaged, packed, refused, shared, wrong_array
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
 from facepipe.importers import load
 from facepipe.importers.ict import Options, read

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from import_data import damaged, refused, shared, wrong_array
 from packed_makehuman import PACKED, arrays, small_head
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.importers.makehuman import Options, read
 from facepipe.importers.makehuman_landmarks import BASE_VERTICES

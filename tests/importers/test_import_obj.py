@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from import_data import damaged, refused
 from obj_files import MTL, NEUTRAL, PNG
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import load
 from facepipe.importers.obj import Options, read
 from facepipe.importers.wavefront import read_obj

@@ -16,13 +16,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
 import facepipe
 from facepipe import parts as p
-from facepipe.errors import FacepipeError, InputError, SchemaError, TopologyError
+from facepipe.checks import validate
+from facepipe.core.errors import FacepipeError, InputError, SchemaError, TopologyError
 from facepipe.rig import coefficient_matrices
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author import author
 from facepipe.stage.traversal import prims_below
 from facepipe.stage.values import floats, ints, to_floats, to_ints, to_matrices, to_vec3f
-from facepipe.validate import validate
 
 TOLERANCE = 1e-5  # of the head height
 

@@ -11,7 +11,7 @@ from foreign_stages import HEAD, TEETH, foreign_stage, read, rich_face, warned, 
 from oracle import bake, difference, played
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdSkel
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.importers.options import parse_variants
 from facepipe.importers.usd import Options

@@ -16,7 +16,7 @@ from import_data import damaged, refused, shared
 from scan_files import CUBE, PAINT, SIDES, cube
 from solids import ball
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import edges
 from facepipe.importers.scan_file import read_scan

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.scans import ScanLandmarks
 

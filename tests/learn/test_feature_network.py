@@ -17,6 +17,7 @@ from onnx import numpy_helper
 from PIL import Image, ImageDraw
 from with_torch import torch
 
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import sample_crop
@@ -26,8 +27,7 @@ from facepipe.learn.light import ambient, distant
 from facepipe.learn.rasterise import rasterise
 from facepipe.learn.surfaces import opaque_surfaces
 from facepipe.parts import FaceParts
-from facepipe.render.camera import Frame, portrait
-from facepipe.sample import make
+from facepipe.pictures.camera import Frame, portrait
 
 FILE = Path(str(files("facepipe.learn.networks") / "face_features.onnx"))
 SEED = 41  # of a sample that training does not draw

@@ -9,7 +9,7 @@ import pytest
 from places import SHARED
 from with_torch import tensor, torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import (
     ARCFACE_TEMPLATE,
     TEMPLATE,

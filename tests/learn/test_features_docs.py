@@ -12,7 +12,7 @@ from feature_graphs import arcface_like, save
 from places import REPOSITORY
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import ARCFACE_TEMPLATE, TEMPLATE
 from facepipe.learn.features.description import DEFAULT_SIZES, DEFAULTS, KINDS, describe
 from facepipe.learn.features.extractor import load_extractor

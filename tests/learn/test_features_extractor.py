@@ -13,11 +13,11 @@ from feature_graphs import Network, arcface_like, attribute_net, bisenet_like, m
 from onnx import TensorProto, helper
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.trust import Trust, trusting
 from facepipe.learn.features.crops import TEMPLATE, arcface_crop, face_crop
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
-from facepipe.trust import Trust, trusting
 
 MEAN, STD = (0.4, 0.5, 0.6), (0.2, 0.25, 0.3)
 

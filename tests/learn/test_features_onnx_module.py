@@ -13,7 +13,7 @@ from import_data import refused
 from onnx import TensorProto, helper, numpy_helper
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_module import OnnxModule
 
 NETWORKS = {"arcface": arcface_like, "bisenet": bisenet_like, "attributes": attribute_net}

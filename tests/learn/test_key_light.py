@@ -1,4 +1,4 @@
-"""A lamp beside the harmonics: the shading that `facepipe.render` has, its gradient, and images that it lights."""
+"""A lamp beside the harmonics: the shading that `facepipe.pictures` has, its gradient, and images that it lights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from photo_people import joint_loss, model, portrait
 from with_torch import torch
 
 from facepipe.learn.key_light import DARK, KeyLight, hue_cost
-from facepipe.render.lighting import Light, Samples, Studio, lit
+from facepipe.pictures.lighting import Light, Samples, Studio, lit
 
 DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5
 NUMBERS = torch.tensor([*DIRECTION, *COLOR, SHINE, math.log(2 / ROUGHNESS**4 - 2)], dtype=torch.float64)
@@ -31,7 +31,7 @@ def lamp(numbers: torch.Tensor = NUMBERS) -> KeyLight:
 
 
 def test_it_shines_as_the_lamps_of_pictures_do() -> None:
-    """`facepipe.render` has the same model, written without torch."""
+    """`facepipe.pictures` has the same model, written without torch."""
     normals, eye, _ = surface()
     all_of_it = torch.ones(len(normals), dtype=torch.float64)
     matt, mirrored = lamp().shade(normals, eye, all_of_it)

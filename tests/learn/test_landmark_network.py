@@ -13,9 +13,9 @@ from places import REPOSITORY, SHARED
 
 pytest.importorskip("torch", reason="the landmark network's search needs torch")
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.learn.networks import FoundFace, find_landmarks, landmark_model
-from facepipe.sample import make
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from with_torch import tensor, torch
 
+from facepipe.heads import make
 from facepipe.learn.antialias import antialias
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, distant, shade
 from facepipe.learn.normals import PointNormals
 from facepipe.learn.outline import Outline, mesh_edges
 from facepipe.learn.rasterise import barycentrics, interpolate, rasterise
-from facepipe.render.camera import Frame, portrait
-from facepipe.render.scene import Scene, build_scene
-from facepipe.sample import make
+from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.scene import Scene, build_scene
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 

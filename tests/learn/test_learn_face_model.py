@@ -14,14 +14,14 @@ from faces import grid_mesh, replace_mesh, tiny_face
 from PIL import Image
 from with_torch import tensor, torch
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts, Material, MaterialFaces, Texture, TextureInput
-from facepipe.render.camera import Frame, portrait
+from facepipe.pictures.camera import Frame, portrait
 from facepipe.rig import build
-from facepipe.sample import make
 
 WHITE = ambient(torch.ones(3))
 
@@ -186,12 +186,12 @@ def test_gradient_descent_finds_a_slider_again(name: str, value: float) -> None:
 
 
 def test_the_rest_of_facepipe_does_without_torch() -> None:
-    code = "import sys, facepipe, facepipe.cli, facepipe.rig, facepipe.render\nassert 'torch' not in sys.modules"
+    code = "import sys, facepipe, facepipe.cli, facepipe.rig, facepipe.pictures\nassert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
     hidden = (
         "import sys; sys.modules['torch'] = None; import importlib.util as u; find = u.find_spec\n"
         "u.find_spec = lambda name, *rest: None if name == 'torch' else find(name, *rest)\n"
-        "from facepipe.errors import InputError\n"
+        "from facepipe.core.errors import InputError\n"
         "try:\n    import facepipe.learn\nexcept InputError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", hidden], check=True, timeout=60, capture_output=True, text=True)

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.heads import make
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, basis, distant, shade
 from facepipe.learn.normals import PointNormals
 from facepipe.learn.texture import bilinear
-from facepipe.render import textures
-from facepipe.render.camera import Frame, portrait
-from facepipe.sample import make
+from facepipe.pictures import textures
+from facepipe.pictures.camera import Frame, portrait
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.0099, 0.0101, 1.0, 3.0, 7.0])

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from with_torch import tensor, torch
 
+from facepipe.heads import make
 from facepipe.learn import rasterise as module
 from facepipe.learn.camera import Camera
 from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 from facepipe.parts import FaceParts
-from facepipe.render import rasterise as pictures
-from facepipe.render.camera import Frame, portrait
-from facepipe.render.scene import build_scene
-from facepipe.sample import make
+from facepipe.pictures import rasterise as pictures
+from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.scene import build_scene
 
 HEIGHT, WIDTH = 20, 26
 

@@ -12,13 +12,13 @@ from import_data import shared
 from oracle import random_coefficients
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
-from facepipe.sample import make
 
 
 @cache

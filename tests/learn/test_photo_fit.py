@@ -17,7 +17,7 @@ from recovery_measures import recovery
 from recovery_targets import target
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.photo.descent import descend
 from facepipe.learn.photo.fit import fit_photos

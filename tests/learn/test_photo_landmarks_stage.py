@@ -16,16 +16,16 @@ from recovery_looks import Pose, camera_of
 from recovery_targets import posed, random_sliders
 from with_torch import tensor, torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts, Slider, SliderNetwork
-from facepipe.render import camera as render_camera
+from facepipe.pictures import camera as render_camera
 from facepipe.rig import slide
-from facepipe.sample import make
 
 SIZE = 256.0
 INNER = slice(CONTOUR.stop, 68)

@@ -14,7 +14,8 @@ from command_line import done, failed, run
 from PIL import Image
 from with_torch import torch
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.heads import make
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient
@@ -37,7 +38,6 @@ from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 from facepipe.processors.photo_fit import read_photo_recipe
-from facepipe.sample import make
 from facepipe.stage import save_parts
 from facepipe.start_options import StartOptions
 

@@ -16,7 +16,7 @@ from faces import grid_mesh, replace_mesh, tiny_face
 from import_data import shared
 from oracle import random_coefficients
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.importers import load
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Skeleton, Skin, Slider
 from facepipe.rig import Rig, build

@@ -16,7 +16,7 @@ from network_faces import SLIDERS, network, networked
 from slider_faces import random_values, sample_with_sliders
 from with_torch import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.sliders import DistilReport, DistilSliders
 from facepipe.rig import build, slide

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from import_data import refused
 from onnx import TensorProto, helper
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from facepipe_onnx import Deformer, Options, export_parts, validate
 from faces import tiny_face
 from slider_faces import jointless
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.stage import save_parts
 

@@ -19,7 +19,7 @@ from network_faces import network, networked
 from neural_faces import face, neural_rig
 from slider_faces import jointless, random_values, sample_with_sliders
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.processors.neural_rig import with_neural_rig
 from facepipe.rig import build, slide

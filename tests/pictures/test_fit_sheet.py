@@ -11,8 +11,8 @@ import scan_domes
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import Material
+from facepipe.pictures.fit_sheet import FitPicture, fit_sheet
 from facepipe.processors.database.whole_faces import whole_parts, whole_points
-from facepipe.render.fit_sheet import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
@@ -92,7 +92,7 @@ def test_a_neutral_that_differs_is_drawn_last() -> None:
 
 @pytest.mark.parametrize("count", [3, 0])
 def test_distances_of_other_points_are_refused(count: int) -> None:
-    from facepipe.errors import InputError
+    from facepipe.core.errors import InputError
 
     with pytest.raises(InputError, match="heat map"):
         fit_sheet(replace(shown(), distances=np.zeros(count)))

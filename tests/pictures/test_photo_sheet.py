@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Mesh, Slider
-from facepipe.render import photo_pictures as pictures
-from facepipe.render.curves import COLORS, HEIGHT, loss_curves, spread
-from facepipe.render.photo_sheets import WIDTH, PhotoSheet, SheetPhoto, facts, photo_sheet
-from facepipe.render.slider_table import ABOVE, MOST_SLIDERS, TRACK, UNDER, shape_table, slider_table
-from facepipe.render.typesetting import MUTED, fitted, text_width
-from facepipe.render.wireframe import wireframe
+from facepipe.pictures import photo_pictures as pictures
+from facepipe.pictures.curves import COLORS, HEIGHT, loss_curves, spread
+from facepipe.pictures.photo_sheets import WIDTH, PhotoSheet, SheetPhoto, facts, photo_sheet
+from facepipe.pictures.slider_table import ABOVE, MOST_SLIDERS, TRACK, UNDER, shape_table, slider_table
+from facepipe.pictures.typesetting import MUTED, fitted, text_width
+from facepipe.pictures.wireframe import wireframe
 
 NAN = float("nan")
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from faces import grid_mesh
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Material
-from facepipe.render import PictureOptions, picture
-from facepipe.render.camera import Camera, Frame, portrait
-from facepipe.render.lighting import PORTRAIT, Light, Studio
-from facepipe.render.textures import srgb_to_linear
+from facepipe.pictures import PictureOptions, picture
+from facepipe.pictures.camera import Camera, Frame, portrait
+from facepipe.pictures.lighting import PORTRAIT, Light, Studio
+from facepipe.pictures.textures import srgb_to_linear
 
 GREY = Material(name="Grey", diffuse_color=(0.5, 0.5, 0.5), roughness=1.0)
 NO_LIGHT = Studio(lights=(), sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))

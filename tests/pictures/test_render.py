@@ -11,14 +11,14 @@ from faces import grid_mesh
 from PIL import Image
 from places import SHARED
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
-from facepipe.render import HeatMap, PictureOptions, contact_sheet, picture, save_png
-from facepipe.render.camera import Frame, portrait
-from facepipe.render.heatmap import NO_VALUE, STATIONS, ticks
-from facepipe.render.occlusion import ambient_occlusion, depth_map
-from facepipe.render.rasterise import barycentrics, rasterise, screen_triangles
-from facepipe.render.textures import bilinear, linear_to_srgb, srgb_to_linear
+from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
+from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
+from facepipe.pictures.occlusion import ambient_occlusion, depth_map
+from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
+from facepipe.pictures.textures import bilinear, linear_to_srgb, srgb_to_linear
 
 
 def screen_points(xyw: list[tuple[float, float, float]]) -> np.ndarray:
@@ -451,15 +451,15 @@ def test_an_empty_face_is_background() -> None:
 def test_bands_join_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = FaceParts(meshes=(grid_mesh(), square("Film", 1.0, material="film")), materials=_film())
     whole = drawn(parts, view="three-quarter")
-    monkeypatch.setattr("facepipe.render.draw.SAMPLES_PER_BAND", 64 * 4 * 7)
+    monkeypatch.setattr("facepipe.pictures.draw.SAMPLES_PER_BAND", 64 * 4 * 7)
     np.testing.assert_array_equal(drawn(parts, view="three-quarter"), whole)
 
 
 def test_chunks_of_fragments_join_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = FaceParts(meshes=(grid_mesh(),))
     whole = drawn(parts, view="three-quarter")
-    monkeypatch.setattr("facepipe.render.rasterise.ROWS_PER_CHUNK", 50)
-    monkeypatch.setattr("facepipe.render.rasterise.FRAGMENTS_PER_CHUNK", 100)
+    monkeypatch.setattr("facepipe.pictures.rasterise.ROWS_PER_CHUNK", 50)
+    monkeypatch.setattr("facepipe.pictures.rasterise.FRAGMENTS_PER_CHUNK", 100)
     np.testing.assert_array_equal(drawn(parts, view="three-quarter"), whole)
 
 

@@ -19,13 +19,13 @@ from oracle import difference, played
 
 import facepipe
 from facepipe.cli import main
+from facepipe.heads import make as make_sample
 from facepipe.importers import load
 from facepipe.importers.gltf import Options as GltfOptions
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
 from facepipe.pipeline.animate import AnimateJob, make
 from facepipe.processors.animate import AnimateOptions, Performance, read_performance
-from facepipe.sample import make as make_sample
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

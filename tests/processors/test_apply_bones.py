@@ -14,12 +14,12 @@ from faces import tiny_face
 from oracle import difference, played
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.payload import PayloadContent, Precision, encode
 from facepipe.processors.apply_bones import ApplyBones
 from facepipe.rig import rest_coefficients
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 from facepipe.stage.animation_source import play
 

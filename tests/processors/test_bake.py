@@ -14,7 +14,7 @@ from oracle import played
 from pxr import Sdf, Usd, UsdGeom
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts
 from facepipe.processors.neural_rig import (
     FrameBlocksOptions,

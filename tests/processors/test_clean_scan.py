@@ -9,7 +9,7 @@ import pytest
 from import_data import shared
 from solids import ball
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
 from facepipe.processors.clean_scan import CleanScan
 from facepipe.scans import Scan

@@ -25,13 +25,13 @@ from import_data import shared
 from payloads import REST, contents, tiny_payload
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.payload import MAX_VALUES, PayloadContent, Precision, decode, encode, read_header
 from facepipe.processors.apply_bones import ApplyBones
 from facepipe.processors.bone_payload import write_payload
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 
 JOINTS = tuple(f"root/joint{i}" for i in range(11))

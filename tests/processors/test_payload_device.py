@@ -24,10 +24,10 @@ from payloads import contents
 
 import facepipe
 from facepipe.cli import main
+from facepipe.heads import make
 from facepipe.parts import FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.rig import rest_coefficients
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 
 TOLERANCE = 1e-5  # head heights

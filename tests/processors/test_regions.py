@@ -21,18 +21,18 @@ from pxr import Sdf
 from region_painter import COLORS, legend_of, paint, save
 
 import facepipe
-from facepipe.errors import InputError, TopologyError
+from facepipe.checks import validate
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.importers.region_image import read_region_image
 from facepipe.parts import FaceParts, Mesh, UvSet
+from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
+from facepipe.pictures.heatmap import NO_VALUE
+from facepipe.pictures.regions import region_colors
 from facepipe.processors.region_legend import RegionLegend, read_legend
 from facepipe.processors.regions import SetRegions
-from facepipe.render import HeatMap, PictureOptions, RegionColors, picture
-from facepipe.render.heatmap import NO_VALUE
-from facepipe.render.regions import region_colors
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate
 
 RED, GREEN, BLUE = COLORS[:3]
 Array = np.ndarray[Any, Any]
@@ -57,7 +57,7 @@ def solid(*rows: tuple[Array, ...], alpha: bool = False) -> Array:
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample head on disk, with a map painted from its own masks and a legend beside it."""
-    from facepipe.sample import make
+    from facepipe.heads import make
 
     folder = tmp_path_factory.mktemp("sample")
     parts = make()

@@ -15,16 +15,16 @@ from scan_simulator import ScanOptions, simulate
 from solids import ball
 
 from facepipe.cli import main
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, surface_look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.geometry.small_holes import small_holes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
 from facepipe.processors.scan_landmarks.frame import face_frame
 from facepipe.processors.scan_landmarks.look_again import MIRRORED
-from facepipe.render.surface_view import draw_surface
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng

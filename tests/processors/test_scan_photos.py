@@ -20,7 +20,7 @@ from scan_actors import Actor, ict
 from scan_simulator import visible_triangles
 
 from facepipe.cli import main
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.similarity import Similarity, fit_similarity
 from facepipe.importers.scan_landmarks import read_scan_landmarks

@@ -13,8 +13,8 @@ import pytest
 from photo_booth import camera_at, noise_photos
 from PIL import Image
 
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.declare import fields_of
-from facepipe.errors import FacepipeError, InputError
 from facepipe.processors.scan_photos import (
     Cameras,
     ScanPhotos,

@@ -11,7 +11,7 @@ from photo_booth import camera_at
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos import (
     PhotoCamera,

@@ -27,9 +27,9 @@ from agreement import (
 from facepipe_gltf.engines import ENGINES, renamed
 from node import three_load
 
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.rig import coefficient_matrices
-from facepipe.sample import make
 
 
 @pytest.fixture(scope="module", params=["sample", "ict", "makehuman"])

@@ -5,8 +5,8 @@ from collections import Counter
 import pytest
 
 from facepipe.cli.parser import coefficients_of
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean, find, find_joint
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean, find, find_joint
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import CONVENTIONS, match_shapes, meaning, recognised, shape_key
 

@@ -16,7 +16,7 @@ from oracle import bake, difference, random_coefficients
 from pxr import UsdSkel
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.importers import gltf
 from facepipe.parts import Animation, FaceParts
 from facepipe.processors.fit_bones.rig_checks import check_rig

@@ -15,7 +15,7 @@ from pxr import Gf, Usd, UsdSkel, Vt
 from scipy.spatial.transform import Rotation
 
 from facepipe.cli import main
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Slider
 from facepipe.rig import (
     build,

@@ -18,7 +18,8 @@ from oracle import bake, played
 
 import facepipe
 from facepipe.cli import main
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.heads import make
 from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
 from facepipe.rig import (
     build,
@@ -31,7 +32,6 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.rig.set_error import random_poses
-from facepipe.sample import make
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

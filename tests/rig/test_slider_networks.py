@@ -13,7 +13,7 @@ from facepipe_onnx import Deformer, Options, export_parts, validate
 from network_faces import CHANNELS, SLIDERS, network, networked
 from slider_faces import jointless, random_values
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.importers.slider_network import read_network
 from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS as NAMES

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import facepipe
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.importers import usd as usd_importer
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import rest_coefficients, slide

@@ -13,10 +13,10 @@ from oracle import difference, played
 from pxr import Sdf, Usd, UsdSkel
 
 import facepipe
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.importers.usd import Options
 from facepipe.parts import Animation, FaceParts
-from facepipe.sample import make
 from facepipe.stage import save_parts
 
 

@@ -18,11 +18,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 import facepipe
 from facepipe import parts as p
-from facepipe import tokens
-from facepipe.errors import FacepipeError, InputError
+from facepipe.checks import validate_stage
+from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
-from facepipe.validate import validate_stage
 
 Change = Callable[[p.FaceParts], p.FaceParts]
 

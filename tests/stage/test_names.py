@@ -10,10 +10,10 @@ from hostile_names import HOSTILE, hostile_document, names_of
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 import facepipe
+from facepipe.checks import validate
+from facepipe.core.names import identifier
 from facepipe.importers import load
-from facepipe.names import identifier
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_a_name_with_nul_is_refused(tmp_path: Path) -> None:
     builder = hostile_document()
     builder.root["animations"][3]["name"] = "a\0b"
     (tmp_path / "nul.glb").write_bytes(builder.glb())
-    with pytest.raises(facepipe.errors.InputError, match="NUL"):
+    with pytest.raises(facepipe.core.errors.InputError, match="NUL"):
         load("gltf", tmp_path / "nul.glb")
 
 

@@ -12,12 +12,12 @@ from parts_differences import assert_same
 from pxr import Gf, Usd
 
 import facepipe
-from facepipe import tokens
-from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.checks import validate
+from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.parts import FaceParts, KeyLamp
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
-from facepipe.validate import validate
 
 NAN, INFINITY = float("nan"), float("inf")
 NAMES = (tokens.PHOTO_KEY_COLOR, tokens.PHOTO_KEY_DIRECTION, tokens.PHOTO_KEY_EXPONENT, tokens.PHOTO_KEY_SHINE)

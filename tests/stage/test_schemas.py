@@ -12,7 +12,7 @@ import pytest
 from places import REPOSITORY
 from pxr import Sdf, Usd
 
-from facepipe import tokens
+from facepipe.core import tokens
 
 
 @pytest.mark.skipif(Usd.GetVersion() < (0, 26, 5), reason="usdGenSchema of older usd-core lacks the base schemas")

@@ -20,7 +20,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 import facepipe
 from facepipe import parts as p
-from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.stage import save_parts
 
 
@@ -109,7 +109,7 @@ def test_a_kill_in_the_middle_of_a_save_leaves_the_old_file_whole(tmp_path: Path
         "if sys.argv[3] == 'flushed': os.fsync = lambda file: (flush(file), die())\n"
         "if sys.argv[3] == 'renaming': sys.addaudithook(hook)\n"
         "if sys.argv[3] == 'renamed':\n"
-        "    import facepipe.atomic; facepipe.atomic.sync_folder = die\n"
+        "    import facepipe.core.atomic; facepipe.core.atomic.sync_folder = die\n"
         "save_parts(replace(tiny_face(), attribution='new ' * 40000), sys.argv[1])\n"
     )
     for moment in ("flushed", "renaming", "renamed"):

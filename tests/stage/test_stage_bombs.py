@@ -15,7 +15,7 @@ import pytest
 from layers import prim, write
 from pxr import Sdf, Usd
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.composition import Composition
 from facepipe.stage.files import dependencies, open_stage
 from facepipe.stage.layer_links import layer_links

@@ -10,13 +10,13 @@ from faces import tiny_face
 from layers import prim, write
 from pxr import Usd, UsdSkel
 
-from facepipe.errors import InputError, SchemaError
+from facepipe.checks import validate_stage
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.importers import load
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.files import open_stage
 from facepipe.stage.read_blendshapes import MOST_INBETWEENS
 from facepipe.stage.traversal import MOST_OF
-from facepipe.validate import validate_stage
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
 

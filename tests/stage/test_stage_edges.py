@@ -14,9 +14,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 import facepipe
 from facepipe import parts as p
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.names import unique_identifiers
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.names import unique_identifiers
 from facepipe.stage import save_parts
 
 

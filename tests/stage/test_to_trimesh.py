@@ -15,8 +15,8 @@ from faces import replace_mesh, tiny_face
 from import_data import shared
 
 import facepipe
-from facepipe import sample
-from facepipe.errors import InputError
+from facepipe import heads as sample
+from facepipe.core.errors import InputError
 from facepipe.importers import makehuman
 from facepipe.parts import FaceParts, Slider
 from facepipe.stage import Face, save_parts

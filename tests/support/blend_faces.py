@@ -12,11 +12,11 @@ from faces import replace_mesh
 from import_data import shared
 from scipy.spatial.transform import Rotation
 
+from facepipe.heads import make
 from facepipe.importers import ict, makehuman
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
 from facepipe.rig import mesh_spaces
-from facepipe.sample import make
 from facepipe.stage import Face
 
 KINDS = ("sample", "ict", "makehuman")

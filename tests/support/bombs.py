@@ -108,7 +108,7 @@ def texture(data: Callable[[], bytes]) -> Callable[[Path], Words]:
 
     def build(folder: Path) -> Words:
         from facepipe.parts import Texture
-        from facepipe.render.textures import decode
+        from facepipe.pictures.textures import decode
 
         return lambda: decode(Texture(name="skin.png", data=data()), 512)
 
@@ -206,7 +206,7 @@ def reading(reader: str, file: str) -> Callable[[Path], Words]:
     def build(folder: Path) -> Words:
         from facepipe_gltf.raw import RawDocument
 
-        from facepipe.digests import digest
+        from facepipe.core.digests import digest
         from facepipe.importers.landmark_file import read_landmarks
         from facepipe.importers.npz import array_names
 
@@ -423,7 +423,7 @@ GROUPS: dict[str, dict[str, tuple[Callable[[Path], Words], str]]] = {
 def run(words: Words) -> int:
     """The exit code of a command, or of a reader as a command would have it."""
     from facepipe.cli import main as command
-    from facepipe.errors import FacepipeError
+    from facepipe.core.errors import FacepipeError
 
     if not callable(words):
         return command(words)

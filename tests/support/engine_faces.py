@@ -16,12 +16,12 @@ from gltf_reader import Gltf, activate, local_matrix, read
 from import_data import SHARED, shared
 
 import facepipe
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.processors.skin import SkinFace, SkinOptions
 from facepipe.rig import rest_coefficients
 from facepipe.rig.trs import decompose
-from facepipe.sample import make
 from facepipe.stage import Face
 
 LAYOUTS: dict[str, dict[str, Any]] = {

@@ -26,11 +26,11 @@ from PIL import Image
 from rebuild_stages import put_scans
 
 from facepipe.cli import main
+from facepipe.heads import make
 from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
+from facepipe.pictures import PictureOptions
 from facepipe.processors.database import save_database
-from facepipe.render import PictureOptions
-from facepipe.sample import make
 from facepipe.stage import save_parts
 
 HEADS = """

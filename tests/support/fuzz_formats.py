@@ -46,9 +46,9 @@ from small_sources import made
 
 import facepipe
 from facepipe.cli import main
+from facepipe.heads import make as make_sample
 from facepipe.pipeline.verbs import VERBS
 from facepipe.processors.database import DatabaseOptions, create_database, save_database
-from facepipe.sample import make as make_sample
 from facepipe.stage import save_parts
 
 Rng = random.Random

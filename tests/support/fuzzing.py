@@ -25,7 +25,7 @@ from pathlib import Path
 
 from facepipe.cli import main
 from facepipe.cli.quiet import quiet_libraries
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 MEMORY = 3 << 30  # bytes of address space
 SECONDS = 30  # of processor time: no command may take longer over files of some kilobytes

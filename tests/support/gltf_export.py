@@ -14,8 +14,8 @@ from facepipe_gltf import Options, export
 from gltf_reader import Gltf, read
 from node import validate
 
+from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, Mesh, Skin
-from facepipe.reports import ExportReport
 from facepipe.rig import build, coefficient_matrices
 
 Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # (x, y, z) -> (x, z, -y)

@@ -12,7 +12,7 @@ from pxr import Usd
 
 import facepipe
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import SliderNetwork
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes

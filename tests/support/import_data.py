@@ -12,7 +12,7 @@ import pytest
 from hypothesis import strategies as st
 from places import SHARED
 
-from facepipe.errors import FacepipeError
+from facepipe.core.errors import FacepipeError
 
 
 def shared(path: str) -> Path:

@@ -67,14 +67,14 @@ class Call(Line):
 @functools.cache
 def quicken() -> None:
     """What takes long and writes nothing is done once: sample heads; pixels of rendered faces are black."""
-    import facepipe.render.face_picture
-    import facepipe.render.scan_sheet
-    import facepipe.sample
+    import facepipe.heads
+    import facepipe.pictures.face_picture
+    import facepipe.pictures.scan_sheet
 
-    facepipe.sample.make = functools.cache(facepipe.sample.make)
-    facepipe.sample.make(0)
-    facepipe.render.face_picture.draw = lambda shader, size, *_: np.zeros((size, size, 3), np.uint8)
-    facepipe.render.scan_sheet.draw_surface = lambda look, view: (
+    facepipe.heads.make = functools.cache(facepipe.heads.make)
+    facepipe.heads.make(0)
+    facepipe.pictures.face_picture.draw = lambda shader, size, *_: np.zeros((size, size, 3), np.uint8)
+    facepipe.pictures.scan_sheet.draw_surface = lambda look, view: (
         np.zeros((view.size, view.size, 3)),
         np.zeros((view.size, view.size)),
     )
@@ -405,7 +405,7 @@ def _small_faces() -> None:
 def _heads() -> None:
     from photographed_face import write_photos
 
-    from facepipe.sample import make
+    from facepipe.heads import make
     from facepipe.stage import save_parts
 
     parts = make(0)

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from facepipe import atomic
-from facepipe.atomic import collect, discard_stale, replacing_folder, together, write_bytes
-from facepipe.errors import InputError
+from facepipe.core import atomic
+from facepipe.core.atomic import collect, discard_stale, replacing_folder, together, write_bytes
+from facepipe.core.errors import InputError
 
 _STEPS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "shutil.rmtree"}
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT

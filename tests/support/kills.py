@@ -111,7 +111,7 @@ class Steps:
         """From now on; for good."""
         from pxr import Sdf, UsdUtils
 
-        from facepipe import atomic
+        from facepipe.core import atomic
 
         sys.addaudithook(self._audit)
         # what raises no event: what goes to the disk, what the system does for us, what USD writes

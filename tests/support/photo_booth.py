@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_normals
+from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.processors.scan_photos import PhotoCamera
-from facepipe.render.rasterise import barycentrics, rasterise, screen_triangles
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

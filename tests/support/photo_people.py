@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from with_torch import torch
 
+from facepipe.heads import make
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.key_light import DARK, KeyLight
 from facepipe.learn.light import ambient, distant
@@ -21,7 +22,6 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
-from facepipe.sample import make
 
 SMILE = {"jawOpen": 0.3, "mouthSmileLeft": 0.5, "mouthSmileRight": 0.4}
 

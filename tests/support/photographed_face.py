@@ -13,9 +13,9 @@ from command_line import exit_code
 from PIL import Image
 
 from facepipe.parts import FaceParts
-from facepipe.render import PictureOptions, picture
-from facepipe.render.camera import Camera
-from facepipe.render.lighting import Light, Studio
+from facepipe.pictures import PictureOptions, picture
+from facepipe.pictures.camera import Camera
+from facepipe.pictures.lighting import Light, Studio
 from facepipe.rig import build, slide
 
 SLIDERS = {"jawWidth": -0.7, "eyeSpacing": 0.6, "mouthWidth": 0.7}

@@ -11,7 +11,7 @@ from scan_actors import ict
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.similarity import Similarity
-from facepipe.render.rasterise import rasterise, screen_triangles
+from facepipe.pictures.rasterise import rasterise, screen_triangles
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from import_data import shared
 
+from facepipe.heads import make
 from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport
 from facepipe.processors.skin.eyeballs import eyeballs_of
 from facepipe.processors.skin.surface import surface_of
-from facepipe.sample import make
 from facepipe.stage import Face
 
 Array = np.ndarray[Any, Any]

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from import_data import shared
 
+from facepipe.heads import make
 from facepipe.importers import load, makehuman
 from facepipe.parts import Curve, FaceParts, Skeleton, Slider
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import channel_entries, shape_entries, with_entries
-from facepipe.sample import make
 
 BEND: Curve = ((0.0, 0.0), (0.3, 0.1), (0.8, 0.9), (1.0, 1.0))
 DECREASE: Curve = ((-1.0, 1.0), (0.0, 0.0))

@@ -16,9 +16,9 @@ from facepipe_gltf.vrm.meta import LICENSE_URL
 from gltf_export import Parts, limited
 from node import vrm_load
 
-from facepipe import sample
+from facepipe import heads as sample
+from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, FloatArray, Skeleton
-from facepipe.reports import ExportReport
 from facepipe.rig import build
 
 TERMS = {"license_url": LICENSE_URL, "authors": "someone"}

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 from places import SUPPORT
 
-from facepipe import atomic, hidden_folders, locks, placing
-from facepipe.atomic import apart, collect, hidden_folder, replacing, replacing_folder, together, write_bytes
-from facepipe.errors import InputError
-from facepipe.trust import Trust, trusting
+from facepipe.core import atomic, hidden_folders, locks, placing
+from facepipe.core.atomic import apart, collect, hidden_folder, replacing, replacing_folder, together, write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.trust import Trust, trusting
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no such calls there")
 KEY = "0123456789abcdef"
@@ -418,7 +418,7 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
     script = (
         "import os, signal, sys\n"
         "from facepipe.cli import main\n"
-        "from facepipe.atomic import write_bytes\n"
+        "from facepipe.core.atomic import write_bytes\n"
         "from facepipe.cli import sample_command\n"
         "sample_command.make_sample = lambda out, seed: write_bytes(out, b'head')\n"
         "os.fsync = lambda file: os.kill(os.getpid(), getattr(signal, sys.argv[1]))\n"

@@ -15,17 +15,17 @@ from full_faces import PNG, full_face
 from pxr import Sdf, Usd, UsdUtils
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.trust import Trust, trusting
 from facepipe.importers import load
 from facepipe.parts import TextureInput
+from facepipe.pictures.textures import decode
 from facepipe.registry import exporter
-from facepipe.render.textures import decode
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author_materials import textures_of
 from facepipe.stage.recipes import source_digest
-from facepipe.trust import Trust, trusting
-from facepipe.validate import validate
 
 OWN = "./face_textures/skin.png"
 SECRET = PNG + b"secret"

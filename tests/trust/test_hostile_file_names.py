@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
 import facepipe
-from facepipe.errors import InputError
-from facepipe.names import file_name
+from facepipe.core.errors import InputError
+from facepipe.core.names import file_name
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
 from facepipe.processors.rebuild import read_project
 from facepipe.stage import save_parts

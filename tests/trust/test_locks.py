@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from facepipe import locks
-from facepipe.errors import InputError
-from facepipe.locks import discard_lock, locked
+from facepipe.core import locks
+from facepipe.core.errors import InputError
+from facepipe.core.locks import discard_lock, locked
 
 _HOLDER = """
 import sys, time
-from facepipe.locks import locked
+from facepipe.core.locks import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(600)

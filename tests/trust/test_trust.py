@@ -9,8 +9,8 @@ import pytest
 from command_line import done, failed
 
 from facepipe.cli import main
-from facepipe.errors import InputError
-from facepipe.trust import (
+from facepipe.core.errors import InputError
+from facepipe.core.trust import (
     Trust,
     check_copied,
     check_model,

@@ -17,7 +17,7 @@ from faces import tiny_face
 from small_sources import WORDS
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.pipeline.live_blend import LiveBlend
 from facepipe.rig import build
 from facepipe.stage import save_parts

@@ -22,10 +22,10 @@ from facepipe_web.server import MOST_CONNECTIONS, Server
 from faces import tiny_face
 
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.trust import Trust, trust, trusting
 from facepipe.parts import Slider
 from facepipe.stage import save_parts
-from facepipe.trust import Trust, trust, trusting
 
 SECRET = b"not for the page"
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facepipe.errors import ExportError, InputError
+from facepipe.core.errors import ExportError, InputError
 from facepipe.parts import FaceParts
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.vrm.body import add_body, missing_bones, standing_place

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, IntArray
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, TORSO, misplaced
 from facepipe_gltf.vrm.joint_names import bones_of, given_bones

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 from facepipe.parts import Skeleton
 from facepipe_gltf.vrm.bones import PARENTS, SIDES
 

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean
-from facepipe.reading import read_json_object
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reading import read_json_object
 from facepipe_gltf.vrm.options import Options
 
 Json = dict[str, Any]

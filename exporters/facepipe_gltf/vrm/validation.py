@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facepipe.reports import Finding
+from facepipe.core.reports import Finding
 from facepipe_gltf import validation as gltf
 from facepipe_gltf.mesh_validation import primitives, targets
 from facepipe_gltf.raw import Json, RawDocument, is_index

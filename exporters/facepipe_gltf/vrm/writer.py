@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts
-from facepipe.reports import ExportReport
 from facepipe.rig import set_face
 from facepipe_gltf.files import embedded, write_glb
 from facepipe_gltf.vrm.document import write_vrm

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.example_rigging.detail import added_detail
 from facepipe.geometry.example_rigging.examples import Examples, checked
 from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_fields

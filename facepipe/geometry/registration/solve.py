@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration.anchors import Anchors
 from facepipe.geometry.registration.membrane import Membrane
@@ -19,7 +20,6 @@ from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import ScanTarget
 from facepipe.geometry.registration.view import Demand, Registered, View, ViewState
 from facepipe.geometry.similarity import Similarity
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

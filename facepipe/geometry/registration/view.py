@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration.anchors import Anchors
 from facepipe.geometry.registration.options import RegistrationOptions

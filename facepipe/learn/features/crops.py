@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from facepipe.errors import InputError
-from facepipe.reading import read_json_object
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json_object
 
 Kind = Literal["content", "identity", "attributes", "landmarks"]
 Crop = Literal["face", "arcface"]

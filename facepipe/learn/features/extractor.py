@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import FloatArray, arcface_crop, face_crop
 from facepipe.learn.features.description import DEFAULT_SIZES, Crop, Description, Kind, describe
 from facepipe.learn.features.heads import Features, Heads

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor, nn
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.description import Description, Kind
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 from facepipe.learn.features.signatures import is_probability

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 # (node, *inputs) -> a tensor or a tuple of them; an input that was left out is None
 Operator = Callable[..., Any]

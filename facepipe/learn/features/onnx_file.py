@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.reading import read_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 
 OLDEST_OPSET, NEWEST_OPSET = 7, 25
 

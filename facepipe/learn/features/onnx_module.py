@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.node import Node, Operator
 from facepipe.learn.features.onnx_file import array, opset, read_model
 from facepipe.learn.features.onnx_sizes import check_sizes

@@ -10,11 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.trust import check_model
 from facepipe.learn.features.description import PROPERTY
 from facepipe.learn.features.onnx_file import properties, read_model
 from facepipe.learn.features.onnx_module import OnnxModule
-from facepipe.trust import check_model
 
 Chosen = tuple[str | int, ...]
 

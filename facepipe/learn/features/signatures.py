@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.description import Kind
 
 _SLACK = 1e-3  # of probabilities at their bounds and in their sum

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.learn.networks.extractors import own_extractors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.networks.files import feature_model

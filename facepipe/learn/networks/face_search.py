@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch.nn import functional
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.files import landmark_model
 from facepipe.learn.networks.landmark_session import LandmarkSession

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor

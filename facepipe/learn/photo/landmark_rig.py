@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.rig import DifferentiableRig

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 from facepipe.rig.arkit import ARKIT_SHAPES

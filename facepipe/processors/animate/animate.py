@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, FloatArray, Recipe, Skeleton
 from facepipe.processors.animate.angles import PARTS, angle_of
 from facepipe.processors.animate.driven_sliders import driven, turned
@@ -23,7 +24,6 @@ from facepipe.processors.animate.turned_joints import (
     turned_by_sliders,
     turns,
 )
-from facepipe.reports import Report
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.conventions import match_shapes, spelling
 from facepipe.stage import Face

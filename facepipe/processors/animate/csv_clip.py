@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe.parts import FloatArray
 from facepipe.processors.animate.angles import ANGLES
 from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, middle, steady
 from facepipe.processors.animate.timecode import frames_of
-from facepipe.reading import read_bytes
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import shape_key
 

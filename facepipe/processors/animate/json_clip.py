@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json
 from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.csv_clip import MOST_BYTES, rate_of
 from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, steady
 from facepipe.processors.animate.timecode import frames_of
-from facepipe.reading import read_json
 
 _WEIGHTS = ("blendshapes", "weights", "shapes")
 _SECONDS = ("time", "timestamp", "seconds")

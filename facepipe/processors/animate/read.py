@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.animate.csv_clip import read_csv
 from facepipe.processors.animate.json_clip import read_json_clip
 from facepipe.processors.animate.performance import Performance

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FloatArray
 from facepipe.processors.animate.performance import middle
 

@@ -12,8 +12,8 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.names import did_you_mean
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 from facepipe.parts import FloatArray, Mesh, Skeleton, Slider
 from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.performance import Performance

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.borders import back_of_border
 from facepipe.parts import FaceParts
 from facepipe.processors.blend.sources import Sources

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose

@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
+from facepipe.core.tokens import SEAM_RESIDUAL
 from facepipe.parts import Recipe
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.quality import BlendReport, measure
@@ -15,8 +17,6 @@ from facepipe.processors.blend.session import BlendSession
 from facepipe.processors.blend.weights import Weights
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.threads import one_thread
-from facepipe.tokens import SEAM_RESIDUAL
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.names import select
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities
-from facepipe.names import select
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.network import Network
 from facepipe.processors.blend.sculpts import Sculpt

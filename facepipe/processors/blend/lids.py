@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.radial import RadialSurface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.bridges import Bridges
 from facepipe.geometry.region_masks import normalise_masks, smooth_masks
 from facepipe.parts import all_regions

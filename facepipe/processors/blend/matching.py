@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.simplex_fit import fit_simplex
 from facepipe.processors.blend.mixing import mean_of_ends
 from facepipe.processors.blend.session import BlendSession
 from facepipe.processors.blend.sources import stack
 from facepipe.processors.blend.weights import Weights
-from facepipe.reports import Report
 from facepipe.stage import Face
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

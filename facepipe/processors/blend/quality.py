@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.flips import triangle_normals, turned_triangles
 from facepipe.processors.blend.lids import LidContact, lid_contacts
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.session import BlendSession, Solution
-from facepipe.reports import Report
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

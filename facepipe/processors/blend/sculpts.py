@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.names import unique_identifiers
 from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.names import unique_identifiers
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.processors.blend.options import Missing
 from facepipe.processors.blend.sources import Sources

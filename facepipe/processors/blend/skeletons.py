@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.parts import Skeleton
 from facepipe.rig.trs import decompose, rotation_matrices
 

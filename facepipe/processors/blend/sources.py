@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import suggestion
+from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 
 FloatArray = npt.NDArray[np.floating]
 

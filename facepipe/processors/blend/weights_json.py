@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json_object
 from facepipe.processors.blend.weights import Weights
-from facepipe.reading import read_json_object
 
 _MOST_BYTES = 1 << 20
 _KEYS = ("regions", "default", "gains", "locked")

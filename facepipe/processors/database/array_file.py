@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.atomic import replacing
-from facepipe.errors import InputError
-from facepipe.reading import check_values, read_bytes
+from facepipe.core.atomic import replacing
+from facepipe.core.errors import InputError
+from facepipe.core.reading import check_values, read_bytes
 
 Array = npt.NDArray[Any]
 

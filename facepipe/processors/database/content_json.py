@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from facepipe.core.errors import InputError
 from facepipe.declare import from_json
-from facepipe.errors import InputError
 from facepipe.processors.database.face_database import REMOVE, Entry, StoredError, Update
 from facepipe.processors.database.quality import quality_from
 

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import hold, no_basis
@@ -20,7 +21,6 @@ from facepipe.processors.database.options import AddOptions, DatabaseOptions
 from facepipe.processors.database.quality import Quality, misses
 from facepipe.processors.database.shape_names import Shapes, shapes_in_common
 from facepipe.processors.database.whole_faces import WholeFace
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError
 from facepipe.declare import json_value
-from facepipe.errors import InputError
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.processors.database.array_file import read_arrays, write_arrays

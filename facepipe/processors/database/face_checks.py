@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
-from facepipe.finite import require_finite
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.finite import require_finite
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.whole_faces import Topology, WholeFace

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges, from_json, option
-from facepipe.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import narrowed
 from facepipe.processors.database.create import Made
 from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, Update
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

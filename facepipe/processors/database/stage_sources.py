@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.quality import Quality, quality_from
 from facepipe.processors.database.whole_faces import Topology, WholeFace, whole_face

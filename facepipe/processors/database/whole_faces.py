@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, in_order, world_to_world

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, FloatArray, Recipe
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions
@@ -17,7 +18,6 @@ from facepipe.processors.fit_bones.targets import Target
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
-from facepipe.threads import one_thread
 
 
 @dataclass(frozen=True, kw_only=True)

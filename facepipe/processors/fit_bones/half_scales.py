@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.threads import one_thread
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.rig.trs import decompose
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

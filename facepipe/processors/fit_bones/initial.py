@@ -8,8 +8,8 @@ from typing import TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import suggestion
+from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.payload import decode
 from facepipe.processors.apply_bones import check_fits
 from facepipe.processors.bone_payload import SUFFIX, payload_bytes

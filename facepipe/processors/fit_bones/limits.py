@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import fits_joint, unmatched
+from facepipe.core.errors import InputError
+from facepipe.core.names import fits_joint, unmatched
+from facepipe.core.reading import read_json_object
 from facepipe.parts import BoneLimits
 from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.fit_bones.checks import LEAST_SCALE
-from facepipe.reading import read_json_object
 from facepipe.rig import CHANNELS, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import suggestion
+from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.parts import FaceParts, all_regions
 
 FloatArray = npt.NDArray[np.floating]

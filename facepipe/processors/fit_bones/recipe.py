@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from facepipe import __version__
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.declare import from_json, json_value
-from facepipe.errors import InputError, SchemaError
 from facepipe.parts import Recipe
 from facepipe.processors.fit_bones.fit_bones import FitBones
 from facepipe.processors.fit_bones.initial import is_payload

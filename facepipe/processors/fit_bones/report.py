@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
 from facepipe.parts import FloatArray
-from facepipe.reports import Report
 from facepipe.rig import CHANNELS
 
 

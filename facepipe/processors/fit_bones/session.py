@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.processors.fit_bones.checks import check_rest, check_settings, checked_limits, checked_weights
 from facepipe.processors.fit_bones.moments import SkinnedPoints
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
@@ -16,7 +17,6 @@ from facepipe.processors.fit_bones.together import Shared, fit_together, inverse
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import Rig, rest_coefficients
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

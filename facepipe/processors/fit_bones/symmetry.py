@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import mirrored_names
+from facepipe.core.errors import InputError
+from facepipe.core.names import mirrored_names
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 
 FloatArray = npt.NDArray[np.floating]

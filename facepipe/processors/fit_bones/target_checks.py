@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.fit_bones.targets import Target
 
 FloatArray = npt.NDArray[np.floating]

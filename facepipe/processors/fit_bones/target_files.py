@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.fit_bones.matching import match_meshes

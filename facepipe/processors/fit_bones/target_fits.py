@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from facepipe.errors import FitError, InputError
-from facepipe.names import unique_identifiers
+from facepipe.core.errors import FitError, InputError
+from facepipe.core.names import unique_identifiers
 from facepipe.parts import FloatArray
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.names import identifier, suggestion, unique_identifiers
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier, suggestion, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones.target_files import Loader, read_file, sampled, split_file
 from facepipe.stage import Face

@@ -6,12 +6,12 @@ import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from facepipe.digests import digest
+from facepipe.core.digests import digest
+from facepipe.core.reports import Report
 from facepipe.parts import Recipe
 from facepipe.processors.neural_rig.attach import AttachNeuralRig
 from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig
 from facepipe.processors.neural_rig.options import AttachOptions
-from facepipe.reports import Report
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.files import relative_path

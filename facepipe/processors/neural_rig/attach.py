@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
-from facepipe.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name
@@ -31,7 +32,6 @@ from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.rig.sliders import with_mutual_mirrors
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

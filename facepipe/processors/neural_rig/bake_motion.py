@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
 from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.options import FrameBlocksOptions, SampleMotionOptions
 from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
 from facepipe.processors.neural_rig.sample_motion import SampleMotion, controls_of
-from facepipe.reports import Report
 from facepipe.rig.neural_rig import Control
 from facepipe.stage import Face
 from facepipe.stage.author_point_cache import save_point_cache

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
+from facepipe.core.errors import TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology, whole_points

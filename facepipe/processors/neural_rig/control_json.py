@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from facepipe.core.errors import InputError
 from facepipe.declare import from_json
-from facepipe.errors import InputError
 from facepipe.rig.neural_rig import Control
 
 

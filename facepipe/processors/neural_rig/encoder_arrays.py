@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import Content
 from facepipe.processors.neural_rig.control_json import controls_from
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.processors.neural_rig.inverse_frames import Frames
 from facepipe.processors.neural_rig.inverse_report import InverseReport, told
@@ -17,7 +18,6 @@ from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
 from facepipe.rig.control_shares import values_of
 from facepipe.rig.neural_basis import with_orthonormal_shapes
 from facepipe.rig.neural_rig import NeuralRig, from_default
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
-from facepipe.finite import require_finite
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.finite import require_finite
 from facepipe.processors.database import Topology
 from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control

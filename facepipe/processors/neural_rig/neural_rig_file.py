@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
 from facepipe.processors.neural_rig import encoder_arrays
 from facepipe.processors.neural_rig.control_json import controls_from

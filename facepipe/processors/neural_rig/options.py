@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges, option
-from facepipe.errors import InputError
 
 HEADS = 4
 

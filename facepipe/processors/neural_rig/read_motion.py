@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
 from facepipe.processors.database import Topology

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.database import Topology

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe import __version__
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.declare import from_json, to_json
-from facepipe.errors import InputError, SchemaError
 from facepipe.parts import Recipe
 from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.stage.files import relative_path

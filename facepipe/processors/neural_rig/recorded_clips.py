@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.neural_rig.frame_blocks import frame_blocks
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.rig.neural_rig import Control

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
-from facepipe.finite import require_finite
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.finite import require_finite
+from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
@@ -19,7 +20,6 @@ from facepipe.processors.neural_rig.retarget_report import RetargetReport, compa
 from facepipe.processors.neural_rig.subject_examples import subject_examples
 from facepipe.rig.neural_basis import over
 from facepipe.rig.neural_rig import NeuralRig
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.read_targets import read_targets

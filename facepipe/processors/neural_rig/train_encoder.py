@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.ridge import ridge
 from facepipe.geometry.telling_points import well_placed
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.options import HEADS, TrainEncoderOptions
-from facepipe.reports import Report
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import inputs
-from facepipe.threads import one_thread
 
 if TYPE_CHECKING:
     from facepipe.learn.encoder_fit import EncoderSamples

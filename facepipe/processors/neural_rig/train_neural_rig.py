@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.options import TrainNeuralRigOptions
 from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
 from facepipe.processors.neural_rig.straight_rig import straight_rig
-from facepipe.reports import Report
 from facepipe.rig.bones import with_influences
 from facepipe.rig.neural_rig import NeuralRig, from_default
-from facepipe.threads import one_thread
 
 if TYPE_CHECKING:
     from facepipe.learn.network_fit import Samples, Trained

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.parts import FloatArray
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.finite import require_finite
-from facepipe.names import suggestion
+from facepipe.core.errors import InputError
+from facepipe.core.finite import require_finite
+from facepipe.core.names import suggestion
 from facepipe.parts import FloatArray, Slider
 from facepipe.stage import Face
 

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.atomic import write_bytes
-from facepipe.errors import InputError
+from facepipe.core.atomic import write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json
 from facepipe.processors.photo_fit.landmarks68 import Landmarks68, landmarks_in, one_face
 from facepipe.processors.photo_fit.photo_file import Photo
-from facepipe.reading import read_json
 
 FloatArray = npt.NDArray[np.floating]
 

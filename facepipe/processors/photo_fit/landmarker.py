@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe.processors.photo_fit.landmarks68 import Landmarks68, landmarks_in, one_face
 from facepipe.processors.photo_fit.photo_file import Photo
-from facepipe.reading import read_bytes
 
 FloatArray = npt.NDArray[np.floating]
 

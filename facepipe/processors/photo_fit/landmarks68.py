@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.photo_fit.mediapipe_indices import MULTIPIE68_OF_MEDIAPIPE
 from facepipe.processors.photo_fit.photo_file import Photo
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from facepipe import __version__
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.finite import require_finite
 from facepipe.declare import json_value
-from facepipe.errors import InputError, SchemaError
-from facepipe.finite import require_finite
 from facepipe.parts import Recipe
 from facepipe.stage.files import relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest

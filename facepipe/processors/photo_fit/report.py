@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.reports import Report
+from facepipe.core.reports import Report
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped

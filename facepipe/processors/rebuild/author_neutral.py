@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import TopologyError
-from facepipe.finite import require_finite
+from facepipe.core.errors import TopologyError
+from facepipe.core.finite import require_finite
+from facepipe.core.reports import Report
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import FaceParts, Mesh, Recipe
 from facepipe.processors.blend.animations import rebase_animations
@@ -18,7 +19,6 @@ from facepipe.processors.database.whole_faces import to_millimetres
 from facepipe.processors.rebuild.carried_joints import carried_skeleton
 from facepipe.processors.rebuild.neutral_shapes import STILL_MM, mesh_shapes
 from facepipe.processors.same_topology import check_spaces
-from facepipe.reports import Report
 from facepipe.rig import mesh_spaces
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import TopologyError
+from facepipe.core.reports import Report
 from facepipe.declare import to_json
-from facepipe.errors import TopologyError
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
@@ -18,7 +19,6 @@ from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.stage_recipe import stage_recipe
 from facepipe.processors.rebuild.template import Template
-from facepipe.reports import Report
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]

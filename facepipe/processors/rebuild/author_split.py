@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import InputError
 from facepipe.declare import to_json
-from facepipe.errors import InputError
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, quality_from

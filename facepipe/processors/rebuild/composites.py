@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from facepipe.errors import InputError
-from facepipe.names import suggestion
+from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 
 _SIDES = ("_L", "_R")
 

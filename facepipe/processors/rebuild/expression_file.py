@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, SchemaError, TopologyError
+from facepipe.core.errors import InputError, SchemaError, TopologyError
+from facepipe.core.tokens import SCANNED
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.stage import Face, open_face
 from facepipe.stage.recipes import recipe_of, source_digest
-from facepipe.tokens import SCANNED
 
 FloatArray = npt.NDArray[np.floating]
 AnyPath = str | os.PathLike[str]

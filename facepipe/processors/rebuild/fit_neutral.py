@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError, TopologyError
+from facepipe.core.errors import FitError, InputError, TopologyError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.mirrored import mirrored
@@ -20,9 +22,7 @@ from facepipe.processors.rebuild.options import UNITS, FitNeutralOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
-from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

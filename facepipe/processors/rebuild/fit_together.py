@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import ScanTarget, Shown, View, register_together
 from facepipe.geometry.similarity import Similarity
@@ -20,7 +21,6 @@ from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

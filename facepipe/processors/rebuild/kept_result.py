@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
 from facepipe.processors.rebuild.refine_report import RefineReport
 from facepipe.processors.rebuild.register_scans import CompositeReport
@@ -18,7 +19,6 @@ from facepipe.processors.rebuild.split_expressions import SplitReport
 from facepipe.processors.rebuild.stage_content import place_of
 from facepipe.records.arrays import ArrayReader
 from facepipe.records.fields import from_json
-from facepipe.reports import Report
 
 Array = npt.NDArray[Any]
 

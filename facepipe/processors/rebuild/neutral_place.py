@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
 from facepipe.geometry.similarity import Similarity

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.threads import one_thread
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
 from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.template import Template
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -29,9 +29,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from facepipe.core.errors import InputError
+from facepipe.core.names import file_name
+from facepipe.core.reading import is_file, read_toml
+from facepipe.core.trust import check_writable
 from facepipe.declare import from_json
-from facepipe.errors import InputError
-from facepipe.names import file_name
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
 from facepipe.processors.rebuild.options import (
     FitNeutralOptions,
@@ -40,8 +42,6 @@ from facepipe.processors.rebuild.options import (
     RegisterScansOptions,
     SplitExpressionsOptions,
 )
-from facepipe.reading import is_file, read_toml
-from facepipe.trust import check_writable
 
 _MOST_BYTES = 1 << 22
 _KEYS = ("template", "database", "work", "joint", "neutral", "expressions", "options")

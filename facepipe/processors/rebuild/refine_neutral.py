@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
 from facepipe.geometry.registration import Anchors, RegistrationOptions, View
 from facepipe.geometry.similarity import Similarity
@@ -20,7 +21,6 @@ from facepipe.processors.rebuild.scan_distances import row_distances
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.registration import Registered
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.template import Template
-from facepipe.reports import Report
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.mirrored import mirrored
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
@@ -18,9 +20,7 @@ from facepipe.processors.rebuild.fit_neutral import landmark_anchors
 from facepipe.processors.rebuild.options import RegisterScansOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.processors.rebuild.template import Template
-from facepipe.reports import Report
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

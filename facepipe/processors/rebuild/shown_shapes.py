@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.registration import Shown
 from facepipe.processors.database import FaceDatabase, whole_face

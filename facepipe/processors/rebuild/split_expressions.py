@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
 from facepipe.processors.rebuild.options import SplitExpressionsOptions
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
-from facepipe.reports import Report
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.reports import Report
 from facepipe.geometry.similarity import Similarity
-from facepipe.reports import Report
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import components
 from facepipe.geometry.similarity import fit_similarities

@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe import __version__
-from facepipe.atomic import collect
-from facepipe.errors import InputError
+from facepipe.core.atomic import collect
+from facepipe.core.errors import InputError
+from facepipe.core.trust import check_writable
 from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.trust import check_writable
 
 FloatArray = npt.NDArray[np.floating]
 Array = npt.NDArray[Any]

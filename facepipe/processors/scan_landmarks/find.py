@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
 from facepipe.geometry.small_holes import border_points
@@ -17,9 +19,7 @@ from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 from facepipe.processors.scan_landmarks.look_again import Seen, look_again
 from facepipe.processors.scan_landmarks.search import Candidate, Draw, Network, axis_views, candidates, sphere_views
-from facepipe.reports import Report
 from facepipe.scans import FloatArray, Scan, ScanLandmarks
-from facepipe.threads import one_thread
 
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show
@@ -63,7 +63,7 @@ class FindScanLandmarks:
     several sides, and each landmark is where the rays through it meet, brought onto the surface. Those whose rays
     disagree, or meet off the surface, are left out. It needs torch.
 
-    :param draw: draws a surface: ``(look, view) -> picture, depth``, like `facepipe.render.surface_view.draw_surface`
+    :param draw: draws a surface: ``(look, view) -> picture, depth``, like `facepipe.pictures.surface_view.draw_surface`
     :param model: an ONNX network of the kind ``landmarks``; default the one that comes with facepipe
     """
 

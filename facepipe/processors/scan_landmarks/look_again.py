@@ -56,7 +56,7 @@ def look_again(
 
 def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int) -> tuple[FloatArray, float]:
     """Landmarks (68, 2) in pixels, and presence: of the middle first, then of crops aligned by what that showed."""
-    from facepipe.errors import InputError
+    from facepipe.core.errors import InputError
     from facepipe.learn.features.crops import face_crop
 
     picture, _ = draw(look, view)

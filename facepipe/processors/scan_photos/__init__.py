@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.scan_photos.camera import PhotoCamera

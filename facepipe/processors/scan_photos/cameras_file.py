@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.atomic import write_bytes
-from facepipe.errors import InputError
+from facepipe.core.atomic import write_bytes
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json_object
 from facepipe.processors.scan_photos.camera import PhotoCamera
-from facepipe.reading import read_json_object
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import components

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges, option
-from facepipe.errors import InputError
 
 FEWEST_PHOTOS = 5
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
-from facepipe.images import decoding, open_image
+from facepipe.core.errors import InputError
+from facepipe.core.images import decoding, open_image
+from facepipe.core.reading import read_bytes
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS
-from facepipe.reading import read_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.structure import Structure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from facepipe.reports import Report
+from facepipe.core.reports import Report
 
 
 @dataclass(frozen=True, kw_only=True)

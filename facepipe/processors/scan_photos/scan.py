@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.cameras_file import Cameras
@@ -26,7 +27,6 @@ from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_
 from facepipe.processors.scan_photos.surface import make_surface
 from facepipe.processors.scan_photos.triangulation import FloatArray, Sightings, triangulate_all
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.threads import one_thread
 
 Step = Callable[[str, int], None]
 _DOUBTFUL = 1.5  # pixels: mean distance of matched points from where photos show them

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.structure import Structure
 

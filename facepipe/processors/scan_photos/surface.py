@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.polygons import components, edges, point_normals
 from facepipe.processors.scan_photos.cloud import Cloud
 from facepipe.scans import Scan

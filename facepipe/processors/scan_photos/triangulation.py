@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_json_object
 from facepipe.processors.scan_photos.camera import PhotoCamera
-from facepipe.reading import read_json_object
 
 FloatArray = npt.NDArray[np.floating]
 Sightings = Mapping[str, Mapping[str, FloatArray]]  # photo -> what -> (2,) pixels of the upright photo, full size

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import point_areas
 from facepipe.parts import FloatArray, IntArray

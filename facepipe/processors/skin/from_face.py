@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
 from facepipe.parts import FaceParts, FloatArray, IntArray, Skeleton

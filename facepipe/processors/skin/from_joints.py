@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import heat_weights, normalised

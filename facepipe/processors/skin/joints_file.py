@@ -34,9 +34,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
-from facepipe.names import identifier
-from facepipe.reading import read_json_object
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier
+from facepipe.core.reading import read_json_object
 
 MOST_JOINTS = 1024
 _MOST_BYTES = 1 << 24

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.parts import FloatArray, IntArray

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.heat_weights import normalised
 from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
 from facepipe.parts import FaceParts, FloatArray

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from facepipe.core.reports import Report
 from facepipe.parts import FloatArray
 from facepipe.processors.skin.surface import Surface
-from facepipe.reports import Report
 
 
 @dataclass(frozen=True, kw_only=True)

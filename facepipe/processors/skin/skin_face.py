@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.geometry.heat_weights import fewest
 from facepipe.parts import FaceParts, FloatArray, Recipe, all_regions
 from facepipe.processors.skin.eyeballs import eyeballs_of
@@ -25,7 +26,6 @@ from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.threads import one_thread
 
 _LEAST = 1e-6  # mm: a radius below counts as this
 _BLUR = 0.15  # of a slit's width, at the border between its two sides

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.heat_weights import influences
 from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton, Skin
 from facepipe.processors.skin.report import TransferReport

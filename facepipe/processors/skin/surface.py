@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
 from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles
 from facepipe.geometry.seams import welded_points

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
 from facepipe.parts import Recipe, Slider, SliderNetwork
-from facepipe.reports import Report
 from facepipe.rig import slide
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes

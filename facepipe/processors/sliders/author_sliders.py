@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe import tokens
-from facepipe.errors import InputError
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
 from facepipe.parts import BoneLimits, Recipe, Slider
 from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.sliders.author_network import fitting_network
 from facepipe.processors.sliders.slider_table import SliderTable
-from facepipe.reports import Report
 from facepipe.rig import CHANNELS, slide
 from facepipe.rig.sliders import sliders_fault
 from facepipe.stage import Face

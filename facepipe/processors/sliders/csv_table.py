@@ -20,12 +20,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 from facepipe.parts import Curve
 from facepipe.processors.sliders.bias import Bias
 from facepipe.processors.sliders.rules import Drive, SliderRule, check_number
 from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
-from facepipe.reading import read_bytes
 
 _LIST = ("slider", "target", "gain")
 _SETTINGS = ("group", "min", "max", "default", "mirror")

@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
 from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.processors.sliders.effects import channel_effects
-from facepipe.reports import Report
 from facepipe.rig import CHANNELS, Rig, build, slide
 from facepipe.rig.sliders import channel_entries, shape_entries
-from facepipe.threads import one_thread
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.names import select
+from facepipe.core.errors import InputError
+from facepipe.core.names import select
+from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, FaceParts, FloatArray, Recipe, Slider
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.rig_checks import check_rig
@@ -24,7 +25,6 @@ from facepipe.processors.sliders.shape_report import ShapeSlidersReport, by_grou
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.threads import one_thread
 
 _SHOWN = 4  # names of a list
 _LEAST = 1e-6  # mm: a motion that is less is none

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.fit_bones.symmetry import Symmetry
 from facepipe.rig import CHANNELS, rest_coefficients
 

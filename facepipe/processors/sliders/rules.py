@@ -8,8 +8,8 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.names import fits_joint, unmatched
+from facepipe.core.errors import InputError
+from facepipe.core.names import fits_joint, unmatched
 from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault, with_entries

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.errors import InputError
-from facepipe.names import identifier, unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import identifier, unknown
+from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Recipe, Slider
 from facepipe.payload import PayloadContent
 from facepipe.processors.apply_bones import limit_warnings
 from facepipe.processors.bone_limits import beyond_limits
-from facepipe.reports import Report
 from facepipe.rig import slide
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.processors.fit_bones.sessions import STRICTER
 from facepipe.processors.sliders.effects import channel_effects

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from facepipe.errors import InputError
-from facepipe.names import mirrored_name, unique_identifiers
+from facepipe.core.errors import InputError
+from facepipe.core.names import mirrored_name, unique_identifiers
 
 PAIRS = "decr:incr,down:up,in:out,backward:forward,concave:convex,compress:uncompress"
 

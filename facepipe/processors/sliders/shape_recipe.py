@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from facepipe.core.errors import SchemaError
 from facepipe.declare import from_json, json_value
-from facepipe.errors import SchemaError
 from facepipe.processors.fit_bones.limits import limits_from_json
 from facepipe.processors.sliders.from_shapes import SlidersFromShapes
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.reports import Report
+from facepipe.core.reports import Report
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Slider
 from facepipe.processors.sliders.bias import Bias, with_bias
 from facepipe.processors.sliders.rules import UNITS, SliderRule

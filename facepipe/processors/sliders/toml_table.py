@@ -16,11 +16,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_toml
 from facepipe.parts import Curve
 from facepipe.processors.sliders.rules import Drive, SliderRule
 from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
-from facepipe.reading import read_toml
 
 _KEYS = ("slider", "units")
 _SLIDER_KEYS = ("group", "range", "default", "mirror", "channels", "shapes")

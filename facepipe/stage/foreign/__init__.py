@@ -6,7 +6,7 @@ readers of our own stages read it.
 
 from typing import TYPE_CHECKING
 
-from facepipe.loading import lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.stage.foreign.read import Foreign, read_foreign

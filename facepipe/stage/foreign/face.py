@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from pxr import Usd
 
-from facepipe import tokens
-from facepipe.errors import FacepipeError
+from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError
 from facepipe.parts import BoneLimits, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.foreign.scene import Scene, ancestors

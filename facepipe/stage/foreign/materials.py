@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Material, TextureInput
 from facepipe.stage.display_names import told_apart
 from facepipe.stage.foreign.scene import Scene

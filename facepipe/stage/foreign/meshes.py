@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdLux, UsdSkel
 
-from facepipe import tokens
+from facepipe.core import tokens
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.read_mesh import UV_TYPES

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.errors import FacepipeError, InputError, SchemaError, TopologyError
-from facepipe.names import identifier
+from facepipe.core.errors import FacepipeError, InputError, SchemaError, TopologyError
+from facepipe.core.names import identifier
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton
 from facepipe.stage.display_names import told_apart
 from facepipe.stage.files import quiet_diagnostics

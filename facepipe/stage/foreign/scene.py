@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.files import open_stage
 from facepipe.stage.foreign.variants import choose_variants, variants_in_effect

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe import tokens
-from facepipe.errors import TopologyError
+from facepipe.core import tokens
+from facepipe.core.errors import TopologyError
 from facepipe.parts import Skeleton
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.foreign.scene import Scene

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pxr import Usd
 
-from facepipe.errors import InputError
-from facepipe.names import unknown
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 
 
 def choose_variants(stage: Usd.Stage, path: Path, chosen: Mapping[str, str]) -> None:

@@ -16,6 +16,7 @@ from faces import grid_mesh, replace_mesh
 from small_sources import WORDS, made, points, saved
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import blend_command, main
 from facepipe.cli.blend_text import as_text
 from facepipe.cli.parser import Parser
@@ -24,7 +25,6 @@ from facepipe.processors.blend import Blend, BlendOptions, Weights, blend_recipe
 from facepipe.processors.blend.lids import LidContact
 from facepipe.processors.blend.weights_json import weights_to_json
 from facepipe.stage import save_parts
-from facepipe.validate import validate
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

@@ -11,13 +11,13 @@ import pytest
 from faces import grid_mesh, replace_mesh, tiny_face
 
 import facepipe
-from facepipe.errors import InputError, TopologyError
+from facepipe.checks import validate
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
 from facepipe.processors.blend.quality import measure
 from facepipe.processors.blend.result import result_parts
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate
 
 HALF = Weights(default=(0.5, 0.5))
 

@@ -12,7 +12,7 @@ from blend_faces import changed, head, kinds, livelier, misaligned, only_shapes,
 from faces import grid_mesh, replace_mesh, tiny_face
 
 import facepipe
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
 from facepipe.processors.blend.weights import Shares

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from blend_faces import by_region, kinds, misaligned, session, two
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.blend import Blend, BlendSession, Weights
 from facepipe.processors.blend.matching import match
 from facepipe.stage import Face

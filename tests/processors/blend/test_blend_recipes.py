@@ -19,8 +19,8 @@ from import_data import refused
 from small_sources import WORDS, made, points
 
 import facepipe
+from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
-from facepipe.errors import InputError
 from facepipe.parts import Recipe
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights, blend_recipe, read_blend_recipe
 from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facepipe import parts as p
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.processors.blend.animations import rebase_animations
 from facepipe.processors.blend.normals import blend_normals, normal_offsets

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import read_arrays
 
 KIND = "facepipe test 1"

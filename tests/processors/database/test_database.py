@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from import_data import damaged, refused
 from places import SUPPORT
 
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.processors.database import (
     AddOptions,

@@ -14,8 +14,8 @@ from command_line import Capsys, done, failed, run
 from PIL import Image
 
 import facepipe
-from facepipe import atomic
 from facepipe.cli import main
+from facepipe.core import atomic
 from facepipe.parts import BoneLimits
 from facepipe.processors.fit_bones import FitBones, fit_bones_recipe, read_limits, read_targets
 from facepipe.rig import build

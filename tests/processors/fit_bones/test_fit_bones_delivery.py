@@ -20,12 +20,12 @@ from import_data import shared
 from oracle import difference, played, random_coefficients
 
 import facepipe
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, all_regions
 from facepipe.processors.fit_bones import read_targets
 from facepipe.processors.fit_bones.half_scales import with_half_scales
 from facepipe.rig import CHANNELS, build, coefficient_matrices, rest_coefficients
-from facepipe.sample import make
 from facepipe.stage import Face
 
 Capsys = pytest.CaptureFixture[str]

@@ -13,7 +13,8 @@ from faces import replace_mesh
 
 import facepipe
 from facepipe import registry
-from facepipe.errors import FacepipeError, FitError, InputError, TopologyError
+from facepipe.checks import validate
+from facepipe.core.errors import FacepipeError, FitError, InputError, TopologyError
 from facepipe.importers import load
 from facepipe.parts import Animation, BoneLimits, FaceParts, Skeleton
 from facepipe.processors.fit_bones import (
@@ -26,7 +27,6 @@ from facepipe.processors.fit_bones import (
 )
 from facepipe.rig import CHANNELS, Rig, build, rest_coefficients
 from facepipe.stage import Face
-from facepipe.validate import validate
 
 WIDE = {"t": (-0.11, 0.11), "r": (-0.65, 0.65), "s": (0.68, 1.42)}
 BUILDERS = {"small": small, "makehuman": head}

@@ -13,7 +13,7 @@ from faces import replace_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.processors.fit_bones import LimitRules, read_limits
 from facepipe.processors.fit_bones.point_weights import point_weights

@@ -13,7 +13,7 @@ from oracle import difference, played
 from places import REPOSITORY
 
 import facepipe
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
 from facepipe.processors.fit_bones.half_scales import HalfScales, with_half_scales

@@ -359,9 +359,9 @@ def test_options_that_are_damaged_are_one_line(folder: Path, capsys: Capsys, key
 @pytest.mark.parametrize("value", [None, 3, "x", [3], [[]], [["jaw"]], [["jaw", 3]], {"jaw": {}}])
 def test_limits_that_are_damaged_are_refused(key: str, value: object) -> None:
     content = json.loads(json.dumps(RULES.to_json()))
-    with pytest.raises(facepipe.errors.InputError, match=r"^w( -> |: )"):
+    with pytest.raises(facepipe.core.errors.InputError, match=r"^w( -> |: )"):
         limits_from_json({**content, key: value}, "w")
-    with pytest.raises(facepipe.errors.InputError, match=r"^w: "):
+    with pytest.raises(facepipe.core.errors.InputError, match=r"^w: "):
         limits_from_json({one: content[one] for one in content if one != key}, "w")
 
 

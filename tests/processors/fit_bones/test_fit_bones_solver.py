@@ -11,7 +11,7 @@ from bone_rigs import MM, face_joints, head, jacobian, limits, parts, random_pos
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.boxed_qp import BoxedQuadratic, solve_boxed
 from facepipe.processors.fit_bones.moments import SkinnedPoints
 from facepipe.processors.fit_bones.session import BoneFit

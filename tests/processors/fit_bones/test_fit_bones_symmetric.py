@@ -10,8 +10,8 @@ import pytest
 from bone_rigs import MM, face_joints, head, limits, random_pose, small
 from faces import tiny_face
 
-from facepipe.errors import InputError
-from facepipe.names import mirrored_name
+from facepipe.core.errors import InputError
+from facepipe.core.names import mirrored_name
 from facepipe.processors.fit_bones import symmetry as module
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.processors.fit_bones.symmetry import symmetry

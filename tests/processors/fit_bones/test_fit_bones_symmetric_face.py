@@ -12,11 +12,11 @@ from bone_faces import pose, save_sources, saved, sculpt, small
 from command_line import Capsys, done, failed, run
 
 import facepipe
-from facepipe.names import mirrored_name
+from facepipe.core.names import mirrored_name
+from facepipe.heads import make
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.processors.fit_bones import FitBones, read_fit_bones_recipe, read_targets
 from facepipe.rig import Rig, build, rest_coefficients
-from facepipe.sample import make
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 

@@ -26,7 +26,7 @@ from pxr import Usd, UsdGeom
 
 import facepipe
 from facepipe import registry
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.importers import load, obj
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones import FitBones, Target, read_targets

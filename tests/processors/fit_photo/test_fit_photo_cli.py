@@ -21,14 +21,14 @@ from PIL import Image
 from with_torch import torch
 
 import facepipe
-from facepipe.atomic import replacing_folder
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.core.atomic import replacing_folder
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.processors.photo_fit import read_landmarks, read_photo, read_photo_recipe
 from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.sample import make
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")

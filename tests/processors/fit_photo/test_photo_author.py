@@ -19,18 +19,18 @@ from scipy.spatial.transform import Rotation
 from with_torch import tensor
 
 import facepipe
-from facepipe import tokens
-from facepipe.errors import FitError, InputError, SchemaError
+from facepipe.checks import validate
+from facepipe.core import tokens
+from facepipe.core.errors import FitError, InputError, SchemaError
+from facepipe.heads import make
 from facepipe.importers import gltf
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Slider
 from facepipe.processors.photo_fit import AuthorPhotoFit, Photo, photo_recipe, read_photo_recipe
 from facepipe.processors.sliders import SetSliders
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
-from facepipe.validate import validate
 
 PHOTOS = ("my photo.png", "my-photo.jpg", "2.png")
 SIZE = (500, 640)  # width and height

@@ -14,9 +14,9 @@ from import_data import damaged, refused
 from photo_files import encoded, linear_profile, oriented, picture, png, png16
 from PIL import Image, ImageCms, features
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.pictures.textures import linear_to_srgb
 from facepipe.processors.photo_fit import Photo, read_photo
-from facepipe.render.textures import linear_to_srgb
 
 Array = np.ndarray[Any, Any]
 

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from import_data import refused, shared
 from scipy.spatial.transform import Rotation
 
-from facepipe import sample
-from facepipe.errors import InputError
+from facepipe import heads as sample
+from facepipe.core.errors import InputError
 from facepipe.importers.ict_topology import LANDMARKS
 from facepipe.processors.photo_fit import (
     Landmarks68,

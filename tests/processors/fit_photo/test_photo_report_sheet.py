@@ -10,15 +10,15 @@ import pytest
 from with_torch import tensor
 
 from facepipe.cli.fit_photo_sheet import report_sheet
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
+from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts
+from facepipe.pictures import photo_sheet
 from facepipe.processors.photo_fit import Photo
-from facepipe.render import photo_sheet
 from facepipe.rig import build, slide
-from facepipe.sample import make
 
 SLIDERS = {"noseWidth": 0.8, "chinLength": -0.5, "eyeSpacing": 0.3}
 SMILE = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.4}

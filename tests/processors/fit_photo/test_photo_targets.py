@@ -26,9 +26,9 @@ from recovery_state import true_state
 from recovery_targets import ACTIVE, PLACES, RecoveryTarget, head_without_neck, posed, random_expression, targets
 from scipy.spatial.transform import Rotation
 
+from facepipe.heads import make
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
-from facepipe.sample import make
 
 COUNT, SIZE = 2, 64
 

@@ -12,13 +12,13 @@ from neural_faces import applied, face, millimetres, random_values, saved_rig
 from oracle import bake_all
 from pxr import Sdf, Usd
 
-from facepipe import tokens
+from facepipe.checks import validate_stage
+from facepipe.core import tokens
 from facepipe.processors.neural_rig import save_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import slide
 from facepipe.stage.neural_rig_link import read_neural_rig_link
 from facepipe.stage.recipes import recipe_of
-from facepipe.validate import validate_stage
 
 
 @pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from neural_faces import CONTROLS, face, millimetres, neural_rig, random_values
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, FaceParts
 from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world

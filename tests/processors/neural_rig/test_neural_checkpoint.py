@@ -12,7 +12,7 @@ from command_line import done
 from neural_training import FEW_SAMPLES, FEW_STEPS, KilledError, turning_face
 
 import facepipe
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.neural_rig import (
     Motion,

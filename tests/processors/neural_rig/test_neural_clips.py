@@ -12,7 +12,7 @@ from command_line import failed, run
 from neural_training import AMOUNTS, FEW, acted, chewing_face
 from pxr import Sdf, Usd
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.neural_rig import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
 from facepipe.processors.neural_rig.sample_motion import controls_of

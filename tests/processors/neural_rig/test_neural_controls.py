@@ -8,7 +8,7 @@ from typing import Any
 import neural_faces
 import pytest
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.neural_rig_file import KIND

@@ -12,7 +12,7 @@ from command_line import done, failed, run
 from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.halving import halved
 from facepipe.geometry.ridge import ridge
 from facepipe.geometry.telling_points import farthest_points, telling_points, well_placed

@@ -11,7 +11,7 @@ import pytest
 from neural_faces import FRAMES, frames, moving, untrained_rig
 from neural_training import turning_face
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.rig import Rig, build

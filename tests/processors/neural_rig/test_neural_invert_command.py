@@ -15,7 +15,7 @@ from oracle import played
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 import facepipe
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig import Motion, ReadClips, TrainEncoder, TrainEncoderOptions, save_neural_rig

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from neural_training import FEW, chewing_face
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.neural_rig import SampleMotion, SampleMotionOptions
 from facepipe.processors.neural_rig.sample_motion import controls_of

@@ -12,7 +12,7 @@ from neural_faces import applied, face
 from neural_faces import saved_rig as saved
 
 import facepipe
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import Recipe
 from facepipe.processors.neural_rig import (
     ApplyNeuralRig,

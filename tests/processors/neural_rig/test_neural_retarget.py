@@ -13,7 +13,7 @@ from command_line import done, failed
 from neural_training import OPTIONS, SAMPLES, second_face, turning_face
 from pxr import Usd
 
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.point_ridge import Examples
 from facepipe.processors.neural_rig import (
     Motion,

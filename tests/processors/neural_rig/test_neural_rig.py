@@ -12,7 +12,7 @@ import scan_domes
 from command_line import done, failed, run
 from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import FaceParts
@@ -248,7 +248,7 @@ def test_a_killed_training_goes_on_to_the_same_end(motion: Motion, trained: Trai
 def test_the_curve_is_of_frames_learned_and_watched_and_drawn(trained: TrainedNeuralRig, tmp_path: Path) -> None:
     from PIL import Image
 
-    from facepipe.render.training_curve import draw_training_curve
+    from facepipe.pictures.training_curve import draw_training_curve
 
     assert np.array_equal(trained.curve[:, 0], np.arange(100, 1501, 100))
     assert (trained.curve[-1, 1:] < 0.5 * trained.curve[0, 1:]).all()

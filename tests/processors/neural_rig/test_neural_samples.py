@@ -15,7 +15,7 @@ from command_line import done, failed
 from neural_training import chewing_face
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.neural_rig import (
     FrameBlocksOptions,

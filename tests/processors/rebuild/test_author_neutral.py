@@ -12,7 +12,8 @@ from faces import tiny_face
 from oracle import bake, difference
 
 import facepipe
-from facepipe.errors import FacepipeError, InputError, TopologyError
+from facepipe.checks import validate
+from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts, Mesh, Recipe
@@ -21,7 +22,6 @@ from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeut
 from facepipe.processors.rebuild.carried_joints import carried_skeleton
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate
 
 MOVE = Similarity(
     rotation=np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]),

@@ -18,6 +18,7 @@ from neutral_files import PERSON, Files
 from PIL import Image
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.declare import to_json
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.database import (
@@ -32,7 +33,6 @@ from facepipe.processors.rebuild import FitNeutralOptions
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
-from facepipe.validate import validate
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

@@ -14,9 +14,9 @@ from expression_domes import OWN
 from rebuild_stages import Files
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.processors.database import WholeFace, create_database, save_database, whole_face, whole_points
 from facepipe.stage import save_parts
-from facepipe.validate import validate
 
 
 def test_starting_shapes_are_the_templates_carried_over(stages: Files) -> None:

@@ -14,6 +14,7 @@ from rebuild_project import PERSON, PROJECT, motion, rebuilt
 from solids import ball
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import whole_face
 from facepipe.processors.database.array_file import read_arrays, write_arrays
@@ -21,7 +22,6 @@ from facepipe.processors.rebuild.work_folder import KIND
 from facepipe.scans import Scan
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import file_recipe
-from facepipe.validate import validate
 
 
 def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from expression_domes import OWN, PERSON
 from scan_domes import POSE
 
 import facepipe
-from facepipe.errors import FitError, InputError
+from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks

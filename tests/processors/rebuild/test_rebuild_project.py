@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rebuild_project import HEAD
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.processors.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
 from facepipe.processors.rebuild.project import Refinement
 from facepipe.processors.rebuild.work_folder import WorkFolder

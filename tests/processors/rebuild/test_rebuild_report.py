@@ -14,22 +14,22 @@ import scan_domes
 from command_line import failed
 from PIL import Image
 
-from facepipe.atomic import replacing_folder
 from facepipe.cli import main
 from facepipe.cli.rebuild_report import RebuildPictures, shape_rows
-from facepipe.errors import InputError
+from facepipe.core.atomic import replacing_folder
+from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
+from facepipe.pictures.face_picture import PictureOptions, picture, pictures
+from facepipe.pictures.heatmap import HeatMap
+from facepipe.pictures.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
+from facepipe.pictures.shapes_table import ShapeRow, shapes_table, some_of
+from facepipe.pictures.slider_table import ABOVE, ROW
+from facepipe.pictures.turntable import Turntable, turntable
+from facepipe.pictures.typesetting import SMALL, text_width
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
-from facepipe.render.face_picture import PictureOptions, picture, pictures
-from facepipe.render.heatmap import HeatMap
-from facepipe.render.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
-from facepipe.render.shapes_table import ShapeRow, shapes_table, some_of
-from facepipe.render.slider_table import ABOVE, ROW
-from facepipe.render.turntable import Turntable, turntable
-from facepipe.render.typesetting import SMALL, text_width
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 

@@ -13,7 +13,8 @@ from command_line import done, failed
 from scan_domes import POSE, dome, grid
 
 import facepipe
-from facepipe.errors import FitError, InputError
+from facepipe.checks import validate
+from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.importers.scan_landmarks import write_scan_landmarks
@@ -25,7 +26,6 @@ from facepipe.processors.rebuild.region_weights import region_weights
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
-from facepipe.validate import validate
 
 _PERSON = 9
 _OWN = grid(31)[0]

@@ -14,6 +14,8 @@ from expression_domes import OWN, PERSON
 from rebuild_stages import DOME, SEEN, Files
 
 import facepipe
+from facepipe.checks import validate
+from facepipe.core.tokens import SCANNED
 from facepipe.geometry.similarity import Similarity
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
@@ -22,8 +24,6 @@ from facepipe.processors.database import whole_points
 from facepipe.processors.rebuild import Template
 from facepipe.processors.rebuild.neutral_place import placed_neutral
 from facepipe.scans import Scan
-from facepipe.tokens import SCANNED
-from facepipe.validate import validate
 
 
 def test_an_expression_is_a_shape_over_the_personal_template(stages: Files) -> None:

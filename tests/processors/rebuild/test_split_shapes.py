@@ -14,12 +14,12 @@ from import_data import shared
 from rebuild_stages import Files
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.validate import validate
 
 
 def test_shapes_become_the_persons_own(stages: Files) -> None:

@@ -17,8 +17,9 @@ from oracle import bake, difference, random_coefficients
 from skin_joints import HELD, KINDS, head, landmark_joints, weights_of, without_joints
 
 import facepipe
+from facepipe.checks import validate_stage
 from facepipe.cli import main
-from facepipe.errors import InputError, TopologyError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions, SkinReport, read_joints
 from facepipe.processors.skin.surface import Surface, surface_of
@@ -26,7 +27,6 @@ from facepipe.registry import exporter
 from facepipe.rig import rest_coefficients
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author_changes import author_changes
-from facepipe.validate import validate_stage
 
 STEEPEST = 0.35  # of a weight, per mm
 Array = np.ndarray[Any, Any]

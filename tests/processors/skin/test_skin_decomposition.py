@@ -10,7 +10,7 @@ from faces import grid_mesh
 from scipy.spatial.transform import Rotation
 from skin_joints import HELD, head, landmark_joints, weights_of, without_joints
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
 from facepipe.parts import FaceParts

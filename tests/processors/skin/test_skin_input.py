@@ -16,7 +16,7 @@ from command_line import failed
 from faces import grid_mesh
 from skin_joints import TWO, bare, changed, head, retopologised, skinned, weights_of, without_joints
 
-from facepipe.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.warp import fit_warp
 from facepipe.parts import FaceParts, Landmarks, Mesh, Skin

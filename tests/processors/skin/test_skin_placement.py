@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skin_joints import TWO, bare, head, landmark_joints, skinned
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace
 from facepipe.processors.skin.eyeballs import eyeballs_of

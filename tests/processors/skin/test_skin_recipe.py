@@ -12,7 +12,7 @@ from skin_joints import head, weights_of, without_joints
 
 import facepipe
 from facepipe.cli import main
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import FaceParts, Recipe
 from facepipe.processors.skin import SkinFace, SkinOptions, read_joints, read_skin_recipe, skin_recipe
 from facepipe.stage import save_parts

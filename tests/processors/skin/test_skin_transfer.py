@@ -17,15 +17,15 @@ from oracle import bake, difference, random_coefficients
 from scipy.spatial.transform import Rotation
 from skin_joints import head, retopologised, weights_of, without_joints
 
+from facepipe.checks import validate_stage
 from facepipe.cli import main
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.geometry.warp import fit_warp, nearest_rotations
 from facepipe.processors.skin import SkinFace, SkinOptions, SkinReport
 from facepipe.processors.skin.eyeballs import eyeballs_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate_stage
 
 Array = np.ndarray[Any, Any]
 RNG = np.random.default_rng(4)

@@ -18,15 +18,15 @@ from pxr import Usd
 from slider_faces import random_values
 
 import facepipe
+from facepipe.checks import validate
 from facepipe.cli import main
-from facepipe.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.importers.slider_network import read_network
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.processors.sliders import AuthorNetwork, AuthorSliders, SetSliders, read_slider_recipe, read_table
 from facepipe.rig import build, slide
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
-from facepipe.validate import validate
 
 TOLERANCE = 1e-5
 JOINTS, SHAPES = ("root", "root/jaw", "root/jaw/lip"), ("jawOpen", "mouthSmileLeft")

@@ -17,11 +17,11 @@ from places import REPOSITORY
 
 import facepipe
 from facepipe.cli import main
-from facepipe.errors import InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.heads import make
 from facepipe.parts import Animation, BoneLimits, FaceParts, Slider
 from facepipe.processors.sliders import AuthorSliders, SetSliders, read_slider_recipe, read_table
 from facepipe.rig import CHANNELS, slide
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
 
 Capsys = pytest.CaptureFixture[str]

@@ -19,9 +19,11 @@ from oracle import random_coefficients
 from places import REPOSITORY
 
 import facepipe
-from facepipe.errors import InputError, SchemaError
+from facepipe.checks import validate
+from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.names import mirrored_name
+from facepipe.heads import make
 from facepipe.importers import makehuman
-from facepipe.names import mirrored_name
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Slider
 from facepipe.processors.fit_bones import LimitRules, read_limits
 from facepipe.processors.sliders import ShapeSlidersReport, SlidersFromShapes, read_slider_recipe
@@ -29,9 +31,7 @@ from facepipe.processors.sliders import shape_names as names_module
 from facepipe.processors.sliders.effects import channel_effects
 from facepipe.processors.sliders.shape_names import PAIRS, ShapeSlider, parse_pairs, shape_sliders
 from facepipe.rig import CHANNELS, Rig, build, rest_coefficients, slide
-from facepipe.sample import make
 from facepipe.stage import Face, save_parts
-from facepipe.validate import validate
 
 Capsys = pytest.CaptureFixture[str]
 LIMITS = REPOSITORY / "docs/slider_bones.json"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from slider_tables import LIST, MATRIX, TOML
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Slider
 from facepipe.processors.sliders import Drive, SliderRule, SliderTable, read_table
 from facepipe.rig import CHANNELS, rest_coefficients, slide

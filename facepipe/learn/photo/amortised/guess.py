@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_file import properties, read_model
 from facepipe.learn.features.onnx_module import OnnxModule
 from facepipe.learn.photo.amortised.metadata import KEY, KIND, controls

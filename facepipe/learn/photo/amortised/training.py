@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from facepipe.errors import InputError
+from facepipe.core.errors import InputError
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.amortised.descent import NetworkDescent

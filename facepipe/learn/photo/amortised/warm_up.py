@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.errors import FitError
+from facepipe.core.errors import FitError
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.photo.amortised.losses import Taught, TaughtLoss

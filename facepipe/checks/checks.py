@@ -1,0 +1,148 @@
+"""Every check of a stage by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pxr import Usd
+
+from facepipe.checks import control_checks as control
+from facepipe.checks import layout_checks as layout
+from facepipe.checks import network_checks as networks
+from facepipe.checks import neural_rig_checks as neural
+from facepipe.checks import photo_checks as photos
+from facepipe.checks import point_checks as points
+from facepipe.checks import shape_checks as shapes
+from facepipe.checks import skeleton_checks as skeleton
+from facepipe.checks import skin_checks as skin
+from facepipe.checks.problem import Problem
+from facepipe.checks.views import FaceView
+from facepipe.core.reports import Finding
+from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
+
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A named check: what must hold stands in the docstring of its function."""
+
+    name: str
+    function: Callable[[FaceView], Iterable[Problem]]
+    severity: Severity = "error"
+
+    @property
+    def full_name(self) -> str:
+        """Its name in findings and in USD's registry."""
+        return f"facepipe:{self.name}"
+
+    @property
+    def doc(self) -> str:
+        """What must hold."""
+        return " ".join((self.function.__doc__ or "").split())
+
+
+CHECKS: tuple[Check, ...] = (
+    Check("Composition", layout.composition),
+    Check("StageUnits", layout.stage_units),
+    Check("FacePrim", layout.face_prim),
+    Check("DefaultPrim", layout.default_prim, "warning"),
+    Check("SkelRoot", layout.skel_root),
+    Check("SkeletonCount", layout.skeleton_count),
+    Check("SkelBindingAPI", layout.skel_binding_api),
+    Check("SkeletonBound", layout.skeleton_bound),
+    Check("HasMesh", layout.has_mesh),
+    Check("Plausible", layout.plausible, "warning"),
+    Check("Textures", layout.textures),
+    Check("ReadableValues", layout.readable_values),
+    Check("Finite", layout.finite),
+    Check("MeshTopology", points.topology),
+    Check("PrimvarCount", points.primvar_count),
+    Check("NormalCount", points.normal_count),
+    Check("SkinElementSize", skin.element_size),
+    Check("SkinInfluenceCount", skin.influence_count),
+    Check("SkinJointIndices", skin.joint_indices),
+    Check("SkinWeightsSum", skin.weights_sum),
+    Check("SkinWeightsNegative", skin.weights_negative),
+    Check("SkinMeshJoints", skin.mesh_joints),
+    Check("GeomBindTransformAuthored", skin.geom_bind_authored, "warning"),
+    Check("GeomBindTransformSingular", skin.geom_bind_invertible),
+    Check("JointTransformCount", skeleton.transform_count),
+    Check("JointOrder", skeleton.joint_order),
+    Check("JointNames", skeleton.joint_names),
+    Check("BindTransformSingular", skeleton.transforms_invertible),
+    Check("JointTransformAffine", skeleton.transforms_affine),
+    Check("JointScaleNegative", skeleton.joint_scale),
+    Check("BoneLimits", skeleton.limits),
+    Check("AnimationCount", skeleton.animation_count),
+    Check("AnimationTransforms", skeleton.animation_transforms),
+    Check("AnimationNames", skeleton.animation_names, "warning"),
+    Check("AnimationRotations", skeleton.rotations_unit, "warning"),
+    Check("BlendshapeTargetCount", shapes.target_count),
+    Check("BlendshapeTargetDangling", shapes.target_dangling),
+    Check("BlendshapeNames", shapes.names),
+    Check("BlendshapePointIndices", shapes.point_indices),
+    Check("BlendshapePointTwice", shapes.point_indices_twice),
+    Check("BlendshapePointsUnsorted", shapes.point_indices_sorted, "warning"),
+    Check("BlendshapeOffsetCount", shapes.offset_count),
+    Check("InbetweenWeight", shapes.inbetween_weight),
+    Check("RegionCount", points.region_count),
+    Check("RegionRange", points.region_range),
+    Check("RegionSum", points.region_sum),
+    Check("SubsetIndices", points.subset_indices),
+    Check("LandmarkIndices", points.landmark_indices),
+    Check("LandmarkNames", points.landmark_names),
+    Check("AnchorIndex", points.anchor_index),
+    Check("SliderLists", control.slider_lists),
+    Check("SliderRange", control.slider_range),
+    Check("SliderValue", control.slider_value, "warning"),
+    Check("SliderTargets", control.slider_targets),
+    Check("SliderCurves", control.slider_curves),
+    Check("SliderMirrors", control.slider_mirrors),
+    Check("SliderNetwork", networks.slider_network),
+    Check("NeuralRigFile", neural.neural_rig_file),
+    Check("NeuralRigDigest", neural.neural_rig_digest),
+    Check("NeuralRigTopology", neural.neural_rig_topology),
+    Check("PhotoCameras", photos.photo_cameras),
+    Check("PhotoLight", photos.photo_light),
+    Check("PhotoKeyLight", photos.photo_key),
+    Check("PhotoPoses", photos.photo_poses, "warning"),
+    Check("PersonPose", control.person_pose),
+    Check("RecipeOptions", control.recipe_options),
+    Check("RecipeDigests", control.recipe_digests, "warning"),
+)
+
+
+def check_stage(stage: Usd.Stage) -> list[Finding]:
+    """What our checks find on a stage, in the order of `CHECKS`."""
+    with usd_errors(stage.GetRootLayer().realPath), np.errstate(all="ignore"):  # NaN is what some checks look for
+        face = FaceView(stage)
+        return [
+            Finding(check=check.full_name, severity=check.severity, where=trail(stage, path), message=_line(message))
+            for check in CHECKS
+            for path, message in problems(check, face)
+        ]
+
+
+def problems(check: Check, face: FaceView) -> list[Problem]:
+    """What a check finds; that it could not be run is a find too."""
+    found: list[Problem] = []
+    try:
+        found.extend(check.function(face))
+    except USD_ERRORS as error:
+        found.append(Problem("/", f"could not be checked: {reason(error)}"))
+    return found
+
+
+def trail(stage: Usd.Stage, path: str) -> str:
+    """File and path for a finding."""
+    file = stage.GetRootLayer().realPath
+    return f"{Path(file).name} -> <{path}>" if file else f"<{path}>"
+
+
+def _line(message: str) -> str:
+    return " ".join(message.split())

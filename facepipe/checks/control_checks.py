@@ -1,0 +1,151 @@
+"""Checks of sliders and of the recipe."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+from pxr import Usd
+
+from facepipe.checks.problem import Problem, at, some
+from facepipe.checks.views import FaceView, array, value, words
+from facepipe.core import tokens
+from facepipe.rig import CHANNELS
+from facepipe.rig.sliders import curve_fault
+from facepipe.stage.display_names import exact_name
+
+
+def slider_names(prim: Usd.Prim | None) -> list[str]:
+    """The sliders on a face prim, sorted."""
+    if prim is None:
+        return []
+    prefix = tokens.SLIDER_PREFIX
+    found = prim.GetAuthoredPropertiesInNamespace(prefix.rstrip(":"))
+    return sorted({str(one.GetName()).removeprefix(prefix).rpartition(":")[0] for one in found} - {""})
+
+
+def person_pose(face: FaceView) -> Iterator[Problem]:
+    """The pose that is the person is an animation of the face."""
+    if face.prim is None:
+        return
+    name = str(value(face.prim.GetAttribute(tokens.PERSON)) or "")
+    if name and name not in {exact_name(one.GetPrim()) for one in face.animations}:
+        yield at(f"{face.prim.GetPath()}.{tokens.PERSON}", f"'{name}' is no animation of the face")
+
+
+def slider_lists(face: FaceView) -> Iterator[Problem]:
+    """Joints, channels and gains of a slider are parallel, and so are shapes and their gains."""
+    for name in slider_names(face.prim):
+        for lists in (("joints", "channels", "channelGains"), ("shapes", "shapeGains")):
+            lengths = [_length(face.prim, name, one) for one in lists]
+            if len(set(lengths)) > 1:
+                found = ", ".join(f"{length} {one}" for one, length in zip(lists, lengths, strict=True))
+                yield at(_path(face.prim, name), f"{found}, expected as many of each")
+
+
+def slider_range(face: FaceView) -> Iterator[Problem]:
+    """A slider's minimum is at most its default, and that at most its maximum."""
+    for name in slider_names(face.prim):
+        low, default, high = (_number(face.prim, name, one) for one in ("minimum", "default", "maximum"))
+        if not low <= default <= high:
+            yield at(_path(face.prim, name), f"default {default:g}, expected {low:g} to {high:g}")
+
+
+def slider_value(face: FaceView) -> Iterator[Problem]:
+    """A slider's value is within its range; values beyond are clamped."""
+    for name in slider_names(face.prim):
+        if value(_attribute(face.prim, name, "value")) is not None:
+            own, low, high = (_number(face.prim, name, one) for one in ("value", "minimum", "maximum"))
+            if not low <= own <= high:
+                yield at(_path(face.prim, name), f"value {own:g}, expected {low:g} to {high:g}")
+
+
+def slider_curves(face: FaceView) -> Iterator[Problem]:
+    """Curves of sliders have 2 knots or more, values that ascend and amounts that never turn back."""
+    for name in slider_names(face.prim):
+        fault = _curves_fault(face.prim, name)
+        if fault:
+            yield at(_path(face.prim, name), fault)
+
+
+def _curves_fault(prim: Usd.Prim | None, name: str) -> str | None:
+    fields = ("channelKnots", "shapeKnots", "knotValues", "knotAmounts")
+    channels, shapes, values, amounts = (_numbers(prim, name, field) for field in fields)
+    for field, counts, beside in (("channelKnots", channels, "joints"), ("shapeKnots", shapes, "shapes")):
+        if counts and len(counts) != _length(prim, name, beside):
+            return f"{len(counts)} {field}, expected none or as many as {beside}"
+    counts = [*channels, *shapes]
+    if not all(count >= 0 for count in counts) or not sum(counts) == len(values) == len(amounts):
+        found = f"{len(values)} knotValues and {len(amounts)} knotAmounts"
+        return f"{found}, expected as many of each as channelKnots and shapeKnots say"
+    knots = iter(zip(values, amounts, strict=True))
+    return next(filter(None, (curve_fault(tuple(islice(knots, int(count)))) for count in counts if count)), None)
+
+
+def slider_mirrors(face: FaceView) -> Iterator[Problem]:
+    """The mirror of a slider is another slider, which names it as its own."""
+    names = slider_names(face.prim)
+    mirrors = {name: str(value(_attribute(face.prim, name, "mirror")) or "") for name in names}
+    for name, other in mirrors.items():
+        if other and (other == name or mirrors.get(other) != name):
+            found = "itself" if other == name else f"whose own is '{mirrors[other]}'" if other in mirrors else "unknown"
+            yield at(f"{_path(face.prim, name)}:mirror", f"'{other}', {found}, expected sliders that name each other")
+
+
+def slider_targets(face: FaceView) -> Iterator[Problem]:
+    """Sliders drive joints, channels and blendshapes that the face has."""
+    for name in slider_names(face.prim):
+        for field, known in (("joints", set(face.joints)), ("channels", set(CHANNELS)), ("shapes", face.shape_names)):
+            unknown = sorted(set(words(_attribute(face.prim, name, field))) - known)
+            if unknown:
+                yield at(f"{_path(face.prim, name)}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
+
+
+def recipe_options(face: FaceView) -> Iterator[Problem]:
+    """The options of the recipe are a JSON object."""
+    attribute = face.prim.GetAttribute(tokens.RECIPE_OPTIONS) if face.prim else None
+    text = value(attribute)
+    if text is None:
+        return
+    try:
+        parsed = json.loads(str(text))
+    except (ValueError, RecursionError):
+        parsed = None
+    if not isinstance(parsed, dict):
+        yield at(attribute, "no JSON object, expected one")
+
+
+def recipe_digests(face: FaceView) -> Iterator[Problem]:
+    """The recipe has a digest per source."""
+    if face.prim is None:
+        return
+    sources, digests = (len(words(face.prim.GetAttribute(n))) for n in (tokens.RECIPE_SOURCES, tokens.RECIPE_DIGESTS))
+    if sources != digests:
+        yield at(f"{face.prim.GetPath()}.{tokens.RECIPE_DIGESTS}", f"{digests} digests, expected {sources}")
+
+
+def _attribute(prim: Usd.Prim | None, slider: str, field: str) -> Usd.Attribute | None:
+    return prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider}:{field}") if prim else None
+
+
+def _path(prim: Usd.Prim | None, slider: str) -> str:
+    return f"{prim.GetPath() if prim else ''}.{tokens.SLIDER_PREFIX}{slider}"
+
+
+def _length(prim: Usd.Prim | None, slider: str, field: str) -> int:
+    found = value(_attribute(prim, slider, field))
+    return len(found) if hasattr(found, "__len__") else 0
+
+
+def _numbers(prim: Usd.Prim | None, slider: str, field: str) -> list[float]:
+    found = array(value(_attribute(prim, slider, field)))
+    return [] if found is None else found.tolist()
+
+
+def _number(prim: Usd.Prim | None, slider: str, field: str) -> float:
+    found = array([value(_attribute(prim, slider, field))])
+    if found is not None and len(found) and np.isfinite(found[0]):
+        return float(found[0])
+    return 1.0 if field == "maximum" else 0.0

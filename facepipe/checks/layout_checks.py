@@ -1,0 +1,175 @@
+"""Checks of the stage as a whole: units, where the face is, what is bound to what, values that can be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
+
+from facepipe.checks.problem import Problem, at, some
+from facepipe.checks.views import FaceView, array
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.parts import FaceParts
+from facepipe.rig import implausible
+from facepipe.stage import Face
+from facepipe.stage.assets import read_image
+from facepipe.stage.bindings import authored_skel_properties
+from facepipe.stage.guard import UNREADABLE, reason
+
+
+def composition(face: FaceView) -> Iterator[Problem]:
+    """References, sublayers and payloads compose."""
+    for error in face.stage.GetCompositionErrors():
+        yield at("/", str(error))
+
+
+def stage_units(face: FaceView) -> Iterator[Problem]:
+    """metersPerUnit and upAxis are authored, metersPerUnit above 0."""
+    if not UsdGeom.StageHasAuthoredMetersPerUnit(face.stage):
+        yield at("/", "metersPerUnit not authored, expected the metres of one stage unit")
+    else:
+        unit = float(UsdGeom.GetStageMetersPerUnit(face.stage))
+        if not (np.isfinite(unit) and unit > 0):
+            yield at("/", f"metersPerUnit {unit:g}, expected a finite number above 0")
+    if not face.stage.GetRootLayer().pseudoRoot.HasInfo(UsdGeom.Tokens.upAxis):
+        yield at("/", "upAxis not authored, expected Y or Z")
+    elif str(UsdGeom.GetStageUpAxis(face.stage)) not in ("Y", "Z"):
+        yield at("/", f"upAxis '{UsdGeom.GetStageUpAxis(face.stage)}', expected Y or Z")
+
+
+def has_mesh(face: FaceView) -> Iterator[Problem]:
+    """A face has at least one mesh."""
+    if face.prim is not None and not face.meshes:
+        yield at(face.prim, "no Mesh below it, expected at least one")
+
+
+def plausible(face: FaceView) -> Iterator[Problem]:
+    """The face is as large as a head and, by its landmarks, stands upright and looks forward."""
+    if face.prim is None:
+        return
+    try:
+        own = Face(face.stage, face.prim)
+        up: Literal["Y", "Z"] = "Z" if own.up_axis == "Z" else "Y"
+        unit = own.meters_per_unit
+        lines = implausible(FaceParts(meshes=own.meshes, skeleton=own.skeleton, meters_per_unit=unit, up_axis=up))
+    except FacepipeError:
+        return  # other checks say what is wrong with it
+    for line in lines:
+        yield at(face.prim, line)
+
+
+def textures(face: FaceView) -> Iterator[Problem]:
+    """Every texture that a UsdUVTexture names is there and begins as an image does."""
+    for prim in face.of_type(UsdShade.Shader):
+        given = prim.GetAttribute("inputs:file").Get() if prim.GetAttribute("inputs:file") else None
+        if not isinstance(given, Sdf.AssetPath) or not given.path:
+            continue
+        if not given.resolvedPath:
+            yield at(prim, f"texture @{given.path}@ can't be found")
+            continue
+        try:
+            if read_image(given) is None:
+                yield at(prim, f"@{given.path}@ is no image")
+        except InputError as error:
+            yield at(prim, error.what)
+
+
+def face_prim(face: FaceView) -> Iterator[Problem]:
+    """The stage has a face: a prim with FacepipeFaceAPI."""
+    if face.prim is None:
+        yield at("/", "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files")
+
+
+def default_prim(face: FaceView) -> Iterator[Problem]:
+    """The face is the default prim, so that a reference to the file brings it."""
+    default = face.stage.GetDefaultPrim()
+    if face.prim is not None and default != face.prim:
+        found = f"<{default.GetPath()}>" if default else "missing"
+        yield at(face.prim, f"defaultPrim is {found}, expected the face")
+
+
+def skel_root(face: FaceView) -> Iterator[Problem]:
+    """The face is a SkelRoot, and skeletons and bound meshes stand below one: UsdSkel deforms nothing elsewhere."""
+    if face.prim is not None and not face.prim.IsA(UsdSkel.Root):
+        yield at(face.prim, f"is of type '{face.prim.GetTypeName()}', expected SkelRoot")
+    else:
+        bound = [mesh.prim for mesh in face.meshes if mesh.is_skinned or mesh.shape_names or mesh.skeleton_path]
+        for prim in [skeleton.prim for skeleton in face.skeletons] + bound:
+            if not UsdSkel.Root.Find(prim):
+                yield at(prim, "no SkelRoot above it, expected one")
+
+
+def skeleton_count(face: FaceView) -> Iterator[Problem]:
+    """One Skeleton below the face, always: UsdSkel ignores blendshapes where there is none."""
+    if len(face.skeletons) != 1:
+        named = f" ({some(one.path for one in face.skeletons)})" if face.skeletons else ""
+        yield at(face.prim or "/", f"{len(face.skeletons)} Skeleton prims{named}, expected one")
+
+
+def skel_binding_api(face: FaceView) -> Iterator[Problem]:
+    """SkelBindingAPI is applied to the Skeleton and to every prim with skel properties; they do nothing without."""
+    for prim in face.prims:
+        if prim.HasAPI(UsdSkel.BindingAPI):
+            continue
+        authored = authored_skel_properties(prim)
+        if authored or (prim.IsA(UsdSkel.Skeleton) and face.prim is not None):
+            having = f" but {some(authored)}" if authored else ""
+            yield at(prim, f"SkelBindingAPI not applied{having}, expected it")
+
+
+def skeleton_bound(face: FaceView) -> Iterator[Problem]:
+    """Every mesh with influences or blendshapes is bound to a Skeleton that is there."""
+    for mesh in face.meshes:
+        if not (mesh.is_skinned or mesh.shape_names):
+            continue
+        path = mesh.skeleton_path
+        prim = face.stage.GetPrimAtPath(path) if path and path.IsPrimPath() else None
+        if path is None:
+            yield at(mesh.prim, "skel:skeleton names no Skeleton, expected one on the mesh or above it")
+        elif not prim or not prim.IsA(UsdSkel.Skeleton):
+            yield at(mesh.prim, f"skel:skeleton names <{path}>, expected a Skeleton")
+
+
+def readable_values(face: FaceView) -> Iterator[Problem]:
+    """Every authored value can be read and is of its attribute's type."""
+    for attribute in _attributes(face):
+        try:
+            time = Usd.TimeCode.EarliestTime() if attribute.ValueMightBeTimeVarying() else Usd.TimeCode.Default()
+            found = attribute.Get(time)
+        except (*UNREADABLE, RuntimeError) as error:
+            yield at(attribute, f"can't be read ({reason(error)[:200]})")
+            continue
+        kind = attribute.GetTypeName()
+        own = Tf.Type.FindByName(kind.cppTypeName) if found is not None and kind else None
+        if own is not None and own.pythonClass and not isinstance(found, own.pythonClass):
+            yield at(attribute, f"value of type {type(found).__name__}, expected {kind}")
+
+
+def finite(face: FaceView) -> Iterator[Problem]:
+    """No number is NaN or infinite, at any time."""
+    for attribute in _attributes(face):
+        samples = [Usd.TimeCode(code) for code in attribute.GetTimeSamples()]
+        for time in [Usd.TimeCode.Default(), *samples]:
+            values = _floats(attribute, time)
+            if values is not None and not np.isfinite(values).all():
+                wrong = int(np.count_nonzero(~np.isfinite(values)))
+                when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
+                yield at(attribute, f"{wrong} of {values.size} numbers are NaN or infinite{when}, expected finite ones")
+                break
+
+
+def _attributes(face: FaceView) -> Iterator[Usd.Attribute]:
+    for prim in face.prims:
+        yield from (attribute for attribute in prim.GetAuthoredAttributes() if attribute.HasAuthoredValue())
+
+
+def _floats(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:
+    kind = str(attribute.GetTypeName())
+    if kind.startswith(("token", "string", "asset", "int", "uint", "bool", "path", "uchar")):
+        return None
+    try:
+        return array(attribute.Get(time))
+    except (*UNREADABLE, RuntimeError):
+        return None

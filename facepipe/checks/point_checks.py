@@ -1,0 +1,170 @@
+"""Checks of what belongs to points and faces of a mesh: topology, primvars, regions, subsets, landmarks, anchor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom
+
+from facepipe.checks.problem import Problem, at, outside
+from facepipe.checks.views import FaceView, FloatArray, MeshView, array, numbers, value, words
+from facepipe.core import tokens
+
+REGION_SUM_TOLERANCE = 1e-3
+
+
+def topology(face: FaceView) -> Iterator[Problem]:
+    """Face counts add up to the face-vertex indices, and these are points of the mesh."""
+    for mesh in face.meshes:
+        counts, indices = numbers(mesh.mesh.GetFaceVertexCountsAttr()), numbers(mesh.mesh.GetFaceVertexIndicesAttr())
+        total = 0 if counts is None else counts.sum()
+        if total != mesh.corners:
+            yield at(mesh.prim, f"{mesh.corners} faceVertexIndices, expected {total:g} as the face counts ask for")
+        if counts is not None and len(counts) and counts.min() < 3:
+            yield at(mesh.mesh.GetFaceVertexCountsAttr(), f"a face of {counts.min():g} points, expected 3 or more")
+        wrong = None if indices is None else outside(indices, mesh.count)
+        if wrong:
+            yield at(mesh.mesh.GetFaceVertexIndicesAttr(), wrong)
+
+
+def primvar_count(face: FaceView) -> Iterator[Problem]:
+    """Primvars have as many values as their interpolation asks for, and indices in range."""
+    for mesh in face.meshes:
+        for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithAuthoredValues():
+            name = str(primvar.GetPrimvarName())
+            if name.startswith(("skel:", tokens.REGION_PRIMVAR)):
+                continue  # they have checks of their own
+            found = value(primvar.GetAttr())
+            if not primvar.GetTypeName().isArray or not hasattr(found, "__len__"):
+                continue
+            indices = array(value(primvar.GetIndicesAttr())) if primvar.IsIndexed() else None
+            wrong = None if indices is None else outside(indices, len(found))
+            if wrong:
+                yield at(primvar.GetIndicesAttr(), wrong)
+            expected = _expected(mesh, primvar.GetInterpolation())
+            have = len(found) if indices is None else len(indices)
+            if expected is not None and have != expected * max(primvar.GetElementSize(), 1):
+                yield at(primvar.GetAttr(), f"{have} values, expected {expected * max(primvar.GetElementSize(), 1)}")
+
+
+def normal_count(face: FaceView) -> Iterator[Problem]:
+    """Normals have as many values as their interpolation asks for."""
+    for mesh in face.meshes:
+        normals = numbers(mesh.mesh.GetNormalsAttr(), 3)
+        expected = _expected(mesh, mesh.mesh.GetNormalsInterpolation())
+        if normals is not None and expected is not None and len(normals) != expected:
+            yield at(mesh.mesh.GetNormalsAttr(), f"{len(normals)} normals, expected {expected}")
+
+
+def _expected(mesh: MeshView, interpolation: str) -> int | None:
+    counts = numbers(mesh.mesh.GetFaceVertexCountsAttr())
+    return {
+        "constant": None,  # any length for arrays
+        "uniform": 0 if counts is None else len(counts),
+        "varying": mesh.count,
+        "vertex": mesh.count,
+        "faceVarying": mesh.corners,
+    }.get(str(interpolation))
+
+
+def _regions(mesh: MeshView) -> Iterator[tuple[UsdGeom.Primvar, FloatArray]]:
+    """Each region with its values; without those that are no numbers."""
+    for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithAuthoredValues():
+        if str(primvar.GetPrimvarName()).startswith(tokens.REGION_PRIMVAR):
+            values = array(value(primvar.GetAttr()))
+            if values is not None:
+                indices = array(value(primvar.GetIndicesAttr())) if primvar.IsIndexed() else None
+                inside = indices is not None and outside(indices, len(values)) is None
+                yield primvar, values[indices.astype(np.int64)] if inside and indices is not None else values
+
+
+def region_count(face: FaceView) -> Iterator[Problem]:
+    """A region has one value per point, vertex-interpolated."""
+    for mesh in face.meshes:
+        for primvar, values in _regions(mesh):
+            if len(values) != mesh.count:
+                yield at(primvar.GetAttr(), f"{len(values)} values, expected {mesh.count}")
+            if primvar.GetInterpolation() != UsdGeom.Tokens.vertex:
+                yield at(primvar.GetAttr(), f"interpolation {primvar.GetInterpolation()}, expected vertex")
+
+
+def region_range(face: FaceView) -> Iterator[Problem]:
+    """Region values are 0 to 1."""
+    for mesh in face.meshes:
+        for primvar, values in _regions(mesh):
+            wrong = values[(values < -1e-6) | (values > 1 + 1e-6)]
+            if len(wrong):
+                yield at(primvar.GetAttr(), f"{len(wrong)} values like {wrong[0]:g}, expected 0 to 1")
+
+
+def region_sum(face: FaceView) -> Iterator[Problem]:
+    """The regions of a mesh sum to 1 at every point."""
+    for mesh in face.meshes:
+        masks = [values for _, values in _regions(mesh)]
+        if not masks or not mesh.count or any(len(one) != mesh.count or not np.isfinite(one).all() for one in masks):
+            continue
+        sums = np.sum(masks, axis=0)
+        wrong = np.flatnonzero(np.abs(sums - 1) > REGION_SUM_TOLERANCE)
+        if len(wrong):
+            worst = wrong[np.argmax(np.abs(sums[wrong] - 1))]
+            found = f"regions sum to other than 1 at {len(wrong)} of {len(sums)} points"
+            yield at(mesh.prim, f"{found} (point {worst}: {sums[worst]:.6g}), expected 1")
+
+
+def subset_indices(face: FaceView) -> Iterator[Problem]:
+    """GeomSubsets name points or faces of their mesh."""
+    for mesh in face.meshes:
+        counts = numbers(mesh.mesh.GetFaceVertexCountsAttr())
+        sizes = {"point": mesh.count, "face": 0 if counts is None else len(counts)}
+        for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.prim)):
+            kind, indices = str(value(subset.GetElementTypeAttr())), numbers(subset.GetIndicesAttr())
+            wrong = outside(indices, sizes[kind]) if indices is not None and kind in sizes else None
+            if wrong:
+                yield at(subset.GetIndicesAttr(), wrong)
+
+
+def landmark_indices(face: FaceView) -> Iterator[Problem]:
+    """Landmarks are points of their mesh."""
+    for mesh, scheme in _schemes(face):
+        attribute = mesh.prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:indices")
+        indices = numbers(attribute)
+        wrong = None if indices is None else outside(indices, mesh.count)
+        if wrong:
+            yield at(attribute, wrong)
+
+
+def landmark_names(face: FaceView) -> Iterator[Problem]:
+    """Landmark names are absent, or one per landmark and distinct."""
+    for mesh, scheme in _schemes(face):
+        prefix = f"{tokens.LANDMARKS_PREFIX}{scheme}"
+        names, indices = (
+            words(mesh.prim.GetAttribute(f"{prefix}:names")),
+            numbers(mesh.prim.GetAttribute(f"{prefix}:indices")),
+        )
+        count = 0 if indices is None else len(indices)
+        if names and len(names) != count:
+            yield at(f"{mesh.path}.{prefix}:names", f"{len(names)} names, expected {count}")
+        elif len(set(names)) != len(names):
+            yield at(f"{mesh.path}.{prefix}:names", "a name twice, expected each once")
+
+
+def _schemes(face: FaceView) -> Iterator[tuple[MeshView, str]]:
+    for mesh in face.meshes:
+        for one in _authored(mesh.prim, tokens.LANDMARKS_PREFIX):
+            if one.endswith(":indices"):
+                yield mesh, one.removeprefix(tokens.LANDMARKS_PREFIX).removesuffix(":indices")
+
+
+def _authored(prim: Usd.Prim, prefix: str) -> list[str]:
+    return [str(one.GetName()) for one in prim.GetAuthoredPropertiesInNamespace(prefix.rstrip(":"))]
+
+
+def anchor_index(face: FaceView) -> Iterator[Problem]:
+    """The anchor is a point of its mesh, or -1 for none."""
+    for mesh in face.meshes:
+        attribute = mesh.prim.GetAttribute(tokens.ANCHOR)
+        found = array([value(attribute)]) if value(attribute) is not None else None
+        wrong = outside(found, mesh.count) if found is not None and (found != -1).all() else None
+        if wrong:
+            yield at(Sdf.Path(mesh.path).AppendProperty(tokens.ANCHOR).pathString, wrong)

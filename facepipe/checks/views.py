@@ -1,0 +1,202 @@
+"""A raw look at a stage: values as they are authored, however wrong, so that every check sees its own defect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from facepipe.core import tokens
+from facepipe.stage.api_schemas import is_applied
+from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
+from facepipe.stage.guard import UNREADABLE
+from facepipe.stage.traversal import check_kinds, prims_below
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+
+def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> Any:
+    """The value at `time`; None: the default value, or the first time sample where there is none."""
+    if not attribute:
+        return None
+    try:
+        if time is not None:
+            return attribute.Get(time)
+        found = attribute.Get()
+        return attribute.Get(Usd.TimeCode.EarliestTime()) if found is None else found
+    except (*UNREADABLE, RuntimeError):
+        return None  # the check of readable values reports it
+
+
+def array(found: Any, *shape: int) -> FloatArray | None:
+    """A value as (n, *shape) float64; None where it is missing or no such numbers."""
+    if found is None or isinstance(found, str | bytes):
+        return None
+    try:
+        return np.array(found, dtype=np.float64).reshape(-1, *shape)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def numbers(attribute: Usd.Attribute | None, *shape: int) -> FloatArray | None:
+    """An attribute as (n, *shape) float64; None where it is missing or holds no such numbers."""
+    return array(value(attribute), *shape)
+
+
+def words(attribute: Usd.Attribute | None) -> tuple[str, ...]:
+    """An array of tokens or strings; empty where it is missing or something else."""
+    found = value(attribute)
+    return tuple(str(word) for word in found) if hasattr(found, "__iter__") and not isinstance(found, str) else ()
+
+
+def times(attributes: list[Usd.Attribute]) -> list[Usd.TimeCode]:
+    """Every time with a sample; the default time where there is none."""
+    codes = sorted({code for attribute in attributes if attribute for code in attribute.GetTimeSamples()})
+    return [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
+
+
+def targets(relationship: Usd.Relationship | None) -> list[Sdf.Path]:
+    """Targets of a relationship, forwarded."""
+    return list(relationship.GetForwardedTargets()) if relationship else []
+
+
+class MeshView:
+    """A Mesh prim and the skel properties that hold for it, its own or those of a prim above."""
+
+    def __init__(self, prim: Usd.Prim, known: Known) -> None:
+        """:param known: what holds for the prims above, shared by all meshes"""
+        self.prim = prim
+        self.path = str(prim.GetPath())
+        self._known = known
+        self.mesh = UsdGeom.Mesh(prim)
+
+    @cached_property
+    def count(self) -> int:
+        """Number of points."""
+        points = numbers(self.mesh.GetPointsAttr(), 3)
+        return 0 if points is None else len(points)
+
+    @cached_property
+    def corners(self) -> int:
+        """Number of face-vertex indices."""
+        indices = numbers(self.mesh.GetFaceVertexIndicesAttr())
+        return 0 if indices is None else len(indices)
+
+    def inherited(self, name: str) -> Usd.Attribute | None:
+        """An attribute with a value, of the mesh or the nearest prim above that has one."""
+        return inherited_attribute(self.prim, name, self._known)
+
+    @cached_property
+    def skeleton_path(self) -> Sdf.Path | None:
+        """What skel:skeleton of the mesh or a prim above names."""
+        return inherited_skeleton(self.prim, self._known)
+
+    @cached_property
+    def joint_indices(self) -> FloatArray | None:
+        """(entries,) joint indices."""
+        return numbers(self.inherited("primvars:skel:jointIndices"))
+
+    @cached_property
+    def joint_weights(self) -> FloatArray | None:
+        """(entries,) joint weights."""
+        return numbers(self.inherited("primvars:skel:jointWeights"))
+
+    @property
+    def is_skinned(self) -> bool:
+        """Whether joint influences are authored."""
+        return self.joint_indices is not None or self.joint_weights is not None
+
+    @cached_property
+    def weights_by_point(self) -> FloatArray | None:
+        """(n, influences) weights, one row for a rigid mesh; None where the array has no such shape."""
+        attribute, weights = self.inherited("primvars:skel:jointWeights"), self.joint_weights
+        if attribute is None or weights is None:
+            return None
+        width = max(UsdGeom.Primvar(attribute).GetElementSize(), 1)
+        return weights.reshape(-1, width) if len(weights) % width == 0 else None
+
+    @cached_property
+    def shape_names(self) -> tuple[str, ...]:
+        """skel:blendShapes."""
+        return words(self.prim.GetAttribute("skel:blendShapes"))
+
+    @cached_property
+    def shape_targets(self) -> list[Sdf.Path]:
+        """skel:blendShapeTargets."""
+        return targets(self.prim.GetRelationship("skel:blendShapeTargets"))
+
+    @cached_property
+    def shapes(self) -> list[UsdSkel.BlendShape]:
+        """The BlendShape prims of the targets that are there."""
+        prims = [self.prim.GetStage().GetPrimAtPath(target) for target in self.shape_targets if target.IsPrimPath()]
+        return [UsdSkel.BlendShape(prim) for prim in prims if prim and prim.IsA(UsdSkel.BlendShape)]
+
+
+class SkeletonView:
+    """A Skeleton prim."""
+
+    def __init__(self, prim: Usd.Prim) -> None:
+        self.prim = prim
+        self.path = str(prim.GetPath())
+        skeleton = UsdSkel.Skeleton(prim)
+        self.joints = words(skeleton.GetJointsAttr())
+        self.bind = numbers(skeleton.GetBindTransformsAttr(), 4, 4)  # row vectors, as USD has them
+        self.rest = numbers(skeleton.GetRestTransformsAttr(), 4, 4)
+
+
+class FaceView:
+    """The face of a stage, or all of the stage where it has none."""
+
+    def __init__(self, stage: Usd.Stage) -> None:
+        """:raises InputError: more prims than a face can have"""
+        self.stage = stage
+        where = stage.GetRootLayer().realPath or stage.GetRootLayer().identifier
+        everything = list(prims_below(stage.GetPseudoRoot(), where))
+        found = [prim for prim in everything if is_applied(prim, tokens.FACE_API)]
+        default = stage.GetDefaultPrim()
+        self.prim: Usd.Prim | None = default if default in found else next(iter(found), None)
+        self.prims = list(prims_below(self.prim, where)) if self.prim else everything[1:]
+        check_kinds(self.prims, where)
+
+    def of_type(self, schema: Any) -> Iterator[Usd.Prim]:
+        """Prims of a schema class, in stage order."""
+        return (prim for prim in self.prims if prim.IsA(schema))
+
+    @cached_property
+    def meshes(self) -> list[MeshView]:
+        """Its meshes."""
+        known: Known = {}
+        return [MeshView(prim, known) for prim in self.of_type(UsdGeom.Mesh)]
+
+    @cached_property
+    def skeletons(self) -> list[SkeletonView]:
+        """Its skeletons; the convention asks for one."""
+        return [SkeletonView(prim) for prim in self.of_type(UsdSkel.Skeleton)]
+
+    @cached_property
+    def animations(self) -> list[UsdSkel.Animation]:
+        """Its poses and clips."""
+        return [UsdSkel.Animation(prim) for prim in self.of_type(UsdSkel.Animation)]
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """The joints of its first skeleton."""
+        return self.skeletons[0].joints if self.skeletons else ()
+
+    @cached_property
+    def shape_names(self) -> set[str]:
+        """Names of all blendshapes."""
+        return {name for mesh in self.meshes for name in mesh.shape_names}
+
+    def joints_of(self, mesh: MeshView) -> tuple[str, ...]:
+        """What joint indices of a mesh count: its skel:joints, or the joints of the skeleton bound to it."""
+        own = words(mesh.inherited("skel:joints"))
+        if own:
+            return own
+        bound = [one.joints for one in self.skeletons if one.prim.GetPath() == mesh.skeleton_path]
+        return bound[0] if bound else self.joints

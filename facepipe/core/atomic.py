@@ -1,0 +1,296 @@
+"""Files and folders that appear whole or not at all, alone or several together."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from pathlib import Path
+
+from facepipe.core import hidden_folders
+from facepipe.core.errors import InputError
+from facepipe.core.hidden_folders import PREFIX, HiddenFolder
+from facepipe.core.placing import (
+    Move,
+    Role,
+    exchange,
+    identity,
+    place,
+    settle,
+    sync_file,
+    sync_folder,
+    undo,
+    write_journal,
+)
+from facepipe.core.trust import check_beside
+
+AnyPath = str | os.PathLike[str]
+
+
+@contextlib.contextmanager
+def replacing(path: AnyPath) -> Iterator[Path]:
+    """A temporary path with `path`'s name; takes its place when the block ends well, is removed when not.
+
+    A file that was there lends its mode; a link to it stays, and the file that it points at is replaced. Within
+    `together` the place is taken when that ends.
+
+    :raises InputError: the folder does not exist or can't be written, `path` is no file, or a link to nothing or out
+        of the roots
+    """
+    target = _real(path)
+    if not target.parent.is_dir():
+        raise InputError(path, "the folder does not exist")
+    if os.path.lexists(target) and not target.is_file():
+        raise InputError(path, "is a folder, expected a file" if target.is_dir() else "is no regular file")
+    with _refused(path), _in_group(target) as group:
+        temporary = target if group is None else group.home(target.parent) / target.name
+        try:
+            yield temporary
+            if group is not None:
+                _finish_file(temporary, target)
+                group.add(target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
+def replacing_folder(path: AnyPath) -> Iterator[Path]:
+    """A new folder; takes the place of `path` when the block ends well, with all in it is removed when not.
+
+    A folder that was there is lost as a whole. Links and `together` are as for `replacing`.
+
+    :raises InputError: the folder around it does not exist or can't be written, a file is in its place, or another
+        process changes it meanwhile
+    """
+    target = _real(path)
+    if not target.parent.is_dir():
+        raise InputError(path, "the folder around it does not exist")
+    if target.exists() and not target.is_dir():
+        raise InputError(path, "is a file, expected a folder")
+    former = identity(target)
+    with _refused(path), _in_group(target) as group:
+        temporary = target if group is None else group.home(target.parent) / target.name
+        try:
+            temporary.mkdir()
+            yield temporary
+            if group is not None:
+                _finish_folder(temporary, target)
+                if identity(target) != former:
+                    raise InputError(path, "was changed meanwhile, expected nobody else to write there")
+                group.add(target)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+
+
+def write_bytes(path: AnyPath, data: bytes) -> None:
+    """Write `data` to `path` atomically."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
+@contextlib.contextmanager
+def together(path: AnyPath) -> Iterator[None]:
+    """All that is written in the block takes its place when it ends, or nothing does: also where it is killed then.
+
+    They go there in the order in which they were finished. Others that are replaced are away before the first comes;
+    `path` itself is replaced in one step. So a new file is never seen beside an old one that it doesn't belong to. What
+    a killed process had left to do, the next to write there (or `collect`) does. Within another such block it is part
+    of that.
+
+    :param path: the file that the others belong to
+    :raises InputError: a place can't be taken
+    """
+    if _group.get() is not None:
+        yield
+        return
+    with _Group(_real(path)) as group:
+        token = _group.set(group)
+        try:
+            yield
+        finally:
+            _group.reset(token)
+        with _refused(path):
+            group.commit()
+
+
+@contextlib.contextmanager
+def apart() -> Iterator[None]:
+    """What is written in the block takes its place at once, within `together` too."""
+    token = _group.set(None)
+    try:
+        yield
+    finally:
+        _group.reset(token)
+
+
+def discard_stale(path: Path) -> None:
+    """Remove a file, or a link, within `together`: once all that is written is in place."""
+    target = path.parent.resolve() / path.name
+    with _in_group(target) as group:
+        if group is not None:
+            group.home(target.parent)
+            group.add(target, "stale")
+
+
+def when_placed(call: Callable[[], object]) -> None:
+    """Call now, within `together` once all that is written is in place."""
+    group = _group.get()
+    if group is None:
+        call()
+    else:
+        group.calls.append(call)
+
+
+@contextlib.contextmanager
+def hidden_folder(parent: Path) -> Iterator[Path]:
+    """A passing folder in `parent` for files that nobody is to see; where this is killed, the next removes it.
+
+    :raises InputError: `parent` does not exist or can't be written
+    """
+    if not parent.is_dir():
+        raise InputError(parent, "the folder does not exist")
+    with _Group(parent.resolve() / "any") as group:
+        with _refused(parent):
+            inner = group.home(parent.resolve()) / "files"
+            inner.mkdir()
+        yield inner
+
+
+def collect(folder: Path) -> None:
+    """Settle what killed processes left in `folder`: hidden files go, what they had begun to put in place is placed."""
+    for held in hidden_folders.left_behind(folder):
+        settle(held)
+
+
+class _Group:
+    """What takes its place together."""
+
+    def __init__(self, main: Path) -> None:
+        self._main, self._key = main, secrets.token_hex(8)
+        self._homes: dict[Path, HiddenFolder] = {}
+        self._written: dict[Path, Role] = {}
+        self._left = False  # to the next process
+        self.calls: list[Callable[[], object]] = []
+
+    def __enter__(self) -> _Group:
+        collect(self._main.parent)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for home in self._homes.values():
+            (hidden_folders.release if self._left else hidden_folders.remove)(home)
+
+    def home(self, parent: Path) -> Path:
+        """The hidden folder in `parent`, which is without links."""
+        if parent not in self._homes:
+            if parent != self._main.parent:
+                collect(parent)
+            self._homes[parent] = hidden_folders.make(parent, self._key)
+        return self._homes[parent].path
+
+    def add(self, target: Path, role: Role | None = None) -> None:
+        """Take `target`, whose new state is in its hidden folder."""
+        self._written.pop(target, None)
+        alone = target == self._main and not target.is_dir()
+        self._written[target] = role or ("main" if alone else "beside")
+
+    def commit(self) -> None:
+        """:raises OSError: a place can't be taken; nothing is changed then"""
+        moves = [
+            Move(self.home(target.parent), target.name, identity(target), role)
+            for target, role in self._written.items()
+        ]
+        if len(moves) == 1 and moves[0].role != "stale" and self._in_one_step(moves[0]):
+            pass
+        elif moves:
+            self._journaled(moves)
+        for parent in self._homes:
+            sync_folder(parent)
+        for call in self.calls:
+            call()
+
+    def _in_one_step(self, move: Move) -> bool:
+        if move.former is not None and move.target.is_dir():
+            return exchange(move.source, move.target)
+        move.source.replace(move.target)
+        return True
+
+    def _journaled(self, moves: list[Move]) -> None:
+        write_journal(moves, [home.path for home in self._homes.values()])
+        try:
+            place(moves)
+        except OSError:
+            self._left = True  # unless all is taken back
+            self._left = not undo(moves)
+            raise
+        except BaseException:  # Ctrl-C: a few renames more
+            self._left = True
+            place(moves)
+            self._left = False
+            raise
+
+
+_group: ContextVar[_Group | None] = ContextVar("facepipe_files_together", default=None)
+
+
+@contextlib.contextmanager
+def _in_group(target: Path) -> Iterator[_Group | None]:
+    """The group that `target` goes with: that of `together`, else one of its own; None within a hidden folder."""
+    group = _group.get()
+    if hidden_folders.is_within_live(target):
+        yield None
+    elif group is not None:
+        yield group
+    else:
+        with _Group(target) as group:
+            yield group
+            group.commit()
+
+
+@contextlib.contextmanager
+def _refused(path: AnyPath) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(path, f"can't be written: {error.strerror or error}") from error
+
+
+def _real(path: AnyPath) -> Path:
+    """`path` in a folder without links; where it is one itself, what it points at.
+
+    :raises InputError: it points at nothing, or out of the roots
+    """
+    target = Path(path)
+    if target.name.startswith(PREFIX):
+        raise InputError(path, f"names of '{PREFIX}...' are for facepipe's passing files, expected another")
+    if target.is_symlink():
+        if not target.exists():
+            raise InputError(path, "is a link to nothing, expected a file or a link to one")
+        check_beside(target, target)
+        return target.resolve()
+    return target.parent.resolve() / target.name
+
+
+def _finish_file(temporary: Path, target: Path) -> None:
+    with temporary.open("rb+") as file:
+        _lend_mode(target, temporary)
+        os.fsync(file.fileno())
+
+
+def _finish_folder(temporary: Path, target: Path) -> None:
+    _lend_mode(target, temporary)
+    for parent, _, names in os.walk(temporary):
+        for name in names:
+            sync_file(Path(parent, name))
+        sync_folder(Path(parent))
+
+
+def _lend_mode(old: Path, new: Path) -> None:
+    if old.exists():
+        new.chmod(old.stat().st_mode & 0o777)

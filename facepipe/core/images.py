@@ -1,0 +1,149 @@
+"""Pictures of others, decoded by Pillow: what they promise is checked in their headers, before a pixel is decoded."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+MOST_PIXELS = 128_000_000  # a little more than a phone of 108 megapixels makes
+FREE_PIXELS, PER_BYTE = 1 << 24, 16  # of any file: 4096 x 4096; and for each of its bytes
+_MOST_PARTS = 1000  # chunks of a PNG beside those of its pixels, segments of a JPEG, its scans: each costs time
+_BAND = 1 << 20  # pixels converted at once
+_HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_STARTS = (
+    b"\x89PNG\r\n\x1a\n",
+    b"\xff\xd8\xff",
+    b"BM",
+    b"RIFF",
+    b"II*\x00",
+    b"MM\x00*",
+    b"v/1\x01",
+    b"#?RADIANCE",
+)
+
+
+def is_image(data: bytes) -> bool:
+    """Whether bytes begin as an image does. Only images are copied or exported, whatever file a stage names."""
+    return data.startswith(_STARTS)
+
+
+def open_image(
+    data: bytes,
+    where: object,
+    formats: Sequence[str] | None = None,
+    *,
+    expected: str = "a picture",
+    decode: bool = True,
+) -> Image:
+    """The first picture of a file, its header read.
+
+    :param formats: Pillow's names of those that may be; default all
+    :param expected: what they are called
+    :param decode: pixels are wanted: they must not be too many
+    :raises InputError: no such picture, or one of more than 128 million pixels, of more than 16 for each byte of the
+        file beyond 16 million, or of too many parts
+    """
+    from PIL import Image as Pillow
+
+    with decoding(where, expected):
+        for what in _too_many(data):
+            raise InputError(where, what)
+        if data[4:12] in _HEIC:
+            raise InputError(where, f"is HEIC, expected {expected}")
+        Pillow.init()
+        known = None if formats is None else [one for one in formats if one in Pillow.OPEN]
+        image: Image = Pillow.open(io.BytesIO(data), formats=known)
+    most = min(FREE_PIXELS + PER_BYTE * len(data), MOST_PIXELS)
+    if decode and image.width * image.height > most:
+        what = f"{image.width} x {image.height} pixels in {len(data)} bytes, expected at most {most} pixels"
+        raise InputError(where, what)
+    return image
+
+
+@contextmanager
+def decoding(where: object, expected: str = "a picture") -> Iterator[None]:
+    """Whatever a decoder raises as one line: damaged pictures make decoders fail in every way.
+
+    :raises InputError: a picture that can't be read
+    """
+    from PIL import Image as Pillow
+    from PIL import UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # odd metadata; sizes are checked here
+            yield
+    except InputError:
+        raise
+    except Pillow.DecompressionBombError as error:
+        raise InputError(where, f"is too large: {error}") from None
+    except UnidentifiedImageError:
+        raise InputError(where, f"is not a picture that can be read, expected {expected}") from None
+    except MemoryError:
+        raise InputError(where, "is too large for the memory at hand") from None
+    except Exception as error:
+        what = str(error)[:120] or type(error).__name__
+        raise InputError(where, f"is damaged or cut short: {what}") from None
+
+
+def pixels(image: Image, mode: str, where: object, factor: int = 1) -> npt.NDArray[np.uint8]:
+    """(h, w, channels) of a picture in another mode, squares of `factor` pixels as their mean.
+
+    In bands of rows: no copy of all pixels is made beside the result.
+
+    :raises InputError: damaged or cut short
+    """
+    width, height = (-(-side // factor) for side in image.size)
+    rows = max(_BAND // image.width // factor, 1)
+    result = np.empty((height, width, len(mode)), np.uint8)
+    with decoding(where):
+        for first in range(0, height, rows):
+            box = (0, first * factor, image.width, min((first + rows) * factor, image.height))
+            band = image.crop(box).convert(mode)
+            result[first : first + rows] = np.asarray(band.reduce(factor) if factor > 1 else band)
+    return result
+
+
+def _too_many(data: bytes) -> Iterator[str]:
+    if data.startswith(_PNG) and _chunks(data) > _MOST_PARTS:
+        yield f"more than {_MOST_PARTS} chunks"
+    if data.startswith(_JPEG):
+        if _segments(data) > _MOST_PARTS:
+            yield f"more than {_MOST_PARTS} segments"
+        if data.count(b"\xff\xda") > _MOST_PARTS // 10:
+            yield f"more than {_MOST_PARTS // 10} scans"
+
+
+def _chunks(data: bytes) -> int:
+    """Chunks of a PNG beside those of its pixels."""
+    at, found = len(_PNG), 0
+    while at + 8 <= len(data) and found <= _MOST_PARTS:
+        size, kind = struct.unpack_from(">I4s", data, at)
+        found += kind not in (b"IDAT", b"fdAT")
+        at += 12 + size
+    return found
+
+
+def _segments(data: bytes) -> int:
+    """Segments of a JPEG before its pixels."""
+    at, found = 2, 0
+    while at + 4 <= len(data) and found <= _MOST_PARTS:
+        marker, size = struct.unpack_from(">2H", data, at)
+        if marker == 0xFFDA or marker < 0xFF00:
+            break
+        found += 1
+        at += 2 + size
+    return found

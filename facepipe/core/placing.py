@@ -1,0 +1,263 @@
+"""Files and folders that are made in hidden folders, put in their places together, whatever is killed meanwhile.
+
+A journal in the first hidden folder is the step that decides: before it all is old, after it all is new, or will be
+when the next process writes there. It may come from anywhere, so a move only goes from a hidden folder to a plain name
+in the folder around, and only over what its writer saw there.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import stat
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from facepipe.core.hidden_folders import JOURNAL, PREFIX, HiddenFolder, claim, release, remove
+
+Identity = tuple[int, int, int]  # inode, size, time of change
+Role = Literal["main", "beside", "stale"]
+
+_JOINED = f"{PREFIX}joined"
+_MAX_TEXT = 1 << 22  # bytes
+_HERE, _EXCHANGE = -100, 2  # AT_FDCWD; RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
+_NOT_FOR_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF, errno.EACCES, errno.EPERM}
+
+
+@dataclass(frozen=True)
+class Move:
+    """One name: its new file or folder, and what was there."""
+
+    hidden: Path  # folder that has the new one
+    name: str
+    former: Identity | None
+    role: Role  # main: replaced in one step; beside: the old one goes before anything new comes; stale: goes at last
+
+    @property
+    def source(self) -> Path:
+        """The new one, until it is placed."""
+        return self.hidden / self.name
+
+    @property
+    def target(self) -> Path:
+        """Its place."""
+        return self.hidden.parent / self.name
+
+    @property
+    def aside(self) -> Path:
+        """Where the old one is kept meanwhile."""
+        return self.hidden / f"{PREFIX}former" / self.name
+
+    @property
+    def waits(self) -> bool:
+        """Whether it is still to be placed."""
+        return self.role != "stale" and os.path.lexists(self.source)
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether it waits, and another has written to its place since."""
+        return self.waits and identity(self.target) not in (None, self.former)
+
+
+def identity(path: Path) -> Identity | None:
+    """What tells a file or folder from any other and from its later self; None where there is none."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def place(moves: Sequence[Move]) -> None:
+    """Take every step that is not taken yet.
+
+    :raises OSError: one is not possible
+    """
+    for move in moves:
+        if move.role == "beside" and move.former is not None and identity(move.target) == move.former:
+            move.aside.parent.mkdir(exist_ok=True)
+            move.target.rename(move.aside)
+    for move in moves:
+        if move.waits:
+            move.source.replace(move.target)
+    for move in moves:
+        if move.role == "stale" and identity(move.target) == move.former:
+            move.target.unlink(missing_ok=True)
+
+
+def undo(moves: Sequence[Move]) -> bool:
+    """Take the steps back; False where the main file is new already, and all has to go on."""
+    if _decided(moves):
+        return False
+    for move in reversed(moves):
+        if move.role != "stale" and not move.waits:
+            move.target.rename(move.source)
+    _restore(moves)
+    return True
+
+
+def _decided(moves: Sequence[Move]) -> bool:
+    """Whether a main file was replaced: the old one is lost."""
+    return any(move.role == "main" and move.former is not None and not move.waits for move in moves)
+
+
+def _restore(moves: Sequence[Move]) -> None:
+    """Put back what is aside where its place is free."""
+    for move in moves:
+        if os.path.lexists(move.aside) and not os.path.lexists(move.target):
+            move.aside.rename(move.target)
+
+
+def write_journal(moves: Sequence[Move], folders: Sequence[Path]) -> None:
+    """From here on all of `moves` are made, by this process or another.
+
+    :param folders: hidden folders that have what is moved; the journal goes to the first
+    """
+    first = folders[0]
+    for other in folders[1:]:
+        _write(other / _JOINED, _relative(first.parent, other.parent))
+    steps = [(folders.index(one.hidden), one.name, one.former, one.role) for one in moves]
+    parents = [_relative(one.parent, first.parent) for one in folders]
+    _write(first / JOURNAL, json.dumps({"folders": parents, "moves": steps}))
+
+
+def settle(folder: HiddenFolder) -> None:
+    """End what a killed process began, all new where it had got that far, else all old; remove its hidden folder."""
+    joined = _text(folder.path / _JOINED)
+    if joined is None:
+        _finish(folder)
+        return
+    try:
+        first = _beside(folder.path, joined)
+    except ValueError:
+        first = folder.path  # which has no journal
+    if _text(first / JOURNAL) is None:
+        remove(folder)
+        return
+    release(folder)
+    held = claim(first)
+    if held is not None:  # else another settles it now
+        _finish(held)
+
+
+def _finish(folder: HiddenFolder) -> None:
+    moves = _journal(folder.path)
+    others = {move.hidden for move in moves} - {folder.path}
+    try:
+        if any(move.disturbed for move in moves) and not _decided(moves):
+            _restore(moves)
+        else:
+            place([move for move in moves if not move.disturbed])
+        for parent in {move.hidden.parent for move in moves}:
+            sync_folder(parent)
+    except OSError:  # for one who may
+        release(folder)
+        return
+    for held in filter(None, map(claim, others)):
+        remove(held)
+    remove(folder)
+
+
+def _journal(first: Path) -> list[Move]:
+    """The moves that a journal names; none where there is no journal, or none that `write_journal` wrote."""
+    try:
+        content = json.loads(_text(first / JOURNAL) or "")
+        folders = [_beside(first, one) for one in content["folders"]]
+        moves = [_move(folders, *one) for one in content["moves"]]
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return []
+    return [move for move in moves if stat.S_ISDIR(_mode(move.hidden)) and not _has_links(move)]
+
+
+def _move(folders: Sequence[Path], number: Any, name: Any, former: Any, role: Any) -> Move:
+    """:raises ValueError: what `write_journal` doesn't write"""
+    plain = isinstance(name, str) and name and not re.search(r"[/\\:\0]", name) and name not in (".", "..")
+    known = former is None or (len(former) == 3 and all(type(one) is int for one in former))
+    if not plain or name.startswith(PREFIX) or not known or role not in get_args(Role):
+        raise ValueError(name)
+    return Move(folders[number], name, None if former is None else tuple(former), role)
+
+
+def _beside(hidden: Path, folder: str) -> Path:
+    """The hidden folder in `folder`, as seen from around `hidden`, of the same key.
+
+    :raises ValueError: `folder` is on another machine
+    """
+    if folder.startswith(("//", "\\\\")):
+        raise ValueError(folder)
+    return hidden.parent / folder / hidden.name
+
+
+def _has_links(move: Move) -> bool:
+    return any(stat.S_ISLNK(_mode(one)) for one in (move.source, move.aside.parent))
+
+
+def _mode(path: Path) -> int:
+    try:
+        return path.lstat().st_mode
+    except OSError:
+        return 0
+
+
+def _text(path: Path) -> str | None:
+    """A small file's text; None where there is none."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_TEXT:
+            return None
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return None
+
+
+def _relative(path: Path, start: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, start)).as_posix()
+    except ValueError:  # another drive on Windows
+        return str(path)
+
+
+def _write(path: Path, text: str) -> None:
+    """Text that a loss of power leaves whole, and the folder around its folder with it."""
+    path.write_text(text, encoding="utf-8")
+    sync_file(path)
+    sync_folder(path.parent)
+    sync_folder(path.parent.parent)
+
+
+def sync_file(path: Path) -> None:
+    """Have the system write a file's bytes to the disk."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(path: Path) -> None:
+    """Have the system write a folder's names to the disk, where it can."""
+    if sys.platform == "win32":
+        return
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if error.errno not in _NOT_FOR_FOLDERS:
+            raise
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Two folders in each other's places, in one step; False where the system has no such step."""
+    import ctypes
+
+    libc: Any = ctypes.CDLL(None) if sys.platform in ("linux", "darwin") else None
+    names = os.fsencode(one), os.fsencode(other)
+    if sys.platform == "linux" and hasattr(libc, "renameat2"):
+        return bool(libc.renameat2(_HERE, names[0], _HERE, names[1], _EXCHANGE) == 0)
+    if sys.platform == "darwin" and hasattr(libc, "renamex_np"):
+        return bool(libc.renamex_np(*names, _EXCHANGE) == 0)
+    return False

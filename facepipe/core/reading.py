@@ -1,0 +1,135 @@
+"""Bytes and JSON of files, up to a size that a reader can want."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.errors import InputError
+from facepipe.core.trust import check_readable
+
+_MOST_VALUES = 3_000_000  # of a JSON or TOML file
+_MOST_DOTS = 100  # of a line: tomllib takes the square of a key's length
+_KEY_DOT = re.compile(rb"[^\d\s]\s*\.|\.\s*[^\d\s]|\.\s*\d+\s*\.")  # no decimal point
+
+
+def check_input(path: Path) -> None:
+    """:raises InputError: `path` is a pipe or a device, which a reader could wait on without end, or may not be read"""
+    check_readable(path)
+    try:
+        fine = not path.exists() or path.is_file() or path.is_dir()
+    except ValueError:  # a name with a NUL
+        fine = True
+    if not fine:
+        raise InputError(path, "is not a regular file")
+
+
+def check_regular(path: Path, most: int | None = None) -> int:
+    """The size of a regular file, of at most `most` bytes.
+
+    :raises InputError: not there, a folder, pipe or device, larger, or may not be read
+    """
+    check_readable(path)
+    try:
+        state = path.stat()
+    except (OSError, ValueError) as error:  # a name with a NUL
+        raise InputError(path, f"can't be read: {getattr(error, 'strerror', None) or error}") from error
+    if not stat.S_ISREG(state.st_mode):
+        raise InputError(path, "is not a regular file")
+    if most is not None and state.st_size > most:
+        raise InputError(path, f"larger than {most} bytes")
+    return state.st_size
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is one; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a file of at most `most` bytes.
+
+    :raises InputError: not readable, no regular file, or larger
+    """
+    size = check_regular(path, most)
+    try:
+        with path.open("rb") as file:
+            return file.read(size)  # no more: files of /proc say 0, and can go on without end
+    except OSError as error:
+        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+
+
+def read_json(path: Path, most: int) -> object:
+    """The JSON in a file of at most `most` bytes, as people write it: a key twice is a mistake.
+
+    :raises InputError: not readable, not JSON, a key twice, or text that is no Unicode
+    """
+    try:
+        data = read_bytes(path, most)
+        check_values(path, data)
+        content = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_object)
+        if b"\\u" in data:  # an escape can be half a surrogate pair
+            json.dumps(content, ensure_ascii=False).encode()
+        return content
+    except UnicodeEncodeError:
+        raise InputError(path, "text with half a surrogate pair, expected Unicode") from None
+    except (ValueError, RecursionError) as error:  # bad UTF-8 too
+        raise InputError(path, f"is not JSON ({error})") from None
+    except _TwiceError as error:
+        raise InputError(path, f"'{error}' twice, expected each key once") from None
+
+
+def read_json_object(path: Path, most: int) -> dict[str, object]:
+    """The JSON object in a file, as `read_json`.
+
+    :raises InputError: as `read_json`, or another value than an object
+    """
+    content = read_json(path, most)
+    if not isinstance(content, dict):
+        raise InputError(path, f"{str(content)[:40]}, expected a JSON object")
+    return content
+
+
+def check_values(where: object, data: bytes) -> None:
+    """Check a text of JSON before it is parsed: two bytes of it can become an object of a hundred.
+
+    :raises InputError: too many values
+    """
+    if sum(map(data.count, (b",", b":", b"[", b"{"))) > _MOST_VALUES:
+        raise InputError(where, f"more than {_MOST_VALUES} values")
+
+
+def read_toml(path: Path, most: int) -> dict[str, Any]:
+    """The TOML in a file of at most `most` bytes.
+
+    :raises InputError: not readable, or not TOML
+    """
+    data = read_bytes(path, most)
+    for number, line in enumerate(data.split(b"\n"), 1):
+        if line.count(b".") > _MOST_DOTS < len(_KEY_DOT.findall(line)):
+            raise InputError(f"{path}:{number}", f"more than {_MOST_DOTS} dotted keys")
+    check_values(path, data)
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:  # bad UTF-8 too
+        raise InputError(path, f"is not TOML ({str(error)[:120]})") from None
+
+
+class _TwiceError(Exception):
+    """A key that an object has twice."""
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _TwiceError(key[:60])
+        found[key] = value
+    return found

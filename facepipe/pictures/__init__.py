@@ -1,0 +1,26 @@
+"""Pictures of faces on a headless CPU."""
+
+from typing import TYPE_CHECKING
+
+from facepipe.core.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.pictures.face_picture import PictureOptions, picture, save_png
+    from facepipe.pictures.heatmap import HeatMap
+    from facepipe.pictures.photo_sheets import PhotoSheet, SheetPhoto, photo_sheet
+    from facepipe.pictures.regions import RegionColors
+    from facepipe.pictures.sheet import contact_sheet
+else:
+    __getattr__, __dir__ = lazy(__name__)
+
+__all__ = [
+    "HeatMap",
+    "PhotoSheet",
+    "PictureOptions",
+    "RegionColors",
+    "SheetPhoto",
+    "contact_sheet",
+    "photo_sheet",
+    "picture",
+    "save_png",
+]

@@ -1,0 +1,181 @@
+"""One picture of a face."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.atomic import replacing
+from facepipe.core.errors import InputError
+from facepipe.parts import FaceParts
+from facepipe.pictures import overlay
+from facepipe.pictures.camera import Camera, Frame, View, portrait
+from facepipe.pictures.draw import draw
+from facepipe.pictures.heatmap import HeatMap
+from facepipe.pictures.landmarks import draw_landmarks
+from facepipe.pictures.lighting import Studio
+from facepipe.pictures.regions import RegionColors, draw_legend, legend_width
+from facepipe.pictures.scene import Scene, build_scene, world_points
+from facepipe.pictures.shade import Shader
+from facepipe.pictures.textures import TextureCache, srgb_to_linear
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FloatArray = npt.NDArray[np.floating]
+Color = tuple[float, float, float]
+
+SMALLEST, LARGEST = 16, 4096  # pixels a side
+SMALLEST_WITH_TEXT = 128  # below, bar, numbers and title are left out
+LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corners
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions:
+    """How a picture is taken.
+
+    :raises InputError: a size, sample count, background or camera out of range, or settings that exclude each other
+    """
+
+    size: int = 800  # pixels a side, 16 to 4096
+    view: View = "front"  # or yaw and pitch of the camera, radians; yaw turns to the subject's left
+    background: Color | tuple[Color, Color] = LIGHT_GREY  # sRGB 0..1: one colour, or middle and corners
+    samples: int = 3  # per pixel and direction, 1 to 8
+    heatmap: HeatMap | None = None
+    bar: bool = True  # what the colours of a heat map mean, at the right side
+    regions: RegionColors | None = None  # instead of a heat map
+    landmarks: str | None = None  # scheme whose points get dots with their number in the scheme, from 0
+    title: str = ""
+    framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
+    camera: Camera | None = None  # of a picture `size` pixels a side, in the Y-up world; instead of view and framing
+    studio: Studio | None = None  # lights; None: portrait light, or even light where colours must be read
+    backdrop: FloatArray | None = None  # (size, size, 3) sRGB 0..1 picture behind the face, instead of `background`
+
+    def __post_init__(self) -> None:
+        if not SMALLEST <= self.size <= LARGEST:
+            raise InputError("size", f"{self.size} pixels, expected {SMALLEST} to {LARGEST}")
+        if not 1 <= self.samples <= 8:
+            raise InputError("samples", f"{self.samples}, expected 1 to 8")
+        if self.heatmap is not None and self.regions is not None:
+            raise InputError("regions", "given with a heat map, expected only one of them")
+        colors = np.array(self.background, dtype=np.float64)
+        if colors.shape not in ((3,), (2, 3)) or not ((colors >= 0) & (colors <= 1)).all():
+            raise InputError("background", f"{self.background}, expected one or two sRGB colours in 0..1")
+        if self.backdrop is not None:
+            self._check_backdrop(np.asarray(self.backdrop))
+        if self.camera is not None:
+            self._check_camera(self.camera)
+
+    def _check_backdrop(self, image: FloatArray) -> None:
+        expected = (self.size, self.size, 3)
+        if image.shape != expected or not ((image >= 0) & (image <= 1)).all():
+            raise InputError("backdrop", f"shape {image.shape}, expected {expected} sRGB values in 0..1")
+
+    def _check_camera(self, camera: Camera) -> None:
+        if self.framing is not None or self.view != "front":
+            raise InputError("camera", "given with a view or framing, expected only one of them")
+        numbers = (*np.ravel(camera.axes), *np.ravel(camera.eye), *camera.center, camera.focal)
+        if not np.isfinite(numbers).all() or camera.focal <= 0:
+            raise InputError("camera", f"focal length {camera.focal} pixels, expected finite numbers and one above 0")
+
+    @property
+    def written(self) -> bool:
+        """Whether the picture is large enough for text."""
+        return self.size >= SMALLEST_WITH_TEXT
+
+
+def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions) -> Image:
+    """A shaded picture of a face.
+
+    :param points: (n, 3) posed world-space points of all meshes in mesh order, stage units; None: the neutral
+    :raises InputError: points that don't fit or aren't finite, an unknown view or landmark scheme, a broken texture
+    :raises TopologyError: a mesh refers to points or materials that it does not have
+    """
+    return pictures(parts, points, [options])[0]
+
+
+def pictures(parts: FaceParts, points: FloatArray | None, several: Sequence[PictureOptions]) -> list[Image]:
+    """Several shaded pictures of a face, quicker than one after the other.
+
+    :raises FacepipeError: as `picture`
+    """
+    scene = build_scene(parts, points)
+    return [_picture(parts, scene, options) for options in several]
+
+
+def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
+    from PIL import Image
+
+    count = len(scene.points)
+    if options.heatmap is not None and options.heatmap.values.shape != (count,):
+        raise InputError(f"{parts.name} -> heat map", f"shape {options.heatmap.values.shape}, expected ({count},)")
+    paint = None if options.regions is None else options.regions.colors
+    if paint is not None and len(paint) != count:
+        raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
+    camera = _camera(parts, scene, options)
+    textures = TextureCache(largest=2 * options.size)
+    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap, paint, options.studio)
+    image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples))
+    if options.landmarks is not None:
+        draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
+    if options.heatmap is not None and options.bar and options.written:
+        overlay.color_bar(image, options.heatmap)
+    if options.regions is not None and options.written:
+        draw_legend(image, options.regions)
+    if options.title and options.written:
+        overlay.title(image, options.title)
+    return image
+
+
+def save_png(image: Image, path: str | os.PathLike[str]) -> None:
+    """Write a picture as PNG: whole or not at all, the same bytes for the same pixels.
+
+    :raises InputError: the folder does not exist or can't be written
+    """
+    with replacing(path) as temporary:
+        image.save(temporary, format="PNG", compress_level=6)
+
+
+def backdrop(size: int, colors: Color | tuple[Color, Color], top: int, bottom: int) -> npt.NDArray[np.float32]:
+    """Rows `top` to `bottom` of a linear background: one sRGB colour, or a blend from the middle to the corners."""
+    middle, corner = np.broadcast_to(np.array(colors, dtype=np.float32), (2, 3))
+    across = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
+    distance = np.sqrt((across[None, :] ** 2 + across[top:bottom, None] ** 2) / 2)
+    share = (distance**2 * (3 - 2 * distance))[..., None]
+    return np.asarray(srgb_to_linear(middle + (corner - middle) * share), dtype=np.float32)
+
+
+def _behind(options: PictureOptions) -> Callable[[int, int], FloatArray]:
+    """Gives rows of the linear background."""
+    if options.backdrop is None:
+        return partial(backdrop, options.size, options.background)
+    image = srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32))
+    return lambda top, bottom: image[top:bottom]
+
+
+def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
+    if options.camera is not None:
+        return options.camera
+    used = np.unique(scene.triangles)
+    points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
+    frame = Frame(
+        width=options.size,
+        height=options.size,
+        right=_right_border(options),
+        top=overlay.title_height(options.size) if options.title and options.written else 0,
+    )
+    return portrait(points[used], options.view, frame)
+
+
+def _right_border(options: PictureOptions) -> int:
+    """Pixels that a colour bar or a legend takes."""
+    if options.regions is not None and options.written:
+        return legend_width(options.regions, options.size)
+    with_bar = options.heatmap is not None and options.bar and options.written
+    return overlay.bar_width(options.size) if with_bar else 0

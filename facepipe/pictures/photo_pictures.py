@@ -1,0 +1,203 @@
+"""The pictures of one photo on a fit's report sheet: a square around the face, with what was found drawn over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.parts import FaceParts
+from facepipe.pictures.textures import linear_to_srgb, srgb_to_linear
+from facepipe.pictures.typesetting import Color, Shapes
+from facepipe.pictures.wireframe import wireframe
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FloatArray = npt.NDArray[np.floating]
+
+GROUND: Color = (236, 237, 240)  # where there is no photo
+GIVEN: Color = (255, 255, 255)  # rings
+FITTED: Color = (226, 40, 52)  # dots
+ERROR: Color = (255, 214, 64)  # lines between the two
+CASING: Color = (24, 26, 32)  # dark outline that keeps light marks legible
+WIRE: Color = (196, 240, 255)
+CLOSE, HEAD, FAR = 0.16, 0.42, 0.9  # margins around the landmarks, shares of their size
+AROUND = 0.03  # margin around the points of a head, share of their size
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crop:
+    """A square of a photo and where it stands in a picture of `size` pixels a side."""
+
+    left: float  # pixels of the photo, may lie outside of it
+    top: float
+    side: float
+    size: int
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the picture to one of the photo."""
+        return self.size / self.side
+
+    def place(self, points: FloatArray) -> FloatArray:
+        """(n, 2) pixels of the picture of photo pixels (n, 2)."""
+        return np.asarray((points - (self.left, self.top)) * self.scale)
+
+
+def whole(width: int, height: int, size: int) -> Crop:
+    """The square that holds the whole photo."""
+    side = float(max(width, height))
+    return Crop(left=(width - side) / 2, top=(height - side) / 2, side=side, size=size)
+
+
+def close_up(landmarks: FloatArray, width: int, height: int, size: int) -> Crop:
+    """The square around landmarks (l, 2), kept within the photo as far as it fits."""
+    low, high = _extended(landmarks, (width, height), CLOSE)
+    return _square(low, high, width, height, size)
+
+
+def portrait(landmarks: FloatArray, fitted: FloatArray, width: int, height: int, size: int) -> Crop:
+    """The square around a head: what lies around its landmarks (l, 2), and the fitted points (n, 2) within reach."""
+    low, high = _extended(landmarks, (width, height), HEAD)
+    least, most = _extended(landmarks, (width, height), FAR)
+    reached = np.clip(np.vstack([fitted, low, high]), least, most)
+    low, high = reached.min(axis=0), reached.max(axis=0)
+    edge = AROUND * float((high - low).max())
+    return _square(low - edge, high + edge, width, height, size)
+
+
+def _extended(landmarks: FloatArray, reach: tuple[int, int], share: float) -> tuple[FloatArray, FloatArray]:
+    """The corners of a square around landmarks, a margin wider; those outside the photo count at its border."""
+    inside = np.clip(landmarks, 0, reach)
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    half = max(float((high - low).max()), 6.0) * (0.5 + share)
+    return (low + high) / 2 - half, (low + high) / 2 + half
+
+
+def _square(low: FloatArray, high: FloatArray, width: int, height: int, size: int) -> Crop:
+    side = min(float((high - low).max()), float(max(width, height)))
+    corner = (low + high - side) / 2
+    left, top = (_within(float(at), side, float(reach)) for at, reach in zip(corner, (width, height), strict=True))
+    return Crop(left=left, top=top, side=side, size=size)
+
+
+def _within(start: float, side: float, reach: float) -> float:
+    """Move an interval into 0..reach, or to its middle where it is longer."""
+    return (reach - side) / 2 if side >= reach else min(max(start, 0.0), reach - side)
+
+
+def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
+    """(crop.size, crop.size, c) resampled part of an image (h, w, c) that covers a photo of `size` (width, height).
+
+    Outside the photo all channels are NaN.
+    """
+    from PIL import Image
+
+    found = np.full((crop.size, crop.size, channels.shape[2]), np.nan)
+    low = np.clip((crop.left, crop.top), 0, size)
+    high = np.clip((crop.left + crop.side, crop.top + crop.side), 0, size)
+    (x0, y0), (x1, y1) = (np.rint(crop.place(each)).astype(int) for each in (low, high))
+    x1, y1 = max(x1, x0 + 1), max(y1, y0 + 1)
+    ratio = np.array(channels.shape[1::-1]) / size
+    (left, top), (right, bottom) = (low * ratio).tolist(), (high * ratio).tolist()
+    # Only what the filter reaches is made float: photos are large, and faces small in them.
+    reach = 4 + 2 * int(max((right - left) / (x1 - x0), (bottom - top) / (y1 - y0)))
+    column, row = max(int(left) - reach, 0), max(int(top) - reach, 0)
+    used = channels[row : int(bottom) + reach, column : int(right) + reach]
+    box = (left - column, top - row, right - column, bottom - row)
+    for number in range(channels.shape[2]):
+        plane = Image.fromarray(np.ascontiguousarray(used[..., number], dtype=np.float32))
+        resized = plane.resize((x1 - x0, y1 - y0), Image.Resampling.BICUBIC, box=box)
+        part = np.asarray(resized)[: crop.size - y0, : crop.size - x0]
+        found[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1], number] = part
+    return found
+
+
+def photo_picture(photo: FloatArray, crop: Crop) -> Image:
+    """The photo (h, w, 3), sRGB 0..1, as it is."""
+    return _image(cut(photo, crop, photo.shape[1::-1]))
+
+
+def framed(image: Image, crop: Crop, part: Crop) -> Image:
+    """The picture of `crop` with a frame around what `part` shows."""
+    from PIL import ImageDraw
+
+    (x0, y0), (x1, y1) = crop.place(np.array([(part.left, part.top), (part.left + part.side, part.top + part.side)]))
+    pen = ImageDraw.Draw(image)
+    for wider, color in ((1, CASING), (0, GIVEN)):
+        pen.rectangle((round(x0) - wider, round(y0) - wider, round(x1) + wider, round(y1) + wider), outline=color)
+    return image
+
+
+def landmark_picture(photo: FloatArray, crop: Crop, given: FloatArray, fitted: FloatArray) -> Image:
+    """Rings at the landmarks given, dots at those of the fitted face, and lines from the one to the other."""
+    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.86))
+    radius = max(2.0, crop.size / 200)
+    rings, dots = crop.place(given), crop.place(fitted)
+    casings, lines = Shapes(image.size), Shapes(image.size)
+    for pair in np.stack([rings, dots], axis=1):
+        casings.line(pair, radius * 1.2)
+        lines.line(pair, radius * 0.65)
+    casings.paint(image, CASING, 0.5)
+    lines.paint(image, ERROR)
+    given_mark(image, rings, radius)
+    fitted_mark(image, dots, radius)
+    return image
+
+
+def given_mark(image: Image, centers: FloatArray, radius: float) -> None:
+    """Rings around dots of `radius` at (m, 2)."""
+    casings, rings = Shapes(image.size), Shapes(image.size)
+    for x, y in centers.tolist():
+        casings.ring((x, y), radius * 1.95, radius * 1.25)
+        rings.ring((x, y), radius * 1.95, radius * 0.65)
+    casings.paint(image, CASING, 0.6)
+    rings.paint(image, GIVEN)
+
+
+def fitted_mark(image: Image, centers: FloatArray, radius: float) -> None:
+    """Dots of `radius` at (m, 2)."""
+    dots = Shapes(image.size)
+    for x, y in centers.tolist():
+        dots.disc((x, y), radius)
+    dots.paint(image, FITTED)
+
+
+def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
+    """The photo, darker, with the edges of the fitted face that are not hidden.
+
+    :param screen: (n, 3) pixel x, pixel y of the photo and depth of all points, in mesh order
+    """
+    image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.68))
+    at = np.column_stack([crop.place(screen[:, :2]), screen[:, 2]])
+    image.paste(WIRE, (0, 0), wireframe(parts, at, image.size))
+    return image
+
+
+def render_picture(render: FloatArray, photo: FloatArray, crop: Crop, *, on_photo: bool) -> Image:
+    """A render from the photo's camera, alone or over the photo.
+
+    :param render: (h, w, 4) linear colour on black and coverage 0..1, of all that the photo shows
+    """
+    pixels = cut(np.asarray(render), crop, photo.shape[1::-1])
+    cover = np.clip(pixels[..., 3:], 0, 1)
+    ground = cut(photo, crop, photo.shape[1::-1]) if on_photo else np.array(GROUND) / 255
+    behind = srgb_to_linear(np.clip(ground, 0, 1))
+    return _image(linear_to_srgb(np.clip(np.maximum(pixels[..., :3], 0) + behind * (1 - cover), 0, 1)))
+
+
+def _toned(pixels: FloatArray, amount: float) -> FloatArray:
+    """Darker, with less colour, so that marks stand out."""
+    grey = pixels.mean(axis=2, keepdims=True)
+    return np.asarray((pixels + (grey - pixels) * (1 - amount)) * amount)
+
+
+def _image(pixels: FloatArray) -> Image:
+    """An 8-bit picture of sRGB values 0..1; NaN is empty ground."""
+    from PIL import Image
+
+    filled = np.where(np.isnan(pixels), np.array(GROUND) / 255, pixels)
+    return Image.fromarray((np.clip(filled, 0, 1) * 255 + 0.5).astype(np.uint8))

@@ -1,0 +1,189 @@
+"""All meshes of a face as one triangle soup, ready to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.polygons import point_normals, triangulate
+from facepipe.parts import FaceParts, Material, Mesh, UvSet
+from facepipe.pictures.camera import y_up
+from facepipe.pictures.occlusion import ambient_occlusion
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+BoolArray = npt.NDArray[np.bool_]
+
+WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """Triangles of one mesh that share a material."""
+
+    mesh: Mesh
+    material: Material | None
+
+    @property
+    def see_through(self) -> bool:
+        """Whether what lies behind can show through."""
+        opacity = self.material.opacity if self.material else 1.0
+        return not isinstance(opacity, float | int) or opacity < 1.0
+
+    @property
+    def drawn(self) -> bool:
+        """False for a constant opacity of 0, or below the alpha test's threshold."""
+        opacity = self.material.opacity if self.material else 1.0
+        threshold = self.material.opacity_threshold if self.material else 0.0
+        return not isinstance(opacity, float | int) or opacity > max(threshold, 0.0) or opacity >= 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Y-up triangles with the numbers that lead back to meshes, corners and materials."""
+
+    points: FloatArray  # (n, 3) world, Y up
+    normals: FloatArray  # (n, 3) unit, outward
+    triangles: IntArray  # (t, 3) point numbers, counter-clockwise outside
+    corners: IntArray  # (t, 3) face-vertex numbers within the triangle's mesh
+    surface: IntArray  # (t,) into surfaces
+    surfaces: tuple[Surface, ...]
+    first_point: IntArray  # (t,) first point of the triangle's mesh
+
+    @property
+    def see_through(self) -> BoolArray:
+        """(t,) triangles that need blending or an alpha test."""
+        flags = np.array([surface.see_through for surface in self.surfaces], dtype=bool)
+        return np.asarray(flags[self.surface])
+
+    @property
+    def double_sided(self) -> BoolArray:
+        """(t,) triangles whose back is as good as their front."""
+        flags = np.array([surface.mesh.double_sided for surface in self.surfaces], dtype=bool)
+        return np.asarray(flags[self.surface])
+
+    @cached_property
+    def occluders(self) -> IntArray:
+        """(o, 3) triangles that keep light away."""
+        return self.triangles[~self.see_through]
+
+    @cached_property
+    def sky(self) -> FloatArray:
+        """(n,) share of the sky that each point sees; the same for all views, and the costliest part of one."""
+        return ambient_occlusion(self.points, self.normals, self.occluders)
+
+    def uv(self, surface: Surface, name: str, ids: IntArray, weights: FloatArray) -> FloatArray | None:
+        """(m, 2) texture coordinates in the triangles `ids` (m,) at barycentrics (m, 3); None: no such UV set."""
+        uv_set = _uv_set(surface.mesh.uv_sets, name)
+        if uv_set is None:
+            return None
+        at = self.triangles[ids] - self.first_point[ids, None]
+        if uv_set.indices is not None:
+            at = np.asarray(uv_set.indices, dtype=np.int64)[self.corners[ids]]
+        return np.asarray(np.einsum("mk,mkc->mc", weights, np.asarray(uv_set.values)[at]))
+
+
+def neutral_points(parts: FaceParts) -> FloatArray:
+    """(n, 3) world-space points of all meshes, in mesh order, at rest."""
+    placed = [
+        np.asarray(mesh.points, dtype=np.float64) @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
+        for mesh in parts.meshes
+    ]
+    return np.concatenate([*placed, np.zeros((0, 3))])
+
+
+def world_points(parts: FaceParts, points: FloatArray | None, what: str = "points") -> FloatArray:
+    """`points` (n, 3), checked against the meshes, or the neutral; turned to Y up.
+
+    :raises InputError: the shape is not (n, 3) for the n points of all meshes, or a value is not finite
+    """
+    count = sum(len(mesh.points) for mesh in parts.meshes)
+    placed = neutral_points(parts) if points is None else np.asarray(points, dtype=np.float64)
+    if placed.shape != (count, 3):
+        raise InputError(f"{parts.name} -> {what}", f"shape {placed.shape}, expected ({count}, 3)")
+    if not np.isfinite(placed).all():
+        bad = int(np.count_nonzero(~np.isfinite(placed).all(axis=1)))
+        raise InputError(f"{parts.name} -> {what}", f"{bad} of {count} are not finite, expected finite coordinates")
+    return y_up(placed, parts.up_axis)
+
+
+def build_scene(parts: FaceParts, points: FloatArray | None) -> Scene:
+    """The triangles of every mesh at `points` (n, 3) world space; None: the neutral.
+
+    :raises InputError: points of the wrong shape or not finite
+    :raises TopologyError: a mesh refers to points or materials that it does not have
+    """
+    placed = world_points(parts, points)
+    materials = {material.name: material for material in parts.materials}
+    surfaces: list[Surface] = []
+    pieces: list[tuple[IntArray, IntArray, IntArray, IntArray]] = []
+    start = 0
+    for mesh in parts.meshes:
+        triangles, corners, surface = _mesh_triangles(mesh, materials, surfaces)
+        pieces.append((triangles + start, corners, surface, np.full(len(triangles), start)))
+        start += len(mesh.points)
+    empty = np.zeros((0, 3), np.int64)
+    pieces.append((empty, empty, empty[:, 0], empty[:, 0]))
+    triangles, corners, surface, first = (np.concatenate(group) for group in zip(*pieces, strict=True))
+    normals = point_normals(placed, triangles)
+    drawn = np.array([each.drawn for each in surfaces], dtype=bool)[surface]
+    return Scene(
+        points=placed,
+        normals=_welded(placed, normals),
+        triangles=triangles[drawn],
+        corners=corners[drawn],
+        surface=surface[drawn],
+        surfaces=tuple(surfaces),
+        first_point=first[drawn],
+    )
+
+
+def _mesh_triangles(
+    mesh: Mesh, materials: dict[str, Material], surfaces: list[Surface]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Local triangles (t, 3), their corners (t, 3) and surfaces (t,); adds the mesh's surfaces to the list."""
+    indices = np.asarray(mesh.face_vertex_indices, dtype=np.int64)
+    if len(indices) and (indices.min() < 0 or indices.max() >= len(mesh.points)):
+        raise TopologyError(mesh.name, f"face-vertex index {indices.max()}, expected 0 to {len(mesh.points) - 1}")
+    if int(np.sum(mesh.face_vertex_counts)) != len(indices):
+        raise TopologyError(
+            mesh.name, f"{len(indices)} face-vertex indices, expected {int(np.sum(mesh.face_vertex_counts))}"
+        )
+    corners, faces = triangulate(mesh.face_vertex_counts)
+    if np.linalg.det(mesh.transform[:3, :3]) < 0:
+        corners = corners[:, ::-1]  # a mirrored mesh is seen from the other side of its winding
+    of_face = np.full(len(mesh.face_vertex_counts), len(surfaces))
+    surfaces.append(Surface(mesh=mesh, material=_material(mesh, mesh.material, materials)))
+    for bound in mesh.material_faces:
+        of_face[np.asarray(bound.faces, dtype=np.int64)] = len(surfaces)
+        surfaces.append(Surface(mesh=mesh, material=_material(mesh, bound.material, materials)))
+    return indices[corners], corners, of_face[faces]
+
+
+def _material(mesh: Mesh, name: str | None, materials: dict[str, Material]) -> Material | None:
+    if name is not None and name not in materials:
+        raise TopologyError(mesh.name, f"material {name!r} is not among the face's materials")
+    return materials[name] if name is not None else None
+
+
+def _uv_set(uv_sets: Sequence[UvSet], name: str) -> UvSet | None:
+    return next((uv_set for uv_set in uv_sets if uv_set.name == name), None)
+
+
+def _welded(points: FloatArray, normals: FloatArray) -> FloatArray:
+    """Normals shared by points at one place, so that files that split points at UV seams show no seam."""
+    _, group = np.unique(points, axis=0, return_inverse=True)
+    group = group.ravel()
+    if not len(points) or group.max() + 1 == len(points):
+        return normals
+    summed = np.stack([np.bincount(group, normals[:, axis]) for axis in range(3)], axis=1)
+    length = np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-12)
+    shared = (summed / length)[group]
+    agree = np.einsum("nc,nc->n", shared, normals) > WELD_COSINE
+    smooth = np.bincount(group, ~agree) == 0
+    return np.where(smooth[group][:, None], shared, normals)

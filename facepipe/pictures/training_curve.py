@@ -1,0 +1,28 @@
+"""How a training went on: what was left of learned and of watched frames, by step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.pictures.curves import loss_curves
+from facepipe.pictures.face_picture import save_png
+
+FloatArray = npt.NDArray[np.floating]
+
+WIDTH = 1600
+NOTE = "error of frames that are learned and of others, RMS, in shares of what is not straight, by step"
+
+
+def draw_training_curve(curve: FloatArray, path: Path) -> None:
+    """Write a PNG.
+
+    :param curve: (checks, 3) step, learned, watched
+    :raises InputError: a file that can't be written
+    """
+    steps = np.arange(int(curve[-1, 0]) + 1) if len(curve) else np.zeros(0)
+    learned, watched = (np.interp(steps, curve[:, 0], curve[:, column]) for column in (1, 2))
+    history = [{"learned": float(one), "watched": float(other)} for one, other in zip(learned, watched, strict=True)]
+    save_png(loss_curves(history, WIDTH, note=NOTE), path)

@@ -1,0 +1,88 @@
+"""The edges of a face over a picture, without those that the surface hides."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.geometry.polygons import edges
+from facepipe.parts import FaceParts
+from facepipe.pictures.rasterise import NEAR, rasterise, screen_triangles
+from facepipe.pictures.scene import build_scene
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FloatArray = npt.NDArray[np.floating]
+IntArray = npt.NDArray[np.integer]
+
+FINE = 3  # samples per pixel and direction: lines are three samples, one pixel, wide
+SLACK = 2e-4  # of the depth: a point is hidden by what is nearer by more than that
+LONG, SHORT = 7.0, 0.25  # pixels from which edges are drawn in full; opacity of the shortest
+
+
+def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Image:
+    """How much of each pixel is covered by visible edges: a mask of `size` (width, height), 8 bits.
+
+    Short edges are fainter, so that a dense mesh gives a tone, no blot.
+
+    :param screen: (n, 3) pixel x, pixel y (down) and depth of the points of all meshes, in mesh order
+    """
+    from PIL import Image, ImageFilter
+
+    width, height = size[0] * FINE, size[1] * FINE
+    scene = build_scene(parts, None)
+    points = np.asarray(screen, dtype=np.float64) * (FINE, FINE, 1.0)
+    solid = scene.triangles[~scene.see_through]
+    pairs = _front_edges(parts, points, solid)
+    cover = np.zeros((height, width), np.uint8)
+    if len(pairs):
+        depth = np.maximum(points[:, 2:], NEAR / 2)
+        homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
+        farthest = _farthest_nearby(rasterise(screen_triangles(homogeneous, solid), width, height).nearness)
+        _draw(cover, farthest, points[pairs])
+    return Image.fromarray(cover).filter(ImageFilter.MaxFilter(3)).reduce(FINE)
+
+
+def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntArray:
+    """(e, 2) polygon edges of opaque surfaces between points that face the camera and are in front of it."""
+    (ax, ay), (bx, by), (cx, cy) = points[solid.T, :2].transpose(0, 2, 1)
+    ahead = (points[solid, 2] > NEAR).all(axis=1)
+    facing = ahead & ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0)  # y points down
+    seen = np.zeros(len(points), dtype=bool)
+    seen[solid[facing]] = True
+    found: list[IntArray] = [np.zeros((0, 2), np.int64)]
+    start = 0
+    for mesh in parts.meshes:
+        found.append(edges(mesh.face_vertex_counts, mesh.face_vertex_indices)[0] + start)
+        start += len(mesh.points)
+    pairs = np.concatenate(found)
+    return np.asarray(pairs[seen[pairs].all(axis=1)])
+
+
+def _farthest_nearby(nearness: FloatArray) -> FloatArray:
+    """The least nearness of each sample and its neighbours: steep surfaces must not hide their own edges."""
+    padded = np.pad(nearness, 1)
+    rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.asarray(np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
+
+
+def _draw(cover: npt.NDArray[np.uint8], farthest: FloatArray, ends: FloatArray) -> None:
+    """Set the samples along edges (e, 2, 3) where nothing is nearer."""
+    height, width = cover.shape
+    low, high = ends[..., :2].min(axis=1), ends[..., :2].max(axis=1)
+    ends = ends[(high > 0).all(axis=1) & (low < (width, height)).all(axis=1)]
+    length = np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
+    count = np.minimum(np.ceil(length), 4 * (width + height)).astype(np.int64) + 1
+    which = np.repeat(np.arange(len(ends)), count)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[which]
+    at = ends[which, 0, :2] * (1 - share[:, None]) + ends[which, 1, :2] * share[:, None]
+    nearness = (1 - share) / ends[which, 0, 2] + share / ends[which, 1, 2]
+    column, row = np.floor(at).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    column, row, nearness, which = column[inside], row[inside], nearness[inside], which[inside]
+    clear = nearness >= farthest[row, column] * (1 - SLACK)
+    tone = np.clip(length / FINE / LONG, SHORT, 1.0)[which] * 255
+    np.maximum.at(cover, (row[clear], column[clear]), np.rint(tone[clear]).astype(np.uint8))
