@@ -18,7 +18,7 @@ from pathlib import Path
 
 from facepipe import __version__
 from facepipe.cli.parser import Parser
-from facepipe.cli.quiet import quiet_libraries
+from facepipe.cli.show import quiet_libraries
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import check_input
 from facepipe.core.trust import Trust, trust, trusting

@@ -1,10 +1,13 @@
-"""What commands print: tables, JSON, progress."""
+"""What commands print: tables, JSON, progress; and what libraries print of their own accord, which goes nowhere."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import json
+import os
 import sys
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -55,3 +58,54 @@ def progress(label: str, total: int) -> Iterator[Any]:
 
     with tqdm(total=total, desc=label, file=sys.stderr, disable=None, leave=False) as bar:
         yield bar
+
+
+@contextlib.contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """No warnings of Python and numpy, and nothing that C++ writes to stderr: USD, onnxruntime, libtiff.
+
+    `sys.stderr` still leads where stderr led. Warnings that Python was asked for (``-W``, ``PYTHONWARNINGS``) stay.
+    """
+    with warnings.catch_warnings(), _own_stderr(), _no_reports():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")
+        yield
+
+
+@contextlib.contextmanager
+def _no_reports() -> Iterator[None]:
+    """Errors that C++ code or a finaliser swallows are not printed: USD does so over values that Python can't hold."""
+    before = sys.excepthook, sys.unraisablehook
+    sys.excepthook = lambda *_: None
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = before
+
+
+@contextlib.contextmanager
+def _own_stderr() -> Iterator[None]:
+    try:
+        kept, ours = os.dup(2), sys.stderr.fileno() == 2
+    except (OSError, AttributeError, io.UnsupportedOperation):  # closed, or a host's own
+        yield
+        return
+    before = sys.stderr
+    if ours:
+        before.flush()
+        sys.stderr = open(  # noqa: SIM115 (closed below)
+            kept, "w", 1, encoding=before.encoding, errors=before.errors, closefd=False
+        )
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        if ours:
+            with contextlib.suppress(OSError):  # nobody reads it any more
+                sys.stderr.close()
+            sys.stderr = before
+        os.dup2(kept, 2)
+        os.close(kept)

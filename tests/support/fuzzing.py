@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from facepipe.cli import main
-from facepipe.cli.quiet import quiet_libraries
+from facepipe.cli.show import quiet_libraries
 from facepipe.core.errors import FacepipeError
 
 MEMORY = 3 << 30  # bytes of address space
