@@ -29,7 +29,17 @@ from types import ModuleType
 from typing import Any
 
 _ROOMS = {"sample": "heads", "validate": "checks", "render": "pictures"}  # old -> new
-_TO_CORE = ("atomic", "digests", "errors", "finite", "hidden_folders", "images", "loading", "locks", "names")
+_TO_CORE: tuple[str, ...] = (
+    "atomic",
+    "digests",
+    "errors",
+    "finite",
+    "hidden_folders",
+    "images",
+    "loading",
+    "locks",
+    "names",
+)
 _TO_CORE += ("placing", "reading", "reports", "threads", "tokens", "trust")
 MOVED = {f"facepipe.{old}": f"facepipe.{new}" for old, new in _ROOMS.items()}
 MOVED |= {f"facepipe.{name}": f"facepipe.core.{name}" for name in _TO_CORE}
