@@ -356,3 +356,10 @@ class FaceParts:
     attribution: str = ""  # copyright and license line that stays with the face
     photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None
+
+
+class HasParts(Protocol):
+    """What exporters need of a face; `facepipe.stage.Face` has it."""
+
+    def parts(self) -> FaceParts:
+        """The face as arrays."""

@@ -1,38 +1,106 @@
-"""Exporters by file suffix and hosts by name, found through entry points.
+"""Plug-ins, found through entry points: exporters by file suffix, importers by kind, hosts by name.
 
-An exporter (``facepipe.exporters``) is a module with a frozen dataclass ``Options``, ``export(face, path, options) ->
-ExportReport`` and ``validate(path) -> sequence of Finding``. A host (``facepipe.hosts``) is a module that brings faces
-into another program; its command says what it calls there.
+`Exporter` and `Importer` say what a module must have that ``facepipe.exporters`` and ``facepipe.importers`` name. A
+host (``facepipe.hosts``) is a module that brings faces into another program; its command says what it calls there.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from facepipe.core.errors import InputError
 
-GROUP = "facepipe.exporters"
-HOSTS = "facepipe.hosts"
+if TYPE_CHECKING:
+    from facepipe.core.reports import ExportReport, Finding
+    from facepipe.parts import HasParts
+    from facepipe.stage.imported import Imported
+
+EXPORTERS, IMPORTERS, HOSTS = "facepipe.exporters", "facepipe.importers", "facepipe.hosts"
+
+
+class Exporter(Protocol):
+    """Writes faces as files of one format, and checks such files."""
+
+    @property
+    def Options(self) -> Any:  # noqa: N802  (a class: a frozen dataclass whose fields are made by `declare.option`)
+        """What may be set about an export; all of it has defaults."""
+
+    def export(self, face: HasParts, path: Path, options: Any) -> ExportReport:
+        """Write the face.
+
+        :param options: an instance of `Options`
+        :raises FacepipeError: a face or an option that the format can't hold; then nothing is written
+        """
+
+    def outputs(self, path: Path) -> Sequence[Path]:
+        """The files that `export` to `path` writes; an exporter of one file may leave this out."""
+
+    def validate(self, path: Path) -> Sequence[Finding]:
+        """What is wrong with a file; nothing where it is good.
+
+        :raises InputError: no such file, or one too damaged to open
+        """
+
+
+class Importer(Protocol):
+    """Reads one kind of files or folders as faces."""
+
+    @property
+    def Options(self) -> Any:  # noqa: N802  (as an exporter's)
+        """What may be set about reading; all of it has defaults."""
+
+    def read(self, source: Path, options: Any) -> Imported:
+        """The face at `source`, with what of it could not be read as warnings.
+
+        :param options: an instance of `Options`
+        :raises FacepipeError: a source or option that can't be used
+        """
 
 
 def suffixes() -> tuple[str, ...]:
     """The suffixes some exporter writes, without dot, sorted."""
-    return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
+    return _names(EXPORTERS)
 
 
-def exporter(path: str | Path) -> Any:
+def exporter(path: str | Path) -> Exporter:
     """The exporter module of a path, by its suffix.
 
-    :raises InputError: no exporter for the suffix
+    :raises InputError: no exporter for the suffix, or one that can't be loaded or lacks part of the contract
     """
     suffix = Path(path).suffix.lower().removeprefix(".")
-    for entry in entry_points(group=GROUP):
-        if entry.name == suffix:
-            return entry.load()
+    for entry in entry_points(group=EXPORTERS, name=suffix):
+        found: Exporter = _loaded(entry, "Options", "export", "validate")
+        return found
     expected = " ".join(f".{one}" for one in suffixes())
     raise InputError(path, f"suffix '.{suffix}', expected one of {expected}")
+
+
+def outputs(path: str | Path) -> tuple[Path, ...]:
+    """The files that the exporter of a path writes for it: the path alone where the exporter doesn't say.
+
+    :raises InputError: as `exporter`
+    """
+    module = exporter(path)
+    return tuple(module.outputs(Path(path))) if hasattr(module, "outputs") else (Path(path),)
+
+
+def importers() -> tuple[str, ...]:
+    """The kinds that plug-ins read, sorted; `facepipe.importers.kinds` adds those of the house."""
+    return _names(IMPORTERS)
+
+
+def importer(kind: str) -> Importer:
+    """The importer module of a kind that a plug-in reads.
+
+    :raises InputError: no such kind, or an importer that can't be loaded or lacks part of the contract
+    """
+    for entry in entry_points(group=IMPORTERS, name=kind):
+        found: Importer = _loaded(entry, "Options", "read")
+        return found
+    raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(importers())}")
 
 
 def host(name: str) -> Any:
@@ -43,3 +111,23 @@ def host(name: str) -> Any:
     for entry in entry_points(group=HOSTS, name=name):
         return entry.load()
     raise InputError(f"facepipe {name}", "is not part of this installation, expected facepipe installed anew")
+
+
+def _names(group: str) -> tuple[str, ...]:
+    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
+
+
+def _loaded(entry: EntryPoint, *contract: str) -> Any:
+    """The module of an entry point.
+
+    :raises InputError: it can't be imported, or lacks part of its contract
+    """
+    where = f"plug-in {entry.name} ({entry.value})"
+    try:
+        module = entry.load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(where, f"can't be loaded: {error}") from None
+    missing = [name for name in contract if name not in dir(module)]  # what is there to be loaded stays so
+    if missing:
+        raise InputError(where, f"has no {missing[0]}, expected {', '.join(contract)}")
+    return module

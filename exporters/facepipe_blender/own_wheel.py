@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib
+import re
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -38,10 +39,13 @@ def write_own_wheel(folder: Path) -> Path:
 
 
 def _entry_points() -> str:
-    """The exporters that are in the wheel."""
-    found = sorted({(one.name, one.value) for one in entry_points(group=registry.GROUP)})
-    lines = [f"{name} = {value}" for name, value in found if value.partition(":")[0] in PACKAGES]
-    return "\n".join([f"[{registry.GROUP}]", *lines, ""])
+    """The exporters and importers that are in the wheel."""
+    lines = []
+    for group in (registry.EXPORTERS, registry.IMPORTERS):
+        found = sorted({(one.name, one.value) for one in entry_points(group=group)})
+        own = [f"{name} = {value}" for name, value in found if re.split(r"[.:]", value)[0] in PACKAGES]
+        lines += [f"[{group}]", *own, ""]
+    return "\n".join(lines)
 
 
 def _digest(data: bytes) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 import facepipe
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, exact
-from facepipe.records.gltf import Record
 from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
@@ -24,6 +23,7 @@ from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.record import record_of, written
+from facepipe_gltf.record_format import Record
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
 from facepipe_gltf.space import space_of
 from facepipe_gltf.textures import Image

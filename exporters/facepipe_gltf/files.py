@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.atomic import discard_stale, replacing, together, write_bytes
 from facepipe.core.errors import ExportError
-from facepipe.records.gltf import content_digest
 from facepipe_gltf.buffers import Chunk
+from facepipe_gltf.record_format import content_digest
 
 if TYPE_CHECKING:
     from facepipe_gltf.document import Document

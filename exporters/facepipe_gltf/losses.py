@@ -7,10 +7,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from facepipe.parts import FaceParts, Mesh, PhotoView, Slider
-from facepipe.records.gltf import NONE
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.influences import LOST
 from facepipe_gltf.options import Options
+from facepipe_gltf.record_format import NONE
 
 _UNNORMALISED = 1e-4
 _LISTED = 3

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.meshopt import EXTENSION
 from facepipe_gltf.raw import Broken, Json, RawDocument, is_index
 from facepipe_gltf.raw_nodes import children, parents
+from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.skin_validation import Problem, attributes
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from facepipe.core.errors import ExportError, InputError
-from facepipe.meshopt import EXTENSION
 from facepipe_gltf.node import find_node
+from facepipe_gltf.read.meshopt import EXTENSION
 
 if TYPE_CHECKING:
     from facepipe_gltf.document import Document

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_values, read_bytes
-from facepipe.meshopt import EXTENSION, decode
+from facepipe_gltf.read.meshopt import EXTENSION, decode
 
 FloatArray = npt.NDArray[np.floating]
 Json = dict[str, Any]

@@ -22,13 +22,22 @@ from facepipe.parts import (
     TextureInput,
     UvSet,
 )
-from facepipe.records.gltf import NONE, PER_POINT, MeshRecord, Record, packed, points_back, shape_names, steps_between
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.options import Options
 from facepipe_gltf.primitives import by_material
+from facepipe_gltf.record_format import (
+    NONE,
+    PER_POINT,
+    MeshRecord,
+    Record,
+    packed,
+    points_back,
+    shape_names,
+    steps_between,
+)
 from facepipe_gltf.space import Space
 
 Json = dict[str, Any]

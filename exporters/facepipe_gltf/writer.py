@@ -7,11 +7,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import ExportReport
-from facepipe.parts import FaceParts
+from facepipe.parts import HasParts
 from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.files import embedded, separate, write_glb, write_gltf
@@ -20,13 +20,6 @@ from facepipe_gltf.options import Options
 if TYPE_CHECKING:
     from facepipe_gltf.buffers import Chunk
     from facepipe_gltf.objects import Json, OnDocument
-
-
-class HasParts(Protocol):
-    """What the writer needs of a face; `facepipe.stage.Face` has it."""
-
-    def parts(self) -> FaceParts:
-        """The face as arrays."""
 
 
 def export(

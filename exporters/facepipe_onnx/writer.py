@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from facepipe.core.finite import require_finite
 from facepipe.core.names import select
 from facepipe.core.reports import ExportReport
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import FaceParts, IntArray, Slider
+from facepipe.parts import FaceParts, HasParts, IntArray, Slider
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe.rig.linear_skinning import linear_skinning_notes
@@ -27,13 +27,6 @@ from facepipe_onnx.metadata_checks import operators
 from facepipe_onnx.model_file import outputs, write_model
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_error import packed_error
-
-
-class HasParts(Protocol):
-    """What the writer needs of a face; `facepipe.stage.Face` has it."""
-
-    def parts(self) -> FaceParts:
-        """The face as arrays."""
 
 
 def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:

@@ -120,7 +120,8 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
 
     from facepipe.core.atomic import write_bytes
 
-    outputs: dict[str, Any] = registry.exporter(model).Deformer(model).evaluate(POSE)
+    graphs: Any = registry.exporter(model)
+    outputs: dict[str, Any] = graphs.Deformer(model).evaluate(POSE)
     buffer = io.BytesIO()
     np.savez(buffer, **outputs)
     write_bytes(out, buffer.getvalue())

@@ -43,7 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(out, f"suffix '{out.suffix}', expected .npz")
     if arguments.model.suffix.lower() != ".onnx":
         raise InputError(arguments.model, f"suffix '{arguments.model.suffix}', expected .onnx")
-    deformer = registry.exporter(arguments.model).Deformer(arguments.model)
+    graphs: Any = registry.exporter(arguments.model)
+    deformer = graphs.Deformer(arguments.model)
     weights = named(pairs(arguments.set, "--set"), deformer.shapes, "--set", "shape")
     sliders = named(pairs(arguments.slider, "--slider"), deformer.sliders, "--slider", "slider")
     coefficients = coefficients_of(arguments.bone, deformer.joints, deformer.joint_names)

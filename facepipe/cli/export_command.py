@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_neural(arguments)
     rename = rename_of(arguments)
     exporter = registry.exporter(out)
-    beside = [file for file in exporter.outputs(out) if file != out and file.exists()]
+    beside = [file for file in registry.outputs(out) if file != out and file.exists()]
     if beside and not arguments.force:
         raise InputError(beside[0], "exists and would be written too, expected a new file (or --force)")
     with progress("export", 3 if arguments.distil else 2) as bar:

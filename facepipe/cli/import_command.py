@@ -21,28 +21,27 @@ from facepipe.cli.show import note, progress, warn
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments, and the options of the kind in `words`; of all kinds for --help."""
-    from facepipe.importers.options import OPTIONS
+    from facepipe.importers import kinds, options_of
 
-    parser.add_argument("kind", choices=sorted(OPTIONS), metavar="KIND", help=" ".join(sorted(OPTIONS)))
+    parser.add_argument("kind", choices=kinds(), metavar="KIND", help=" ".join(kinds()))
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file or folder to read")
     add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
     add_rename(parser)
-    named = [word for word in words if not word.startswith("-") and word in OPTIONS][:1]
-    for kind in named or OPTIONS:
-        add_options(parser, OPTIONS[kind], f"options of {kind}")
+    named = [word for word in words if not word.startswith("-") and word in kinds()][:1]
+    for kind in named or kinds():
+        add_options(parser, options_of(kind), f"options of {kind}")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, author, save."""
-    from facepipe.importers import load
-    from facepipe.importers.options import OPTIONS
+    from facepipe.importers import load, options_of
     from facepipe.rig.rename import shapes_of
     from facepipe.stage import save_parts
     from facepipe.stage.files import check_suffix
 
     out = output_of(arguments, [arguments.source])
     check_suffix(out)
-    options = options_from(arguments, OPTIONS[arguments.kind])
+    options = options_from(arguments, options_of(arguments.kind))
     rename = rename_of(arguments)
     with progress("import", 2) as bar:
         imported = load(arguments.kind, arguments.source, options)

@@ -1,26 +1,43 @@
-"""Readers of other formats: kind -> module with an `Options` dataclass and ``read(source, options) -> Imported``."""
+"""Faces of other formats: the kinds that are read here, and those of plug-ins."""
 
 from __future__ import annotations
 
 import importlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from facepipe import registry
 from facepipe.core.errors import InputError
 from facepipe.importers.options import OPTIONS
 
 if TYPE_CHECKING:
-    from facepipe.importers.imported import Imported
+    from facepipe.registry import Importer
+    from facepipe.stage.imported import Imported
 
 
-def importer(kind: str) -> Any:
+def kinds() -> tuple[str, ...]:
+    """The kinds of files and folders that some importer reads, sorted."""
+    return tuple(sorted({*OPTIONS, *registry.importers()}))
+
+
+def options_of(kind: str) -> Any:
+    """The `Options` of a kind; for those of this folder without the modules that read it.
+
+    :raises InputError: no such kind
+    """
+    return OPTIONS[kind] if kind in OPTIONS else importer(kind).Options
+
+
+def importer(kind: str) -> Importer:
     """The module that reads `kind`.
 
     :raises InputError: no such kind
     """
+    if kind not in kinds():
+        raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(kinds())}")
     if kind not in OPTIONS:
-        raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted(OPTIONS))}")
-    return importlib.import_module(f"facepipe.importers.{kind}")
+        return registry.importer(kind)
+    return cast("Importer", importlib.import_module(f"facepipe.importers.{kind}"))
 
 
 def load(kind: str, source: str | Path, options: object | None = None) -> Imported:
@@ -31,5 +48,4 @@ def load(kind: str, source: str | Path, options: object | None = None) -> Import
     :raises TopologyError: meshes and shapes that don't fit each other
     """
     module = importer(kind)
-    imported: Imported = module.read(Path(source), module.Options() if options is None else options)
-    return imported
+    return module.read(Path(source), module.Options() if options is None else options)

@@ -20,7 +20,6 @@ from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
 from facepipe.importers.ict_regions import REGIONS, head_regions
-from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.mesh_pieces import (
     compact_uvs,
     face_corners,
@@ -30,6 +29,7 @@ from facepipe.importers.mesh_pieces import (
 )
 from facepipe.importers.options import IctOptions
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
+from facepipe.stage.imported import Imported, import_recipe
 
 Options = IctOptions
 

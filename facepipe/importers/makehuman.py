@@ -18,7 +18,6 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import identifier
 from facepipe.declare import check_ranges
 from facepipe.geometry.borders import back_of_border
-from facepipe.importers.imported import Imported, import_recipe
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import REGIONS, skin_regions
@@ -28,6 +27,7 @@ from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_regi
 from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
+from facepipe.stage.imported import Imported, import_recipe
 
 Options = MakeHumanOptions
 

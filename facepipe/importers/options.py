@@ -10,22 +10,6 @@ from typing import Literal
 from facepipe.core.errors import InputError
 from facepipe.declare import option
 
-_UNIT = "metres in a unit of the file, where it is not as the file says"
-_UP = "axis that points up in the file, where it is not as the file says"
-
-
-@dataclass(frozen=True, kw_only=True)
-class GltfOptions:
-    """What to read, and how."""
-
-    weld: bool = option(True, "join vertices that were split at UV and normal seams into one point")
-    scene: int | None = option(None, "number of the scene to read; the file's default scene where not given")
-    fps: float | None = option(
-        None, "frames per second that animations are sampled at; their own keys where not given", 1.0, 1000.0
-    )
-    meters_per_unit: float | None = option(None, _UNIT, 1e-6, 1e3, "m")
-    up_axis: Literal["Y", "Z"] | None = option(None, _UP)
-
 
 @dataclass(frozen=True, kw_only=True)
 class IctOptions:
@@ -128,14 +112,17 @@ class UsdOptions:
     variant: Mapping[str, str] = option(
         dict, "variants to read, SET=NAME,...; those that the file selects where not given", parse=parse_variants
     )
-    meters_per_unit: float | None = option(None, _UNIT, 1e-6, 1e3, "m")
-    up_axis: Literal["Y", "Z"] | None = option(None, _UP)
+    meters_per_unit: float | None = option(
+        None, "metres in a unit of the file, where it is not as the file says", 1e-6, 1e3, "m"
+    )
+    up_axis: Literal["Y", "Z"] | None = option(
+        None, "axis that points up in the file, where it is not as the file says"
+    )
 
 
-OPTIONS: dict[str, type] = {
+OPTIONS: dict[str, type] = {  # of the kinds in this folder
     "ict": IctOptions,
     "makehuman": MakeHumanOptions,
     "obj": ObjOptions,
-    "gltf": GltfOptions,
     "usd": UsdOptions,
 }

@@ -16,7 +16,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import point_triangles
-from facepipe.importers.imported import Imported
+from facepipe.importers import load
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import material_faces
 from facepipe.importers.scan_ply import read_ply
@@ -25,6 +25,7 @@ from facepipe.importers.scan_trimesh import read_off, read_stl
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.parts import FloatArray, Material, Mesh, UvSet
 from facepipe.scans import Scan
+from facepipe.stage.imported import Imported
 
 LARGEST = 1e15  # of a coordinate: its cube stays finite in float64, and so do volumes
 _PLAIN = 1e-3  # colours that differ less are a material, no picture of a face
@@ -102,15 +103,11 @@ def _obj_colors(values: FloatArray) -> FloatArray:
 
 
 def _read_gltf(path: Path) -> Scan:
-    from facepipe.importers import gltf
-
-    return _scan_of_imported(gltf.read(path, gltf.Options()), path.stem)
+    return _scan_of_imported(load("gltf", path), path.stem)
 
 
 def _read_usd(path: Path) -> Scan:
-    from facepipe.importers import usd
-
-    return _scan_of_imported(usd.read(path, usd.Options()), path.stem)
+    return _scan_of_imported(load("usd", path), path.stem)
 
 
 def _scan_of_imported(imported: Imported, name: str) -> Scan:

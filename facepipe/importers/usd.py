@@ -11,7 +11,6 @@ import numpy as np
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
-from facepipe.importers.imported import Imported, as_told, import_recipe
 from facepipe.importers.options import UsdOptions
 from facepipe.parts import (
     Animation,
@@ -28,6 +27,7 @@ from facepipe.parts import (
 )
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.stage.imported import Imported, as_told, import_recipe
 
 Options = UsdOptions
 

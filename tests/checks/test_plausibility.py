@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from import_data import shared
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.cli import main
 from facepipe.heads import make
-from facepipe.importers import gltf, load
+from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.rig import implausible
 from facepipe.stage import save_parts

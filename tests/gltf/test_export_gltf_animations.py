@@ -9,6 +9,7 @@ import gltf_reader
 import numpy as np
 import pytest
 from facepipe_gltf import Options, export
+from facepipe_gltf import read as gltf
 from facepipe_gltf.space import decompose, rotation_matrices
 from faces import tiny_face
 from gltf_builder import animated, make_model
@@ -30,7 +31,7 @@ from placed_faces import FACES
 from pxr import Usd, UsdSkel
 
 import facepipe
-from facepipe.importers import gltf, load
+from facepipe.importers import load
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build
 from facepipe.stage import save_parts

@@ -11,6 +11,7 @@ import numpy as np
 import pygltflib
 import pytest
 from facepipe_gltf import Options, export
+from facepipe_gltf import read as gltf
 from facepipe_gltf.raw import RawDocument
 from faces import tiny_face
 from gltf_export import Parts, written
@@ -18,7 +19,7 @@ from import_data import shared
 
 from facepipe import heads as sample
 from facepipe.core.errors import ExportError
-from facepipe.importers import gltf, ict
+from facepipe.importers import ict
 from facepipe.parts import FaceParts
 
 __all__ = ["written"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
 from facepipe_gltf.vrm.bones import REQUIRED
 from facepipe_gltf.vrm.expressions import table
@@ -32,7 +33,7 @@ from vrm_export import (
 )
 
 from facepipe.core.errors import InputError
-from facepipe.importers import gltf, load
+from facepipe.importers import load
 from facepipe.parts import FaceParts, FloatArray, Slider
 from facepipe.rig import build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES

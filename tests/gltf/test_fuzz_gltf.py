@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from gltf_builder import Builder, Json, build, full_document, glb, make_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.importers import gltf
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 

@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 import pytest
 from facepipe_gltf import Options, save, write
+from facepipe_gltf import read as gltf
+from facepipe_gltf.record_format import content_digest
 from faces import tiny_face
 from import_data import shared
 from parts_differences import differences
@@ -28,8 +30,7 @@ import facepipe
 from facepipe import heads as sample
 from facepipe.core.errors import FacepipeError
 from facepipe.geometry.polygons import triangulate
-from facepipe.importers import gltf, ict, makehuman
-from facepipe.importers.imported import Imported
+from facepipe.importers import ict, makehuman
 from facepipe.parts import (
     Animation,
     BoneLimits,
@@ -43,9 +44,9 @@ from facepipe.parts import (
     Slider,
     SliderNetwork,
 )
-from facepipe.records.gltf import content_digest
 from facepipe.rig import build, rest_coefficients
 from facepipe.stage import save_parts
+from facepipe.stage.imported import Imported
 
 FACES = ("tiny", "sample")
 

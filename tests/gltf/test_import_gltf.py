@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from gltf_builder import PNG, Array, Builder, Model, animated, build, make_model, matrix, quaternion
 from places import SHARED
 from pxr import Usd, UsdSkel
 
 from facepipe.core.errors import InputError
-from facepipe.importers import gltf
-from facepipe.importers.imported import Imported
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
 from facepipe.stage import save_parts
+from facepipe.stage.imported import Imported
 
 SCAN = SHARED / "scans" / "LeePerrySmith.glb"
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from facepipe_gltf import Options as WriteOptions
+from facepipe_gltf import read as gltf
 from facepipe_gltf import save, write
 from gltf_builder import Builder, build, make_model
 from gltf_reader import read as read_gltf
 
 import facepipe
-from facepipe.importers import gltf
-from facepipe.importers.imported import Imported
 from facepipe.rig.animation import local_transforms
 from facepipe.stage import save_parts
+from facepipe.stage.imported import Imported
 
 
 def read(folder: Path, builder: Builder) -> Imported:

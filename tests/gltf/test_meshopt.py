@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from facepipe_gltf.read.meshopt import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from node import meshopt_encode
-
-from facepipe.meshopt import decode
 
 KINDS = [
     "noise",

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from command_line import done, failed
+from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED
 from facepipe_gltf.vrm.joint_names import bones_of
@@ -28,7 +29,6 @@ from vrm_export import (
 from facepipe.cli import main
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.names import identifier
-from facepipe.importers import gltf
 from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin
 from facepipe.stage import save_parts
 

@@ -11,6 +11,7 @@ import live_link
 import numpy as np
 import pytest
 from command_line import done, exit_code, failed, run
+from facepipe_gltf.read.face import Options as GltfOptions
 from faces import replace_mesh, tiny_face
 from gltf_reader import read as read_gltf
 from import_data import shared
@@ -21,7 +22,6 @@ import facepipe
 from facepipe.cli import main
 from facepipe.heads import make as make_sample
 from facepipe.importers import load
-from facepipe.importers.gltf import Options as GltfOptions
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
 from facepipe.pipeline.animate import AnimateJob, make

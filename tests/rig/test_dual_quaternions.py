@@ -9,6 +9,7 @@ import facepipe_gltf
 import facepipe_onnx
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from faces import replace_mesh
 from foreign_stages import HEAD, foreign_stage, read, rich_face, written
 from gltf_export import Parts
@@ -17,7 +18,6 @@ from pxr import UsdSkel
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.importers import gltf
 from facepipe.parts import Animation, FaceParts
 from facepipe.processors.fit_bones.rig_checks import check_rig
 from facepipe.rig import build, coefficient_matrices

@@ -11,9 +11,9 @@ from pxr import Usd
 
 from facepipe import parts as p
 from facepipe.importers import load
-from facepipe.importers.imported import Imported
 from facepipe.importers.usd import Options
 from facepipe.stage.author import author
+from facepipe.stage.imported import Imported
 
 HEAD, TEETH, SKELETON = "/Rich/Head", "/Rich/Teeth", "/Rich/Skeleton"
 

@@ -6,22 +6,14 @@ import os
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import ExportReport
-from facepipe.parts import FaceParts
+from facepipe.parts import HasParts
 from facepipe.rig import set_face
 from facepipe_gltf.files import embedded, write_glb
 from facepipe_gltf.vrm.document import write_vrm
 from facepipe_gltf.vrm.options import Options
-
-
-class HasParts(Protocol):
-    """What the writer needs of a face; `facepipe.stage.Face` has it."""
-
-    def parts(self) -> FaceParts:
-        """The face as arrays."""
 
 
 def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:

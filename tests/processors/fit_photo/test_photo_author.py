@@ -12,6 +12,7 @@ import facepipe_onnx
 import gltf_reader
 import numpy as np
 import pytest
+from facepipe_gltf import read as gltf
 from faces import tiny_face
 from oracle import played
 from pxr import Gf, Usd, UsdGeom
@@ -23,7 +24,6 @@ from facepipe.checks import validate
 from facepipe.core import tokens
 from facepipe.core.errors import FitError, InputError, SchemaError
 from facepipe.heads import make
-from facepipe.importers import gltf
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Slider

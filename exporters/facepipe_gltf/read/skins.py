@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.importers import gltf_accessors as accessors
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_names import Names, given_name, joint_identifier
-from facepipe.importers.gltf_nodes import Nodes
 from facepipe.parts import FloatArray, IntArray, Skeleton, identity
+from facepipe_gltf.read import accessors
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.names import Names, given_name, joint_identifier
+from facepipe_gltf.read.nodes import Nodes
+from facepipe_gltf.read.values import Value
 
 _SAME = 1e-5
 

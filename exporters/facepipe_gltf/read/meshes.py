@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from facepipe.importers import gltf_landmarks, gltf_morphs, gltf_weld
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_names import Names
-from facepipe.importers.gltf_primitives import Geometry
-from facepipe.importers.gltf_vertices import Vertices
-from facepipe.importers.gltf_weld import Weld
 from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
+from facepipe_gltf.read import landmarks, morphs
+from facepipe_gltf.read import weld as welds
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.names import Names
+from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.vertices import Vertices
+from facepipe_gltf.read.weld import Weld
 
 
 def build_mesh(
@@ -48,9 +49,9 @@ def build_mesh(
         uv_sets=tuple(_uv_set(number, uvs, welded, corners) for number, uvs in sorted(vertices.uvs.items())),
         colors=_colors(document, geometry, welded),
         skin=None if slots is None else _skin(document, geometry, welded, slots),
-        blendshapes=gltf_morphs.blendshapes(document, geometry, welded, names),
-        landmarks={} if own else gltf_landmarks.landmarks(document, geometry, welded),
-        anchor=None if own else gltf_landmarks.anchor(document, geometry, welded),
+        blendshapes=morphs.blendshapes(document, geometry, welded, names),
+        landmarks={} if own else landmarks.landmarks(document, geometry, welded),
+        anchor=None if own else landmarks.anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
         material_faces=_material_faces(geometry.materials[kept], shown) if len(bound) > 1 else (),
     )
@@ -63,7 +64,7 @@ def uv_name(number: int) -> str:
 
 def _numbered(geometry: Geometry) -> Weld:
     numbers = geometry.vertices.point_numbers
-    found = None if numbers is None else gltf_weld.by_number(geometry, numbers)
+    found = None if numbers is None else welds.by_number(geometry, numbers)
     if found is None:
         raise geometry.value.error("its _FACEPIPE_POINT is gone or joins vertices that lie apart")
     return found
@@ -73,7 +74,7 @@ def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:
     vertices = geometry.vertices
     numbers = vertices.point_numbers
     if numbers is not None and weld:
-        found = gltf_weld.by_number(geometry, numbers)
+        found = welds.by_number(geometry, numbers)
         if found is not None:
             missing = int(numbers.max()) + 1 - len(found.vertices)
             if missing:
@@ -83,8 +84,8 @@ def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:
             geometry.value, "_FACEPIPE_POINT joins vertices that lie apart: equal positions are welded instead"
         )
     if not weld:
-        return gltf_weld.none(vertices)
-    found = gltf_weld.by_value(geometry)
+        return welds.none(vertices)
+    found = welds.by_value(geometry)
     unused = int(np.count_nonzero(found.points < 0))
     if unused:
         document.warn(geometry.value, f"{unused} vertices are in no triangle: left out")
@@ -122,7 +123,7 @@ def _uv_set(number: int, uvs: FloatArray, weld: Weld, corners: IntArray) -> UvSe
     if np.array_equal(values[used], per_point[weld.points[used]]):
         return UvSet(name=uv_name(number), values=per_point)
     keys = np.concatenate([weld.points[used, None].astype(np.uint32), values[used].view(np.uint32)], axis=1)
-    first, inverse = gltf_weld.groups(keys)
+    first, inverse = welds.groups(keys)
     return UvSet(name=uv_name(number), values=values[used[first]], indices=inverse.astype(np.int32))
 
 

@@ -6,7 +6,7 @@ import unicodedata
 from collections import Counter
 
 from facepipe.core import names
-from facepipe.importers.gltf_json import Value
+from facepipe_gltf.read.values import Value
 
 _LONGEST = 80
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value, members
 from facepipe.parts import FloatArray, identity
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.values import Value, members
 
 
 @dataclass(frozen=True)

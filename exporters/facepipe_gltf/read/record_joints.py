@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts, FloatArray, IntArray, Skeleton
-from facepipe.records.gltf import Record
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients
 from facepipe.rig.trs import decompose
+from facepipe_gltf.record_format import Record
 
 _SAME = 1e-4  # of the skeleton's size: what float32 and a warning tool's digits may cost
 _NEAR = 2e-4  # seconds: what is nearer is one key

@@ -13,24 +13,24 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.names import handles
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_key_times import (
+from facepipe.parts import Animation, FloatArray
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
+from facepipe.rig.resample import TICK
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.key_times import (
     Channel,
     frame_rate,
     lines_error,
     on_frames,
     sample_times,
 )
-from facepipe.importers.gltf_morphs import Role
-from facepipe.importers.gltf_names import given_name
-from facepipe.importers.gltf_nodes import Nodes, Trs, decompose, local_trs, trs_matrix
-from facepipe.importers.gltf_samplers import read_sampler
-from facepipe.importers.gltf_skins import Joints
-from facepipe.parts import Animation, FloatArray
-from facepipe.rig.animation import local_transforms
-from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
-from facepipe.rig.resample import TICK
+from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.names import given_name
+from facepipe_gltf.read.nodes import Nodes, Trs, decompose, local_trs, trs_matrix
+from facepipe_gltf.read.samplers import read_sampler
+from facepipe_gltf.read.skins import Joints
+from facepipe_gltf.read.values import Value
 
 _ALIKE = 1e-3  # weights of two meshes at one time: keys between those of the other are float32 too
 _PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}

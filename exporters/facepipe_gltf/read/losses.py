@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value, members, quote
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.values import Value, members, quote
 
 _KINDS = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "images", "samplers", "cameras")
 _READ = ("facepipe", "targetNames")  # keys of extras

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.importers import gltf_accessors as accessors
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value, members
-from facepipe.importers.gltf_vertices import Vertices, join, read_vertices
 from facepipe.parts import IntArray
+from facepipe_gltf.read import accessors
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.values import Value, members
+from facepipe_gltf.read.vertices import Vertices, join, read_vertices
 
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 

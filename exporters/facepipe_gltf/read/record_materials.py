@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from facepipe.importers.gltf_document import Document
 from facepipe.parts import Material, Texture, TextureInput
+from facepipe_gltf.read.document import Document
 
 
 def with_images(document: Document, own: Sequence[Material], read: Sequence[Material]) -> tuple[Material, ...]:

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.importers import gltf_accessors as accessors
-from facepipe.importers.gltf_accessors import Deltas
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value, members
 from facepipe.parts import FloatArray, IntArray
+from facepipe_gltf.read import accessors
+from facepipe_gltf.read.accessors import Deltas
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.values import Value, members
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]

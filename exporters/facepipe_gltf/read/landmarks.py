@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.errors import InputError
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_primitives import Geometry
-from facepipe.importers.gltf_weld import Weld
 from facepipe.parts import Landmarks
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.weld import Weld
 
 
 def landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, Landmarks]:

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.names import identifier
-from facepipe.importers.gltf_accessors import Deltas
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value, members
-from facepipe.importers.gltf_names import Names
-from facepipe.importers.gltf_primitives import Geometry
-from facepipe.importers.gltf_vertices import Target
-from facepipe.importers.gltf_weld import Weld
 from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
+from facepipe_gltf.read.accessors import Deltas
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.names import Names
+from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.values import Value, members
+from facepipe_gltf.read.vertices import Target
+from facepipe_gltf.read.weld import Weld
 
 
 @dataclass(frozen=True)

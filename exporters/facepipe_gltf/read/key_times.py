@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.importers.gltf_samplers import Sampler, sample
 from facepipe.parts import FloatArray
 from facepipe.rig.resample import ON_FRAME, TICK, whole_frames
+from facepipe_gltf.read.samplers import Sampler, sample
 
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at
 _TOLERANCE = {"translation": 5e-5, "rotation": 5e-4, "scale": 5e-4, "weights": 5e-4}  # of curves: metres, radians, 1

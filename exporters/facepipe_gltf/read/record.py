@@ -11,9 +11,6 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_record_joints import filled_animations, joints_as_recorded
-from facepipe.importers.gltf_record_materials import with_images
 from facepipe.parts import (
     Blendshape,
     FaceParts,
@@ -24,7 +21,10 @@ from facepipe.parts import (
     Skin,
     UvSet,
 )
-from facepipe.records.gltf import (
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.record_joints import filled_animations, joints_as_recorded
+from facepipe_gltf.read.record_materials import with_images
+from facepipe_gltf.record_format import (
     VERSION,
     MeshRecord,
     Record,

@@ -11,7 +11,7 @@ from urllib.parse import unquote
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.core.trust import check_copied
-from facepipe.importers.gltf_json import Value, quote
+from facepipe_gltf.read.values import Value, quote
 
 MAX_FILE_BYTES = 2**32
 """Largest file read; a GLB can't be longer, as its header counts in 32 bits."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.importers import gltf_accessors as accessors
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value
 from facepipe.parts import FloatArray
 from facepipe.rig.trs import slerp
+from facepipe_gltf.read import accessors
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.values import Value
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from facepipe.core.errors import InputError
-from facepipe.importers import gltf_files, gltf_json
-from facepipe.importers.gltf_json import Value, members, quote
-from facepipe.meshopt import EXTENSION, decode
+from facepipe_gltf.read.files import read_uri, read_whole
+from facepipe_gltf.read.meshopt import EXTENSION, decode
+from facepipe_gltf.read.values import Value, members, parse, quote
 
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
@@ -135,7 +135,7 @@ class Document:
         length = value.require("byteLength").integer(1)
         uri = value.get("uri")
         if uri is not None:
-            data = gltf_files.read_uri(uri, self.path, self.files)
+            data = read_uri(uri, self.path, self.files)
         elif number == 0 and self.binary is not None:
             data = self.binary
         else:
@@ -163,7 +163,7 @@ def open_document(source: Path) -> Document:
     :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
     """
     trail = source.name
-    data = gltf_files.read_whole(source, trail)
+    data = read_whole(source, trail)
     if not data:
         raise InputError(trail, "empty file, expected glTF")
     binary: bytes | None = None
@@ -172,7 +172,7 @@ def open_document(source: Path) -> Document:
         text, binary = _chunks(data, trail)
     elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
-    root = gltf_json.parse(text, trail)
+    root = parse(text, trail)
     document = Document(root=root, path=source, binary=binary, files=[source])
     _check_version(document)
     _check_extensions(document)

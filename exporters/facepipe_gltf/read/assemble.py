@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from facepipe.core.names import handles
-from facepipe.importers import gltf_materials, gltf_meshes, gltf_morphs, gltf_primitives
-from facepipe.importers.gltf_document import Document
-from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_morphs import Role
-from facepipe.importers.gltf_names import Names, given_name
-from facepipe.importers.gltf_nodes import Nodes
-from facepipe.importers.gltf_placement import placed
-from facepipe.importers.gltf_primitives import Geometry
-from facepipe.importers.gltf_skins import Joints
 from facepipe.parts import Mesh, Skin
+from facepipe_gltf.read import materials, meshes, morphs, primitives
+from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.names import Names, given_name
+from facepipe_gltf.read.nodes import Nodes
+from facepipe_gltf.read.placement import placed
+from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.skins import Joints
+from facepipe_gltf.read.values import Value
 
 
 @dataclass
@@ -55,7 +55,7 @@ class Assembly:
         mesh, geometry = found
         if geometry.vertices.targets:
             count = len(geometry.vertices.targets)
-            self.roles[node] = gltf_morphs.roles(document, geometry.value, count, self.shape_names)
+            self.roles[node] = morphs.roles(document, geometry.value, count, self.shape_names)
             self._note_weights(value)
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
         if self.own:
@@ -66,13 +66,13 @@ class Assembly:
 
     def _build(self, mesh_index: int, skin: int) -> tuple[Mesh, Geometry] | None:
         document = self.document
-        geometry = gltf_primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
+        geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
         if geometry is None:
             return None
         slots = None if skin < 0 else self.joints.skins[skin].slots
-        mesh = gltf_meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.own)
+        mesh = meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.own)
         used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
-        sides = [gltf_materials.is_double_sided(document, number) for number in used]
+        sides = [materials.is_double_sided(document, number) for number in used]
         if len(set(sides)) > 1 and not self.own:
             document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
         return replace(mesh, double_sided=any(sides)), geometry

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from facepipe.importers.gltf_primitives import Geometry
-from facepipe.importers.gltf_vertices import Target, Vertices
 from facepipe.parts import FloatArray, IntArray
+from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.vertices import Target, Vertices
 
 
 @dataclass(frozen=True)

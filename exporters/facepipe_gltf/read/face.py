@@ -10,15 +10,17 @@ import numpy as np
 
 from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges
-from facepipe.importers import gltf_animations, gltf_materials, gltf_nodes, gltf_record, gltf_skins
-from facepipe.importers.gltf_assemble import Assembly
-from facepipe.importers.gltf_document import Document, open_document
-from facepipe.importers.gltf_losses import note_losses
-from facepipe.importers.imported import Imported, as_told, import_recipe
-from facepipe.importers.options import GltfOptions
 from facepipe.parts import FaceParts, Mesh
-
-Options = GltfOptions
+from facepipe.stage.imported import Imported, as_told, import_recipe
+from facepipe_gltf.read.animations import read_animations
+from facepipe_gltf.read.assemble import Assembly
+from facepipe_gltf.read.document import Document, open_document
+from facepipe_gltf.read.losses import note_losses
+from facepipe_gltf.read.materials import material_names, read_materials
+from facepipe_gltf.read.nodes import Nodes, read_nodes
+from facepipe_gltf.read.options import Options
+from facepipe_gltf.read.record import filled, read_record, resampled
+from facepipe_gltf.read.skins import read_joints
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -41,13 +43,13 @@ def read(source: Path, options: Options) -> Imported:
 
 
 def _parts(document: Document, source: Path, options: Options) -> FaceParts:
-    record = gltf_record.read_record(document) if options.weld else None
+    record = read_record(document) if options.weld else None
     if record is not None:
         try:
             read = _read(document, source, options, own=True)
             if options.fps is not None:
-                record = gltf_record.resampled(record, read)
-            face = gltf_record.filled(document, record, read)
+                record = resampled(record, read)
+            face = filled(document, record, read)
             note_losses(document, own=True)
             return _with_recipe(face, document, source, options)
         except InputError as error:
@@ -66,15 +68,15 @@ def _with_recipe(face: FaceParts, document: Document, source: Path, options: Opt
 
 def _read(document: Document, source: Path, options: Options, *, own: bool = False) -> FaceParts:
     """:param own: leave meshes where the file has them, as our record does the rest"""
-    nodes = gltf_nodes.read_nodes(document, options.scene)
-    joints = gltf_skins.read_joints(document, nodes)
-    materials = gltf_materials.material_names(document)  # the last stands for none
+    nodes = read_nodes(document, options.scene)
+    joints = read_joints(document, nodes)
+    materials = material_names(document)  # the last stands for none
     assembly = Assembly(document, nodes, joints, materials, options.weld, own)
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
     _note_hidden(document, nodes)
-    animations = gltf_animations.read_animations(document, nodes, joints, assembly.roles, options.fps)
+    animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
     return FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
@@ -83,7 +85,7 @@ def _read(document: Document, source: Path, options: Options, *, own: bool = Fal
         animations=animations.all,
         played=animations.first_clip,
         frames_per_second=animations.frames_per_second,
-        materials=gltf_materials.read_materials(document, materials, _bound(meshes)),
+        materials=read_materials(document, materials, _bound(meshes)),
         attribution=_attribution(document),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
@@ -96,7 +98,7 @@ def _bound(meshes: tuple[Mesh, ...]) -> Iterator[str]:
         yield from (faces.material for faces in mesh.material_faces)
 
 
-def _note_hidden(document: Document, nodes: gltf_nodes.Nodes) -> None:
+def _note_hidden(document: Document, nodes: Nodes) -> None:
     shown = set(nodes.shown)
     hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
     if hidden:

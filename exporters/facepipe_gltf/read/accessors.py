@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.importers.gltf_document import Document, optional_integer
-from facepipe.importers.gltf_json import Value
 from facepipe.parts import FloatArray, IntArray
+from facepipe_gltf.read.document import Document, optional_integer
+from facepipe_gltf.read.values import Value
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

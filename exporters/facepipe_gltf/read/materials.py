@@ -10,12 +10,12 @@ from pathlib import PurePosixPath
 from typing import Literal
 
 from facepipe.core.names import handles
-from facepipe.importers import gltf_files
-from facepipe.importers.gltf_document import Document, optional_integer
-from facepipe.importers.gltf_json import Value
-from facepipe.importers.gltf_meshes import uv_name
-from facepipe.importers.gltf_names import Names, file_name, given_name
 from facepipe.parts import Color, Material, Texture, TextureInput
+from facepipe_gltf.read.document import Document, optional_integer
+from facepipe_gltf.read.files import read_uri, uri_name
+from facepipe_gltf.read.meshes import uv_name
+from facepipe_gltf.read.names import Names, file_name, given_name
+from facepipe_gltf.read.values import Value
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
 Wrap = Literal["repeat", "mirror", "clamp"]
@@ -103,7 +103,7 @@ class _Textures:
             if kind is None:
                 raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")
             uri = value.get("uri")
-            named = gltf_files.uri_name(uri.text()) if uri is not None else ""
+            named = uri_name(uri.text()) if uri is not None else ""
             stem = PurePosixPath(named).stem or given_name(value) or ""
             self._images[index] = Texture(name=f"{self._names.new(file_name(stem, 'texture'))}.{kind}", data=data)
         return self._images[index]
@@ -111,7 +111,7 @@ class _Textures:
     def _bytes(self, value: Value) -> bytes:
         uri, view = value.get("uri"), value.get("bufferView")
         if uri is not None:
-            return gltf_files.read_uri(uri, self._document.path, self._document.files)
+            return read_uri(uri, self._document.path, self._document.files)
         if view is None:
             raise value.error("neither uri nor bufferView, expected one")
         data, start, length = self._document.view(view)
