@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.onnx_graph import Nodes
 from facepipe.rig.neural_encoder import EPSILON, EncoderLayer, NeuralEncoder
-from facepipe_onnx.model import make_model
-from facepipe_onnx.nodes import Nodes
 
 
 def build(encoder: NeuralEncoder, name: str = "face") -> Any:
@@ -36,7 +35,7 @@ def build(encoder: NeuralEncoder, name: str = "face") -> Any:
     straight = _affine(nodes, nodes.reshape(offsets, 1, 3 * count), "straight", encoder.straight, encoder.offset)
     _in_own_units(nodes, encoder, nodes.add("Add", bent, straight))
     inputs = {"points": (1, encoder.point_count, 3)}
-    return make_model(nodes, "facepipe_encoder", name, inputs, {"controls": (1, len(encoder.controls))})
+    return nodes.model("facepipe_encoder", name, inputs, {"controls": (1, len(encoder.controls))})
 
 
 def _affine(nodes: Nodes, value: str, name: str, matrix: Any, bias: Any) -> str:

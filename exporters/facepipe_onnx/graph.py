@@ -17,11 +17,10 @@ from scipy import sparse
 
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
+from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx import morph, skin
 from facepipe_onnx.joints import tree_order, world_nodes
-from facepipe_onnx.model import make_model
-from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
 from facepipe_onnx.partition import Partition, block_size, partition
@@ -64,7 +63,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
         )
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), options.batch)
-    return make_model(nodes, "deformer", rig.name, *signature(rig, options))
+    return nodes.model("deformer", rig.name, *signature(rig, options))
 
 
 def _check(rig: Rig, options: Options) -> None:

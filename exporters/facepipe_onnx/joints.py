@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
-from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.transforms import local_nodes
 
 IntArray = npt.NDArray[np.integer]

@@ -6,10 +6,11 @@ import os
 from pathlib import Path
 from typing import Any
 
+from facepipe import __version__
 from facepipe.core.atomic import together, write_bytes
 from facepipe.core.errors import ExportError, InputError
+from facepipe.onnx_graph import MAX_BYTES
 from facepipe_onnx import sidecar
-from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.read import problems
 
 
@@ -38,6 +39,7 @@ def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.
 
 
 def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
+    model.producer_version = __version__
     for key, value in sidecar.to_properties(metadata).items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
-from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.partition import Group, Partition
 
 FloatArray = npt.NDArray[np.floating]

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import ExportError
+from facepipe.onnx_graph import Nodes
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.slider_network import ACTIVATIONS
-from facepipe_onnx.nodes import Nodes
-from facepipe_onnx.packed_weights import follow, product_nodes
+from facepipe_onnx.packed_weights import PackedNodes, follow, product_nodes
 from facepipe_onnx.ramps import Ramps
 
 FloatArray = npt.NDArray[np.floating]
@@ -22,7 +22,7 @@ _OPERATORS = {"tanh": "Tanh", "relu": "Relu", "silu": "Sigmoid"}
 
 
 def network_nodes(
-    nodes: Nodes, rig: Rig, sliders: Sequence[Slider], network: SliderNetwork, ramps: Ramps, risen: str
+    nodes: PackedNodes, rig: Rig, sliders: Sequence[Slider], network: SliderNetwork, ramps: Ramps, risen: str
 ) -> tuple[Ramps, str]:
     """The ramps with a row of gains more for every unit before the network's last layer, and the values of all rows.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from facepipe_onnx.nodes import Nodes
+from facepipe.onnx_graph import Nodes
 
 IntArray = npt.NDArray[np.integer]
 

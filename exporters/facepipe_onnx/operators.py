@@ -1,10 +1,6 @@
-"""The operators that a facepipe graph may use, and its versions (DESIGN section 6)."""
+"""The operators that a facepipe graph may use (DESIGN section 6)."""
 
 from __future__ import annotations
-
-OPSET = 15
-IR_VERSION = 8
-MAX_BYTES = (1 << 31) - 1  # of a protobuf file
 
 PER_FRAME = frozenset(
     {"Clip", "Gemm", "MatMul", "Add", "Sub", "Mul", "Relu", "Tanh", "Sigmoid", "Sin", "Cos"}

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from facepipe_onnx.nodes import Nodes
+from facepipe.onnx_graph import Nodes
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -24,7 +24,17 @@ _ROUNDS = 4
 _DAMPING = 1e-5  # of the samples' mean square
 
 
-def follow(nodes: Nodes, name: str, function: Callable[..., FloatArray], *sources: str) -> str:
+class PackedNodes(Nodes):
+    """Nodes whose matrices are stored in fewer bytes."""
+
+    def __init__(self, weights: str) -> None:
+        """:param weights: how matrices are stored: float32, float16 or int8"""
+        super().__init__()
+        self.weights = weights
+        self.samples: dict[str, tuple[FloatArray, FloatArray]] = {}  # of values, (n, size): as they are, and as packed
+
+
+def follow(nodes: PackedNodes, name: str, function: Callable[..., FloatArray], *sources: str) -> str:
     """`name`, a value that a function of others is, with its samples where these have some."""
     if all(source in nodes.samples for source in sources):
         whole, packed = zip(*(nodes.samples[source] for source in sources), strict=True)
@@ -32,7 +42,7 @@ def follow(nodes: Nodes, name: str, function: Callable[..., FloatArray], *source
     return name
 
 
-def product_nodes(nodes: Nodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray) -> str:
+def product_nodes(nodes: PackedNodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray) -> str:
     """[batch, columns] ``bias + value @ matrix``, the matrix stored as `nodes.weights` says.
 
     :param value: [batch, rows], with samples unless these are float32
@@ -44,7 +54,9 @@ def product_nodes(nodes: Nodes, value: str, names: tuple[str, str], matrix: Floa
         return _packed_product(nodes, value, names, matrix, bias)
 
 
-def _packed_product(nodes: Nodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray) -> str:
+def _packed_product(
+    nodes: PackedNodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray
+) -> str:
     whole, packed = nodes.samples[value]
     made, stored = _stored(nodes, names[0], _refitted(matrix, whole, packed), packed)
     moved = bias + whole[0] @ matrix - packed[0] @ stored
@@ -68,7 +80,7 @@ def _products(steps: FloatArray) -> FloatArray:
     return np.asarray(products)
 
 
-def _stored(nodes: Nodes, name: str, matrix: FloatArray, samples: FloatArray) -> tuple[str, FloatArray]:
+def _stored(nodes: PackedNodes, name: str, matrix: FloatArray, samples: FloatArray) -> tuple[str, FloatArray]:
     """The float32 matrix in the graph, and its numbers."""
     if nodes.weights == "float16":
         half = rounded(matrix, samples, lambda row: row.astype(np.float16))

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import ExportError
+from facepipe.onnx_graph import Nodes
 from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries
-from facepipe_onnx.nodes import Nodes
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

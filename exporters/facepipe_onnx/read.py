@@ -15,8 +15,9 @@ import numpy as np
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
+from facepipe.onnx_graph import IR_VERSION, MAX_BYTES, OPSET
 from facepipe_onnx.metadata_checks import TYPES, metadata_faults, shape_of
-from facepipe_onnx.operators import FURTHER, IR_VERSION, MAX_BYTES, OPSET, PER_FRAME
+from facepipe_onnx.operators import FURTHER, PER_FRAME
 
 FREE_ELEMENTS, PER_BYTE = 1 << 26, 32  # that one evaluation may make: these, and as many for each byte of the weights
 _MAX_WHOLE = 1 << 16  # of these, whole numbers: they are shapes, of which readers keep each size as an object

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx.joints import tree_order
-from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.partition import Partition
 
 FloatArray = npt.NDArray[np.floating]

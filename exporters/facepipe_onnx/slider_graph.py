@@ -24,13 +24,11 @@ from facepipe.rig.sliders import kept
 from facepipe_onnx.chains import Chains, chain_nodes, chains_of, end_nodes
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
 from facepipe_onnx.joints import tree_order
-from facepipe_onnx.model import make_model
 from facepipe_onnx.morph import activation_nodes
 from facepipe_onnx.network import network_nodes
-from facepipe_onnx.nodes import Nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
-from facepipe_onnx.packed_weights import product_nodes
+from facepipe_onnx.packed_weights import PackedNodes, product_nodes
 from facepipe_onnx.ramps import Ramps, ramp_nodes, ramps_of
 from facepipe_onnx.skin import Ends
 from facepipe_onnx.slider_samples import ramp_samples, slider_samples
@@ -72,7 +70,7 @@ def build(
     names = select(rig.shapes, options.shapes, "shapes")
     sliders, network = select_sliders(rig, sliders, names), select_network(rig, network, names)
     rig = select_shapes(rig, names)
-    nodes, batch = Nodes(options.weights), options.batch
+    nodes, batch = PackedNodes(options.weights), options.batch
     ramps = ramps_of(rig, sliders, () if network is None else network.sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
     _sample(nodes, ramps, risen, sliders)
@@ -88,10 +86,10 @@ def build(
         rigid(nodes, rig, batch, activations)
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), batch)
-    return make_model(nodes, "sliders", rig.name, *signature(rig, sliders, options))
+    return nodes.model("sliders", rig.name, *signature(rig, sliders, options))
 
 
-def _sample(nodes: Nodes, ramps: Ramps, risen: str, sliders: Sequence[Slider]) -> None:
+def _sample(nodes: PackedNodes, ramps: Ramps, risen: str, sliders: Sequence[Slider]) -> None:
     """Samples of the ramps, for weights that are packed."""
     if nodes.weights != "float32":
         found = ramp_samples(ramps, slider_samples(sliders, max(_SAMPLES, 4 * len(ramps.gains)), seed=0))
@@ -108,7 +106,7 @@ def _check(rig: Rig, sliders: Sequence[Slider], network: SliderNetwork | None, o
     slide(sliders, rig.joints, network=network)  # says what is wrong with them
 
 
-def _joints(nodes: Nodes, rig: Rig, ramps: Ramps, risen: str, options: Options) -> Ends:
+def _joints(nodes: PackedNodes, rig: Rig, ramps: Ramps, risen: str, options: Options) -> Ends:
     """The outputs of the joints; returns what multiplies their world matrices with constants."""
     chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
     coefficients = _coefficients(nodes, ramps, chains, risen, options.batch)
@@ -124,7 +122,7 @@ def _moving(ramps: Ramps) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return np.asarray(own.reshape(-1, 9).any(axis=1))
 
 
-def _coefficients(nodes: Nodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
+def _coefficients(nodes: PackedNodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
     """[batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output."""
     rows, count = len(chains.joints), len(ramps.gains)
     joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
@@ -135,7 +133,7 @@ def _coefficients(nodes: Nodes, ramps: Ramps, chains: Chains, risen: str, batch:
     return coefficients
 
 
-def _product(nodes: Nodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:
+def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:
     """[batch, columns] ``base + risen @ gains``; of large gains without the columns that are 0, where they are many."""
     moved = gains.any(axis=0)
     if gains.size < _LARGE or 2 * moved.sum() > len(base):
@@ -148,7 +146,7 @@ def _product(nodes: Nodes, risen: str, gains: FloatArray, base: FloatArray, batc
     return nodes.gather(both, 1, place)
 
 
-def _weights(nodes: Nodes, ramps: Ramps, risen: str) -> str:
+def _weights(nodes: PackedNodes, ramps: Ramps, risen: str) -> str:
     """[batch, shapes] weights: the input's and those that the sliders drive."""
     if not ramps.shape_gains.any() and not ramps.shape_base.any():
         return "weights"

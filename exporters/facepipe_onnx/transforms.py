@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
-from facepipe_onnx.nodes import Nodes
+from facepipe.onnx_graph import Nodes
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.core.reports import Finding
+from facepipe.onnx_graph import MAX_BYTES
 from facepipe_onnx import sidecar
 from facepipe_onnx.metadata_checks import properties
-from facepipe_onnx.operators import MAX_BYTES
 from facepipe_onnx.read import Problem, problems, read
 
 

@@ -42,6 +42,7 @@ MOVED |= {
     "facepipe.importers.gltf_json": "facepipe_gltf.read.values",
     "facepipe.importers.imported": "facepipe.stage.imported",
     "facepipe.meshopt": "facepipe_gltf.read.meshopt",
+    "facepipe_onnx.nodes": "facepipe.onnx_graph",
     "facepipe.records.gltf": "facepipe_gltf.record_format",
 }
 

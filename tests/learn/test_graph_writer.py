@@ -14,7 +14,7 @@ def given(write: GraphWriter, output: str, shape: tuple[int, ...], images: torch
     """The value `output` in onnxruntime."""
     import onnxruntime
 
-    content = write.model("one", {"image": images.shape[1:]}, {output: shape}, {"note": "{}"})
+    content = write.to_bytes("one", {"image": images.shape[1:]}, {output: shape}, {"note": "{}"})
     return np.asarray(onnxruntime.InferenceSession(content).run(None, {"image": images.numpy()})[0])
 
 
@@ -59,5 +59,5 @@ def test_the_same_nodes_are_the_same_bytes() -> None:
     for _ in range(2):
         write = GraphWriter()
         write.linear("own", "image", layer)
-        contents.append(write.model("one", {"image": (5,)}, {"own": (2,)}, {"b": "2", "a": "1"}))
+        contents.append(write.to_bytes("one", {"image": (5,)}, {"own": (2,)}, {"b": "2", "a": "1"}))
     assert contents[0] == contents[1]

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
+from facepipe.onnx_graph import MAX_BYTES
 
 OLDEST_OPSET, NEWEST_OPSET = 7, 25
 
-_MAX_BYTES = (1 << 31) - 1  # what a protobuf message may hold
 _DOMAINS = ("", "ai.onnx")
 
 
@@ -27,7 +27,7 @@ def read_model(path: Path) -> Any:
 
     model = onnx.ModelProto()
     try:
-        model.ParseFromString(read_bytes(path, _MAX_BYTES))
+        model.ParseFromString(read_bytes(path, MAX_BYTES))
     except InputError:
         raise
     except Exception as error:  # protobuf's errors share no other base

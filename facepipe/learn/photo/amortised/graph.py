@@ -27,52 +27,42 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
     write = GraphWriter()
     places = _places(write, network)
     picture = _picture(write, network)
-    marks = write.relu("placed_last", write.linear("placed_last", _placed(write, network, places), network.placed_last))
-    both = write.add("Concat", "both", picture, marks, axis=1)
-    inner = write.relu("middle", write.linear("middle", both, network.middle))
-    straight = write.add("MatMul", "straight", places, write.constant("straight_weight", network.straight.weight.T))
-    values = write.add("Add", "values", write.linear("last", inner, network.last), straight)
+    marks = write.add("Relu", write.linear("placed_last", _placed(write, network, places), network.placed_last))
+    inner = write.add("Relu", write.linear("middle", write.concat([picture, marks], 1), network.middle))
+    straight = write.add("MatMul", places, write.constant("straight_weight", network.straight.weight.detach().T))
+    values = write.add("Add", write.linear("last", inner, network.last), straight)
     _outputs(write, network, values)
     return _serialised(write, network, metadata)
 
 
 def _places(write: GraphWriter, network: StartNetwork) -> str:
-    off = write.add("Sub", "off", "landmarks", write.constant("template", network.template))
-    rows = write.add("Reshape", "off_rows", off, write.shape("off_shape", [-1, 2 * COUNT]))
-    return write.add("Mul", "places", rows, write.constant("spread", [1 / SPREAD]))
+    off = write.add("Sub", "landmarks", write.constant("template", network.template))
+    return write.add("Mul", write.reshape(off, -1, 2 * COUNT), write.constant("spread", np.array([1 / SPREAD])))
 
 
 def _placed(write: GraphWriter, network: StartNetwork, places: str) -> str:
-    return write.relu("placed", write.linear("placed", places, network.placed))
+    return write.add("Relu", write.linear("placed", places, network.placed))
 
 
 def _picture(write: GraphWriter, network: StartNetwork) -> str:
-    at = write.relu("stem", write.conv("stem", "image", network.stem, network.stem_norm))
+    at = write.add("Relu", write.conv("stem", "image", network.stem, network.stem_norm))
     for number, block in enumerate(network.blocks):
         at = write.block(f"block{number}", at, block)
-    squeezed = write.relu("squeeze", write.conv("squeeze", at, network.squeeze))
-    rows = write.add("Reshape", "cells", squeezed, write.shape("cells_shape", [-1, network.seen.in_features]))
-    return write.relu("seen", write.linear("seen", rows, network.seen))
+    squeezed = write.add("Relu", write.conv("squeeze", at, network.squeeze))
+    rows = write.reshape(squeezed, -1, network.seen.in_features)
+    return write.add("Relu", write.linear("seen", rows, network.seen))
 
 
 def _outputs(write: GraphWriter, network: StartNetwork, values: str) -> None:
     """The parts of the last layer, held in 0..1 or in units."""
     sliders, expressions, _ = network.counts
-    ends = np.cumsum([0, *network.counts])
+    ends = np.cumsum([0, *network.counts]).tolist()
     low, high = write.constant("zero", np.zeros(())), write.constant("one", np.ones(()))
     for name, number, count in (("shares", 0, sliders), ("expressions", 1, expressions)):
-        own = _slice(write, f"{name}_raw", values, int(ends[number]), int(ends[number + 1]))
         if count:
-            write.add("Clip", name, own, low, high)
-    scaled = _slice(write, "pose_raw", values, int(ends[2]), int(ends[3]))
-    scaled = write.add("Mul", "pose_off", scaled, write.constant("pose_std", POSE_STD))
-    write.add("Add", "pose", scaled, write.constant("pose_mean", POSE_MEAN))
-
-
-def _slice(write: GraphWriter, name: str, source: str, first: int, last: int) -> str:
-    """Columns of rows."""
-    ends = [write.shape(f"{name}_{part}", [value]) for part, value in (("from", first), ("to", last), ("axis", 1))]
-    return write.add("Slice", name, source, *ends)
+            write.add("Clip", write.slice(values, 1, ends[number], ends[number + 1]), low, high, name=name)
+    scaled = write.add("Mul", write.slice(values, 1, ends[2], ends[3]), write.constant("pose_std", np.array(POSE_STD)))
+    write.add("Add", scaled, write.constant("pose_mean", np.array(POSE_MEAN)), name="pose")
 
 
 def _serialised(write: GraphWriter, network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
@@ -80,7 +70,7 @@ def _serialised(write: GraphWriter, network: StartNetwork, metadata: Mapping[str
     operators = sorted({node.op_type for node in write.nodes})
     further = [name for name in operators if name in FURTHER_OPERATORS]
     described = {**metadata, "operators": operators, "further_operators": further}
-    return write.model(
+    return write.to_bytes(
         "photo_start",
         {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)},
         {name: (count,) for name, count in sizes.items() if count},

@@ -1,23 +1,26 @@
-"""A graph under construction: nodes and constants with unique names."""
+"""ONNX graphs, written node by node: no paths of the machine, an operator set that engines read."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.errors import ExportError
+
+OPSET, IR_VERSION = 15, 8
+MAX_BYTES = (1 << 31) - 1  # of a protobuf file
+
 Array = npt.NDArray[Any]
+Shapes = Mapping[str, tuple[int | str, ...]]  # of values by name; text for sizes that a run decides
 
 
 class Nodes:
-    """Collects the nodes of a graph; each method adds one and returns the name of its output."""
+    """Collects the nodes of a graph, and constants with unique names; each method returns the name of what it adds."""
 
-    def __init__(self, weights: str = "float32") -> None:
-        """:param weights: how matrices of `packed_weights` are stored: float32, float16 or int8"""
-        self.weights = weights
-        self.samples: dict[str, tuple[Array, Array]] = {}  # of values, (n, size): as they are, and as packed weights do
+    def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: dict[str, Array] = {}
         self._index_names: dict[tuple[int, ...], str] = {}
@@ -63,3 +66,29 @@ class Nodes:
         if len(values) == 1 and name is None:
             return values[0]
         return self.add("Concat", *values, axis=axis, name=name)
+
+    def model(self, name: str, where: str, inputs: Shapes, outputs: Shapes) -> Any:
+        """The `onnx.ModelProto` of all nodes, without metadata.
+
+        :param name: of the graph
+        :param where: what it is of, for messages
+        :raises ExportError: numbers beyond float32 (or float16), or more than the 2 GB that a file can hold
+        """
+        from onnx import TensorProto, helper, numpy_helper
+
+        total = sum(values.nbytes for values in self.constants.values())
+        if total > MAX_BYTES - (1 << 20):
+            raise ExportError(where, f"{total} bytes of tensors, expected less than the 2 GB that an ONNX file holds")
+        for constant, values in self.constants.items():
+            if not np.isfinite(values).all():
+                what = f"values beyond the range of {values.dtype}, expected finite numbers"
+                raise ExportError(f"{where} -> {constant}", what)
+        ends = [
+            [helper.make_tensor_value_info(end, TensorProto.FLOAT, shape) for end, shape in side.items()]
+            for side in (inputs, outputs)
+        ]
+        tensors = [numpy_helper.from_array(values, constant) for constant, values in self.constants.items()]
+        graph = helper.make_graph(self.nodes, name, *ends, tensors)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="facepipe")
+        model.ir_version = IR_VERSION
+        return model
