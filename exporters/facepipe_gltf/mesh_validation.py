@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe_gltf.raw import Broken, Json, RawDocument, is_index
+from facepipe.core.errors import InputError
+from facepipe_gltf.raw import Json, RawDocument, is_index
 from facepipe_gltf.raw_nodes import children, parents
 from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.skin_validation import Problem, attributes
@@ -33,8 +34,8 @@ def accessors(document: RawDocument) -> Iterator[Problem]:
     for i in range(len(document.items("accessors"))):
         try:
             document.accessor(i)
-        except Broken as broken:
-            yield f"/accessors/{i}", f"{broken}, expected data within its buffer"
+        except InputError as error:
+            yield f"/accessors/{i}", ": ".join(filter(None, (error.where.partition(" -> ")[2], error.what)))
 
 
 def finite(document: RawDocument) -> Iterator[Problem]:
@@ -128,6 +129,8 @@ SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
 
 def asset(document: RawDocument) -> Iterator[Problem]:
     """The file is glTF 2, asks for no extension that readers of plain geometry lack, and holds a mesh."""
+    for note in document.notes:
+        yield "/", note.partition(": ")[2]
     stated = document.json.get("asset")
     version = stated.get("version") if isinstance(stated, dict) else None
     if version != "2.0":

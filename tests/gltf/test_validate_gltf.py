@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +15,7 @@ from typing import Any
 import facepipe_gltf
 import numpy as np
 import pytest
+from facepipe_gltf.read import Options, read
 from faces import replace_mesh, tiny_face
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -280,7 +282,16 @@ def test_no_file_outside_the_folder_is_read(tmp_path: Path) -> None:
         (folder / "face.gltf").write_text(text)
         found = {one.check: one for one in facepipe_gltf.validate(folder / "face.gltf", khronos=False)}
         assert set(found) == {"facepipe:GltfAccessors", "facepipe:GltfAsset"}  # there is no mesh either
-        assert "below the folder" in found["facepipe:GltfAccessors"].message
+        refused = "outside the roots|the document's folder|a file beside the document"
+        assert re.search(refused, found["facepipe:GltfAccessors"].message)
+
+
+def test_bytes_beyond_the_end_are_found_and_not_read(good: Path, tmp_path: Path) -> None:
+    (tmp_path / "face.glb").write_bytes(good.read_bytes() + b"more")
+    (found,) = facepipe_gltf.validate(tmp_path / "face.glb", khronos=False)
+    assert (found.check, found.message) == ("facepipe:GltfAsset", "bytes beyond the length in its header are left out")
+    imported = read(tmp_path / "face.glb", Options())
+    assert imported.warnings == (f"face.glb: {found.message}",)
 
 
 @pytest.mark.parametrize("content", [b"", b"glTF", b"nonsense" * 9, b"glTF" + bytes(40)])

@@ -131,7 +131,7 @@ def test_hostile_files_are_judged_not_believed(data: st.DataObject, tmp_path: Pa
                 break
             place = place[key]
     path = tmp_path / "hostile.vrm"
-    text = json.dumps(document).encode()
+    text = json.dumps(document).replace("Infinity", "1e999").encode()
     path.write_bytes(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text)
     assert all("\n" not in one.message for one in vrm.validate(path, khronos=False))
 

@@ -88,6 +88,19 @@ def floats(document: Document, reference: Value, *types: str, count: int | None 
     return result
 
 
+def numbers(document: Document, reference: Value) -> FloatArray:
+    """(count, components) float64 of an accessor of any type, NaN and infinity as they are; it is kept nowhere.
+
+    :raises InputError: what `accessor` raises
+    """
+    found = accessor(document, reference, *_COMPONENTS)
+    document.budget.check(found.count * found.components * 8, found.value)
+    result = np.zeros((found.count, found.components)) if found.base is None else found.base.astype(np.float64)
+    if found.sparse is not None:
+        result[found.sparse[0]] = found.sparse[1]
+    return _fractions(found, result)
+
+
 def integers(document: Document, reference: Value, kind: str, *, count: int | None = None) -> IntArray:
     """(count, components) of an unsigned integer accessor.
 
@@ -192,10 +205,14 @@ def _packed(document: Document, value: Value, count: int, components: int, dtype
 
 def _to_floats(found: Accessor, raw: RawArray) -> FloatArray:
     values = raw.astype(np.float32)
-    if found.dtype.kind == "f":
-        if not np.isfinite(values).all():
-            raise found.value.error(f"non-finite value at element {int(np.argmin(np.isfinite(values).all(axis=1)))}")
-    elif found.normalized:
-        values /= np.float32(np.iinfo(found.dtype).max)  # type: ignore[type-var]
+    if found.dtype.kind == "f" and not np.isfinite(values).all():
+        raise found.value.error(f"non-finite value at element {int(np.argmin(np.isfinite(values).all(axis=1)))}")
+    return _fractions(found, values)
+
+
+def _fractions(found: Accessor, values: FloatArray) -> FloatArray:
+    """Integers as the fractions they stand for where they are normalised (section 3.11), in place."""
+    if found.normalized and found.dtype.kind != "f":
+        values /= values.dtype.type(np.iinfo(found.dtype).max)  # type: ignore[type-var]
         np.maximum(values, -1.0, out=values)
     return values

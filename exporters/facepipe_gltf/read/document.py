@@ -45,14 +45,21 @@ class Budget:
         """Allow for data of `size` bytes that the file really holds."""
         self.left += self.per_byte * size
 
+    def check(self, size: int, value: Value) -> None:
+        """Check that there are `size` bytes left for a while, on behalf of `value`.
+
+        :raises InputError: fewer
+        """
+        if self.left < size:
+            raise value.error("the file asks for far more data than it holds")
+
     def spend(self, size: int, value: Value) -> None:
         """Take `size` bytes, on behalf of `value`.
 
         :raises InputError: nothing left
         """
+        self.check(size, value)
         self.left -= size
-        if self.left < 0:
-            raise value.error("the file asks for far more data than it holds")
 
 
 @dataclass
@@ -65,7 +72,7 @@ class Document:
     budget: Budget = field(default_factory=Budget)
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
-    _buffers: dict[int, bytes] = field(default_factory=dict)
+    loaded: dict[int, bytes] = field(default_factory=dict)  # buffers
     _decoded: dict[int, bytes] = field(default_factory=dict)  # of compressed bufferViews
     _entries: dict[str, list[Value]] = field(default_factory=dict)
 
@@ -96,9 +103,9 @@ class Document:
     def buffer(self, reference: Value) -> bytes:
         """The bytes of a buffer, its byteLength at least."""
         number = self.index("buffers", reference)
-        if number not in self._buffers:
-            self._buffers[number] = self._load(number)
-        return self._buffers[number]
+        if number not in self.loaded:
+            self.loaded[number] = self._load(number)
+        return self.loaded[number]
 
     def view(self, reference: Value) -> tuple[bytes, int, int]:
         """The buffer, first byte and length of a bufferView."""
@@ -158,9 +165,20 @@ def optional_integer(value: Value, key: str, default: int = 0) -> int:
 
 
 def open_document(source: Path) -> Document:
-    """Read the container and JSON of a .glb or .gltf, told apart by content.
+    """Read the container and JSON of a .glb or .gltf, and check that what it needs is here.
 
     :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
+    """
+    document = read_document(source)
+    _check_version(document)
+    _check_extensions(document)
+    return document
+
+
+def read_document(source: Path) -> Document:
+    """The container and JSON of a .glb or .gltf, told apart by content.
+
+    :raises InputError: truncated, or no JSON object
     """
     trail = source.name
     data = read_whole(source, trail)
@@ -172,10 +190,9 @@ def open_document(source: Path) -> Document:
         text, binary = _chunks(data, trail)
     elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
-    root = parse(text, trail)
-    document = Document(root=root, path=source, binary=binary, files=[source])
-    _check_version(document)
-    _check_extensions(document)
+    document = Document(root=parse(text, trail), path=source, binary=binary, files=[source])
+    if data[:4] == _MAGIC and int.from_bytes(data[8:12], "little") < len(data):
+        document.warn(document.root, "bytes beyond the length in its header are left out")
     return document
 
 

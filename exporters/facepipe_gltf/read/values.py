@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_values
@@ -38,7 +38,7 @@ class Value:
 
     def get(self, key: str) -> Value | None:
         """The member `key` of an object, None where there is none."""
-        members = self._members()
+        members = self.members()
         if key not in members:
             return None
         return Value(members[key], f"{self.trail}{' -> ' if self.root else '.'}{key}")
@@ -52,7 +52,7 @@ class Value:
 
     def member_names(self) -> list[str]:
         """The names of an object's members, in file order."""
-        return list(self._members())
+        return list(self.members())
 
     def items(self) -> list[Value]:
         """The elements of an array."""
@@ -106,7 +106,8 @@ class Value:
             raise self._expected("true or false")
         return self.data
 
-    def _members(self) -> dict[str, object]:
+    def members(self) -> dict[str, Any]:
+        """The members of an object, as JSON has them."""
         if not isinstance(self.data, dict):
             raise self._expected("an object")
         return self.data
