@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.parts import FloatArray
+from facepipe.rig.trs import rotation_matrices
 from facepipe_gltf.raw import Json, RawDocument, is_index
-from facepipe_gltf.space import rotation_matrices
 
 
 def children(node: Json) -> list[int]:

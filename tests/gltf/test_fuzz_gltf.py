@@ -205,6 +205,22 @@ def with_floats(kind: str, bad: float) -> Builder:
     return builder
 
 
+def test_motion_under_scales_that_multiply_beyond_float64() -> None:
+    builder = build(make_model())
+    nodes, joint = builder.root["nodes"], builder.root["skins"][0]["joints"][1]
+    above = next(node for node in nodes if joint in node.get("children", []))
+    above["children"].remove(joint)
+    for _ in range(16):
+        above["children"] = [*above.get("children", []), len(nodes)]
+        above = {"scale": [1e18, 1e18, 1e18]}
+        nodes.append(above)
+    above["children"] = [joint]
+    sampler = {"input": builder.array(np.array([0.0])), "output": builder.array(np.full((1, 3), 3e38))}
+    channel = {"sampler": 0, "target": {"node": joint, "path": "scale"}}
+    builder.add("animations", {"samplers": [sampler], "channels": [channel]})
+    expect(builder, "animations[0]: joint transforms that are not finite")
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 @pytest.mark.parametrize(
     "kind",

@@ -17,6 +17,7 @@ from facepipe.parts import Animation, FloatArray
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.resample import TICK
+from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.key_times import (
     Channel,
@@ -27,7 +28,7 @@ from facepipe_gltf.read.key_times import (
 )
 from facepipe_gltf.read.morphs import Role
 from facepipe_gltf.read.names import given_name
-from facepipe_gltf.read.nodes import Nodes, Trs, decompose, local_trs, trs_matrix
+from facepipe_gltf.read.nodes import Nodes, local_trs
 from facepipe_gltf.read.samplers import read_sampler
 from facepipe_gltf.read.skins import Joints
 from facepipe_gltf.read.values import Value
@@ -156,9 +157,9 @@ def _animation(
             label=own if own != name else None,
             times=times if len(times) > 1 else None,
             joints=tuple(joints.skeleton.joints[joint] for joint in moved),
-            translations=None if motion is None else motion.translation.astype(np.float32),
-            rotations=None if motion is None else motion.rotation.astype(np.float32),
-            scales=None if motion is None else motion.scale.astype(np.float32),
+            translations=None if motion is None else motion[0].astype(np.float32),
+            rotations=None if motion is None else motion[1].astype(np.float32),
+            scales=None if motion is None else motion[2].astype(np.float32),
             shapes=shape_names,
             shape_weights=shape_weights,
         ),
@@ -192,33 +193,32 @@ def _joint_motion(
     moved: list[int],
     nodes: Nodes,
     joints: Joints,
-) -> Trs:
-    """Local transforms (t, j, ...) of the joints `moved`; what no channel moves stays as the node has it."""
+) -> list[FloatArray]:
+    """Translations (t, j, 3), rotations (t, j, 4) and scales (t, j, 3) of the joints `moved`; what no channel moves
+    stays as the node has it."""
     by_target = {(channel.node, channel.path): channel for channel in channels}
     node_of = {joint: node for node, joint in joints.of_node.items()}
     tracks = []
     for joint in moved:
         node = node_of[joint]
-        still = local_trs(nodes.values[node])
         parts = []
-        for path, rest in zip(_PATHS, (still.translation, still.rotation, still.scale), strict=True):
+        for path, rest in zip(_PATHS, local_trs(nodes.values[node]), strict=True):
             channel = by_target.get((node, path))
             constant = np.tile(rest, (len(times), 1))
             parts.append(constant if channel is None else channel.at(times))
-        tracks.append(_under(document, value, joints.above[joint], Trs(*parts)))
-    return Trs(
-        np.stack([track.translation for track in tracks], axis=1),
-        np.stack([track.rotation for track in tracks], axis=1),
-        np.stack([track.scale for track in tracks], axis=1),
-    )
+        tracks.append(_under(document, value, joints.above[joint], parts))
+    return [np.stack(parts, axis=1) for parts in zip(*tracks, strict=True)]
 
 
-def _under(document: Document, value: Value, above: FloatArray, track: Trs) -> Trs:
+def _under(document: Document, value: Value, above: FloatArray, track: Sequence[FloatArray]) -> Sequence[FloatArray]:
     """`track` below the fixed nodes `above`, as one transform."""
     if np.array_equal(above, np.eye(4)):
         return track
-    matrices = above @ trs_matrix(track.translation, track.rotation, track.scale)
-    folded, lost = decompose(matrices)
+    matrices = above @ compose(*track)
+    if not np.isfinite(matrices).all():
+        raise value.error("joint transforms that are not finite")
+    folded = decompose(matrices)[:3]
+    lost = float(np.abs(compose(*folded) - matrices).max(initial=0.0))
     if lost > 1e-5 * max(1.0, float(np.abs(matrices).max())):
         document.warn(value, f"scaled nodes between joints shear them: lost up to {lost:.2g}")
     return folded

@@ -10,17 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.parts import FloatArray, identity
+from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Value, members
-
-
-@dataclass(frozen=True)
-class Trs:
-    """A node's translation (3,), rotation x y z w (4,) and scale (3,)."""
-
-    translation: FloatArray
-    rotation: FloatArray
-    scale: FloatArray
 
 
 @dataclass(frozen=True)
@@ -57,44 +49,17 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     return Nodes(values, parents, order, locals_, worlds, shown)
 
 
-def trs_matrix(translation: FloatArray, rotation: FloatArray, scale: FloatArray) -> FloatArray:
-    """(..., 4, 4) of translation (..., 3), unit rotation x y z w (..., 4) and scale (..., 3)."""
-    x, y, z, w = np.moveaxis(np.asarray(rotation, np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    result = np.zeros((*x.shape, 4, 4))
-    result[..., :3, :3] = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2) * scale[..., None, :]
-    result[..., :3, 3] = translation
-    result[..., 3, 3] = 1.0
-    return result
-
-
-def decompose(matrices: FloatArray) -> tuple[Trs, float]:
-    """Translations, rotations and scales of (..., 4, 4), and the largest part that is lost as shear."""
-    linear = matrices[..., :3, :3]
-    scale = np.linalg.norm(linear, axis=-2)
-    scale = np.where(np.linalg.det(linear)[..., None] < 0.0, -scale, scale)
-    rotation = linear / np.where(scale == 0.0, 1.0, scale)[..., None, :]
-    quaternion = _quaternions(rotation)
-    translation = matrices[..., :3, 3]
-    rebuilt = trs_matrix(translation, quaternion, scale)
-    return Trs(translation, quaternion, scale), float(np.abs(rebuilt - matrices).max(initial=0.0))
-
-
-def local_trs(value: Value) -> Trs:
-    """A node's translation, rotation and scale; a matrix is taken apart."""
+def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A node's translation (3,), rotation x y z w (4,) and scale (3,); a matrix is taken apart."""
     matrix = value.get("matrix")
     if matrix is not None:
-        return decompose(_matrix(matrix))[0]
+        return decompose(_matrix(matrix))[:3]
     translation, rotation, scale = value.get("translation"), value.get("rotation"), value.get("scale")
     quaternion = np.array([0.0, 0.0, 0.0, 1.0] if rotation is None else rotation.numbers(4))
     length = float(np.linalg.norm(quaternion))
     if rotation is not None and not 1e-6 < length < 1e6:
         raise rotation.error("a quaternion without a usable length, expected a unit quaternion")
-    return Trs(
+    return (
         np.array(translation.numbers(3) if translation is not None else (0.0, 0.0, 0.0)),
         quaternion if abs(length - 1.0) < 1e-12 else quaternion / length,
         np.array(scale.numbers(3) if scale is not None else (1.0, 1.0, 1.0)),
@@ -108,8 +73,7 @@ def local_matrix(value: Value) -> FloatArray:
         return _matrix(matrix)
     if not {"translation", "rotation", "scale"} & set(value.member_names()):
         return identity()
-    trs = local_trs(value)
-    return trs_matrix(trs.translation, trs.rotation, trs.scale)
+    return compose(*local_trs(value))
 
 
 def _matrix(value: Value) -> FloatArray:
@@ -167,26 +131,3 @@ def _scene_roots(document: Document, scene: int | None, roots: list[int], parent
             raise reference.error(f"nodes[{node}] is not a root or is listed twice")
         found[node] = None
     return list(found)
-
-
-def _quaternions(rotation: FloatArray) -> FloatArray:
-    """(..., 4) x y z w of rotation matrices, by the largest of the four squared components (Shepperd 1978)."""
-    m = rotation
-    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
-    squares = np.stack([2 * m[..., 0, 0] - trace, 2 * m[..., 1, 1] - trace, 2 * m[..., 2, 2] - trace, trace], axis=-1)
-    xy, yz, zx = m[..., 1, 0] + m[..., 0, 1], m[..., 2, 1] + m[..., 1, 2], m[..., 0, 2] + m[..., 2, 0]
-    x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    one = 1.0 + squares
-    rows = np.stack(
-        [
-            np.stack([one[..., 0], xy, zx, x], axis=-1),
-            np.stack([xy, one[..., 1], yz, y], axis=-1),
-            np.stack([zx, yz, one[..., 2], z], axis=-1),
-            np.stack([x, y, z, one[..., 3]], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)
-    chosen = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    length = np.linalg.norm(chosen, axis=-1, keepdims=True)
-    return np.asarray(chosen / np.where(length == 0.0, 1.0, length))
