@@ -1,8 +1,8 @@
-"""What an action takes, said once: its options with help, range and unit, and their values as JSON.
+"""What an action takes, said once: its fields with help, range and unit, and their values as JSON.
 
     width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
 
-Flags, checks of ranges and recipes are made of that.
+Flags, checks of ranges and recipes are made of that; `facepipe.kinds` has the kinds of actions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from facepipe.core.errors import InputError
 
@@ -39,24 +39,78 @@ def option(
     unit: str = "",
     *,
     choices: tuple[Any, ...] = (),
-    parse: Callable[[str], Any] | None = None,
+    parse: Callable[[Any], Any] | None = None,
+    flag: str = "",
+    metavar: str = "",
+    value: JsonValue | None = None,
+    kept: bool = True,
 ) -> T:
     """A field of an option dataclass.
 
     :param default: a callable is called for each
     :param low: numbers lie from `low` to `high`
     :param choices: its values, where they are few and its type is no Literal
-    :param parse: its value from a word of the command line
+    :param parse: its value from a word of the command line; of a tuple or mapping from all its words
+    :param flag: other than ``--name``
+    :param value: how JSON holds it, where it is no plain value
+    :param kept: in recipes, and so with ``--edit``
     """
-    said = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "parse": parse}
-    way = {"default_factory": default} if callable(default) else {"default": default}
-    found: T = field(**way, metadata=said)
+    said = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "parse": parse, "flag": flag}
+    found: T = _declared(default, {**said, "metavar": metavar, "value": value, "kept": kept})
     return found
+
+
+def source(
+    help: str,
+    *,
+    default: Any = MISSING,
+    flag: str = "",
+    metavar: str = "",
+    split: Callable[[str], tuple[str | None, str]] | None = None,
+) -> Any:
+    """A field of an action for what it is made of: a path, a tuple of paths, or words that can name a file.
+
+    :param flag: it is given as; else it stands alone
+    :param split: the file that a word names, or None, and what the word says besides
+    """
+    way = {"flag": flag, "metavar": metavar, "split": split, "parse": tuple if default == () else None}
+    return _declared(default, {"help": help, "role": "source", **way})
+
+
+def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "") -> Any:
+    """A field of an action for a file, or folder (no suffix), that is written beside the result where it is asked for.
+
+    :param write: the method that writes it: (face, report, path) -> what JSON says of it, or None
+    :param holds: pattern of the names in the folder, with "/" below it
+    """
+    metavar = suffix.removeprefix(".").upper() or "DIR"
+    said = {
+        "help": help,
+        "role": "beside",
+        "suffix": suffix,
+        "write": write,
+        "flag": flag,
+        "holds": holds,
+        "kept": False,
+    }
+    return _declared(None, {**said, "metavar": metavar})
+
+
+def _declared(default: Any, said: dict[str, Any]) -> Any:
+    way = {} if default is MISSING else {"default_factory": default} if callable(default) else {"default": default}
+    return field(**way, metadata=said)
+
+
+class JsonValue(NamedTuple):
+    """How JSON holds a value that is not plain."""
+
+    dump: Callable[[Any], Any]
+    load: Callable[[Any, str], Any]  # and the trail, for messages; raises InputError
 
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field of an option dataclass."""
+    """A field of an option dataclass or an action."""
 
     name: str
     kinds: tuple[Any, ...]  # types that its values have
@@ -66,7 +120,38 @@ class Field:
     high: float | None = None
     unit: str = ""
     choices: tuple[Any, ...] = ()
-    parse: Callable[[str], Any] | None = None
+    parse: Callable[[Any], Any] | None = None
+    flag: str = ""
+    metavar: str = ""
+    value: JsonValue | None = None
+    kept: bool = True
+    role: Literal["option", "source", "beside"] = "option"
+    split: Callable[[str], tuple[str | None, str]] | None = None
+    suffix: str = ""
+    write: str = ""
+    holds: str = ""
+
+    @property
+    def stands_alone(self) -> bool:
+        """Whether it is given without a flag."""
+        return self.role == "source" and not self.flag
+
+    @property
+    def shown(self) -> str:
+        """What it is given as: a flag, or the name of what stands alone."""
+        if self.stands_alone:
+            return self.metavar or self.name.upper()
+        return self.flag or f"--{self.name.replace('_', '-')}"
+
+    @property
+    def needed(self) -> bool:
+        """Whether it has no default."""
+        return self.default is MISSING
+
+    @property
+    def several(self) -> bool:
+        """Whether it takes many words."""
+        return any(typing.get_origin(kind) in (tuple, Mapping) or kind in (tuple, Mapping) for kind in self.kinds)
 
     def check(self, value: object) -> None:
         """:raises InputError: out of range, not finite, or none of its choices"""
@@ -81,16 +166,26 @@ class Field:
             expected = f"a number from {self.low:g} to {self.high:g}"
             raise InputError(f"option {self.name}", f"is {value!r}, expected {expected}")
 
-    def fits(self, value: object) -> bool:
-        """Whether a value that JSON holds is of its type."""
-        return any(_fits(value, kind) for kind in self.kinds)
+    def load(self, value: object, where: str) -> Any:
+        """Its value from what JSON holds.
+
+        :raises InputError: a value of another type
+        """
+        if self.value is not None:
+            return self.value.load(value, f"{where} -> {self.name}")
+        if not any(_fits(value, kind) for kind in self.kinds):
+            raise InputError(f"{where} -> {self.name}", f"{repr(value)[:40]}, expected {self.expected}")
+        return tuple(value) if isinstance(value, list) else dict(value) if isinstance(value, Mapping) else value
+
+    def dump(self, value: Any) -> Any:
+        """The value as JSON holds it."""
+        return json_value(value) if self.value is None else self.value.dump(value)
 
     @property
     def expected(self) -> str:
         """Its type in words."""
         return " or ".join(
-            ", ".join(map(str, typing.get_args(kind))) if _is_literal(kind) else _WORDS.get(kind, "another value")
-            for kind in self.kinds
+            ", ".join(map(str, typing.get_args(kind))) if _is_literal(kind) else _words(kind) for kind in self.kinds
         )
 
 
@@ -122,7 +217,7 @@ def check_ranges(options: DataclassInstance) -> None:
 
 def to_json(options: DataclassInstance) -> dict[str, Any]:
     """Field -> its value as JSON holds it."""
-    return {one.name: json_value(getattr(options, one.name)) for one in dataclasses.fields(options)}
+    return {one.name: one.dump(getattr(options, one.name)) for one in fields_of(type(options))}
 
 
 def json_value(value: object) -> Any:
@@ -144,16 +239,15 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
     fields = {one.name: one for one in fields_of(kind)}
     if not isinstance(values, Mapping):
         raise InputError(where, f"{str(values)[:40]}, expected an object of options")
-    for name, value in values.items():
+    for name in values:
         if name not in fields:
             raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
-        if not fields[name].fits(value):
-            raise InputError(f"{where} -> {name}", f"{repr(value)[:40]}, expected {fields[name].expected}")
+    given = {name: fields[name].load(value, where) for name, value in values.items()}
     for name, one in fields.items():
-        if one.default is MISSING and name not in values:
+        if one.needed and name not in values:
             raise InputError(where, f"no '{name}', expected one")
     try:
-        options = kind(**values)
+        options = kind(**given)
         check_ranges(options)
     except InputError as error:
         raise error.under(where) from None
@@ -163,6 +257,14 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
 _WORDS = {type(None): "null", float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
 
 
+def _words(kind: Any) -> str:
+    if typing.get_origin(kind) is tuple:
+        return f"a list of which each is {_words(typing.get_args(kind)[0])}"
+    if typing.get_origin(kind) is Mapping:
+        return f"an object of which each value is {_words(typing.get_args(kind)[1])}"
+    return _WORDS.get(kind, "another value")
+
+
 def _is_literal(kind: Any) -> bool:
     return typing.get_origin(kind) is typing.Literal
 
@@ -170,6 +272,10 @@ def _is_literal(kind: Any) -> bool:
 def _fits(value: object, kind: Any) -> bool:
     if _is_literal(kind):
         return isinstance(value, str) and value in typing.get_args(kind)
+    if typing.get_origin(kind) is tuple:
+        return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
+    if typing.get_origin(kind) is Mapping:
+        return isinstance(value, Mapping) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         return -1e300 <= value <= 1e300  # NaN and integers beyond any float too
     return type(value) is kind

@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from facepipe import __version__
 from facepipe.cli.parser import Parser
@@ -53,7 +54,6 @@ COMMANDS = {
     "rebuild": "make an actor's neutral and own shapes from scans",
     "neural-rig": "learn what a rig does, as one small network",
     "bake": "write what a face's rig does as controls and points over time",
-    "skin": "give a face a skeleton and skin weights",
     "sliders": "list, author or set sliders",
     "cook": "bring faces up to date with what they are made of",
     "blender-addon": "build the add-on for Blender",
@@ -116,9 +116,9 @@ def _refusal(error: Exception) -> str:
 
 def _run(words: list[str]) -> int:
     command = next((word for word in words if not word.startswith("-")), None)
-    if command not in COMMANDS:
+    module = None if command is None else command_module(command)
+    if command is None or module is None:
         return _help(words, command)
-    module = importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
     rest = words[words.index(command) + 1 :]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, rest)
@@ -129,6 +129,20 @@ def _run(words: list[str]) -> int:
         check_input(path)
     with trusting(_trust_of(parsed)):
         return int(module.run(parsed))
+
+
+def command_module(command: str) -> Any:
+    """What configures and runs a command: a module of its own, or its action's declaration; None for no command."""
+    if command in COMMANDS:
+        return importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
+    from facepipe.actions import find_action
+
+    kind = find_action(command)
+    if kind is None:
+        return None
+    from facepipe.cli.action_line import ActionLine
+
+    return ActionLine(kind)
 
 
 def _paths(values: Iterable[object]) -> Iterator[Path]:
@@ -147,9 +161,17 @@ def _trust_of(parsed: argparse.Namespace) -> Trust:
     return dataclasses.replace(old, roots=roots, models=old.models or "trust_models" in parsed)
 
 
+def commands_of() -> dict[str, str]:
+    """Every command -> what it does."""
+    from facepipe.actions import summaries
+
+    return {**COMMANDS, **summaries()}
+
+
 def _help(words: list[str], command: str | None) -> int:
-    width = max(map(len, COMMANDS))
-    listing = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
+    commands = commands_of()
+    width = max(map(len, commands))
+    listing = "\n".join(f"  {name:{width}}  {text}" for name, text in commands.items())
     parser = Parser(
         trust=False,
         prog="facepipe",
@@ -159,7 +181,7 @@ def _help(words: list[str], command: str | None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"facepipe {__version__}")
     if command is not None:
-        parser.error(f"'{command}' is no command, expected one of {', '.join(COMMANDS)}")
+        parser.error(f"'{command}' is no command, expected one of {', '.join(commands)}")
     parser.parse_args(words)
     parser.print_help()
     return 0

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import math
 import sys
+import typing
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -63,9 +64,50 @@ def add_options(
         group.add_argument(flag, dest=field.name, **settings)
 
 
+def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: Field) -> None:
+    """The argument of an action's field: it is there only where it is given; what is on can be turned off."""
+    absent: dict[str, Any] = {"dest": field.name, "default": argparse.SUPPRESS}
+    if field.stands_alone:
+        place: dict[str, Any] = {"nargs": "*", "default": ()} if field.several else {"nargs": "?"}
+        parser.add_argument(field.name, type=Path, metavar=field.shown, help=field.help, **place)
+        return
+    settings = {**_settings(field), **absent}
+    if settings.get("action") == "store_true":
+        settings["action"] = argparse.BooleanOptionalAction
+    if field.several:
+        settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
+        settings["help"] += "; may be given again"
+    parser.add_argument(field.shown, **settings)
+    if field.default in (None, (), {}) and field.kept and not isinstance(field.default, bool):
+        nothing = f"--no-{field.shown.removeprefix('--')}"
+        hidden: dict[str, Any] = {**absent, "help": argparse.SUPPRESS}
+        parser.add_argument(nothing, action="store_const", const=field.default, **hidden)
+
+
+class _Several(argparse.Action):
+    """Words of a flag that is given again, as the field has them."""
+
+    def __init__(self, *, field: Field, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._field, self._words = field, list[Any]()
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        self._words.append(values)
+        read = _reader(self._field.parse or tuple)
+        try:
+            setattr(namespace, self.dest, read(self._words))
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentError(self, str(error)) from None
+
+
+def _paths_of(field: Field) -> bool:
+    return any(Path in typing.get_args(kind) for kind in field.kinds)
+
+
 def _settings(field: Field) -> dict[str, Any]:
     unit = f" [{field.unit}]" if field.unit else ""
-    unsaid = isinstance(field.default, bool) or field.default in (None, "", (), {})
+    unsaid = field.needed or field.value is not None or isinstance(field.default, bool)
+    unsaid = unsaid or field.default in (None, "", (), {})
     shown = "" if unsaid else f" (default {field.default})"
     settings: dict[str, Any] = {"default": field.default, "help": f"{field.help}{unit}{shown}".replace("%", "%%")}
     if field.kinds == (bool,) or field.kinds == (bool, type(None)):
@@ -73,7 +115,7 @@ def _settings(field: Field) -> dict[str, Any]:
     if field.choices:
         settings["choices"] = field.choices
     else:
-        settings["metavar"] = field.name.upper()
+        settings["metavar"] = field.metavar or field.name.upper()
     return {"type": _reader(field.parse or _kind(field)), **settings}
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import identifier
 from facepipe.declare import check_ranges, from_json, to_json
-from facepipe.pipeline.verbs import Cooked, Watch, under_source, unwatched
+from facepipe.kinds import Watch, unwatched
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.animate import AnimateFace, AnimateOptions, AnimateReport, read_performance
 from facepipe.stage import open_face
 from facepipe.stage.source_recipes import read_source_recipe, source_recipe

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe.declare import from_json
+from facepipe.kinds import Watch
 from facepipe.payload import PayloadContent, decode
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.apply_bones import ApplyBones, ApplyBonesReport
 from facepipe.processors.bone_payload import payload_bytes
 from facepipe.stage import Face, open_face

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from facepipe.core.errors import FacepipeError
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.kinds import Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.blend import Blend, BlendReport, BlendSession, Weights, blend_recipe, read_blend_recipe
 from facepipe.stage import Face, open_face
 

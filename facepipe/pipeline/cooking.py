@@ -13,11 +13,12 @@ from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
 from facepipe.core.trust import trust, trusting
+from facepipe.kinds import Watch, unwatched
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import Action, CookReport, NodeReport
-from facepipe.pipeline.verbs import Cooked, Watch, cooker, unwatched
+from facepipe.pipeline.verbs import Cooked, cooker
 
 AnyPath = str | os.PathLike[str]
 
@@ -140,7 +141,10 @@ class _Run:
         for _ in range(_TRIES):
             before = {source: self._digests.of(source) for source in node.sources}
             try:
-                cooked = cooker(verb)(node.path, self._watch)
+                cook_one = cooker(verb)
+                if cook_one is None:
+                    raise InputError(node.path, f"a recipe of '{verb[:40]}', expected one that can be cooked")
+                cooked = cook_one(node.path, self._watch)
             except FacepipeError as error:
                 raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
             node = self._wrote(key)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.fit_bones import (
     FitBones,
     FitBonesReport,

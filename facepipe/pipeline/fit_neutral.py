@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from facepipe.importers.scan_file import read_scan
+from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import Made, read_stage_recipe
 from facepipe.pipeline.scan_input import landmarks_of, named
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import QualityLimits, load_database, misses
 from facepipe.processors.rebuild import FitNeutral, FitNeutralOptions, NeutralFit, NeutralReport, Template
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral

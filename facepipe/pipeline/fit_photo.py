@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.core.errors import FacepipeError
+from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, Recipe
 from facepipe.photo_options import MODELS
 from facepipe.pipeline.photo_job import PhotoJob, recipe_job
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.photo_fit import AuthorPhotoFit, Landmarks68, Photo, PhotoFitReport, read_photo
 from facepipe.processors.photo_fit.report import off_landmarks
 from facepipe.stage import Face, open_face

@@ -9,7 +9,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.declare import from_json, to_json
 from facepipe.importers.landmark_file import read_landmarks
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.kinds import Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.landmarks import SetLandmarks, mesh_of
 from facepipe.stage import open_face
 from facepipe.stage.author_skeleton import author_recipe

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.kinds import Watch
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.neural_rig import (
     ApplyNeuralRig,
     ApplyNeuralRigReport,

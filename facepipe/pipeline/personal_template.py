@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import read_stage_recipe
 from facepipe.pipeline.scan_input import named
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import load_database
 from facepipe.processors.rebuild import PersonalTemplate, PersonalTemplateOptions, Template
 from facepipe.processors.rebuild.author_personal import VERB, AuthorPersonal, PersonalReport, personal_recipe

@@ -13,8 +13,9 @@ from facepipe.core.errors import SchemaError
 from facepipe.core.reports import Report
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import QualityLimits, misses
 from facepipe.processors.rebuild import Project, Readers, Rebuild, Rebuilt, Template, read_project
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral

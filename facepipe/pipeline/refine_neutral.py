@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 from facepipe.core.errors import SchemaError
 from facepipe.importers.scan_file import read_scan
+from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pipeline.rebuild_stage import Made, StageRecipe, read_stage_recipe
 from facepipe.pipeline.scan_input import landmarks_of, named
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import QualityLimits, misses, whole_face
 from facepipe.processors.rebuild import (
     RefinedNeutral,

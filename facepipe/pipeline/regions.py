@@ -10,7 +10,8 @@ from pathlib import Path
 from facepipe.declare import from_json
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.importers.region_image import read_region_image
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.kinds import Watch
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.region_legend import read_legend
 from facepipe.processors.regions import RegionsReport, SetRegions
 from facepipe.stage import Face, open_face

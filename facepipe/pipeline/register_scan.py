@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from facepipe.importers.scan_file import read_scan
+from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import Made
 from facepipe.pipeline.register_job import RegisterJob, recipe_job
 from facepipe.pipeline.scan_input import landmarks_of, named
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import Quality, QualityLimits, WholeFace, misses, whole_face
 from facepipe.processors.rebuild import (
     CompositeReport,

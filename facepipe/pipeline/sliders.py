@@ -8,7 +8,8 @@ from typing import TypeVar
 
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.reports import Report
-from facepipe.pipeline.verbs import Cooked, Watch, under_source
+from facepipe.kinds import Watch
+from facepipe.pipeline.verbs import Cooked, under_source
 from facepipe.processors.sliders import (
     AuthorNetwork,
     AuthorSliders,

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import read_stage_recipe
 from facepipe.pipeline.scan_input import named
-from facepipe.pipeline.verbs import Cooked, Watch
+from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import whole_face
 from facepipe.processors.rebuild import SplitExpressions, SplitExpressionsOptions, SplitReport, Template
 from facepipe.processors.rebuild.author_split import VERB, SplitFiles, author_shapes

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
+from facepipe.actions import find_action, summaries
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
+from facepipe.kinds import Watch
+from facepipe.performing import again
 
 # verb of a recipe -> its module
 VERBS = {
@@ -27,23 +29,12 @@ VERBS = {
     "refine-neutral": "facepipe.pipeline.refine_neutral",
     "regions": "facepipe.pipeline.regions",
     "register-scan": "facepipe.pipeline.register_scan",
-    "skin": "facepipe.pipeline.skin",
     "sliders": "facepipe.pipeline.sliders",
     "split-shapes": "facepipe.pipeline.split_shapes",
 }
 
 
-class Bar(Protocol):
-    """Progress of one task."""
-
-    def update(self) -> object:
-        """One step is done."""
-
-
-Watch = Callable[[str, int], AbstractContextManager[Any]]  # label, steps -> the task's `Bar`
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Cooked:
     """What was written anew."""
 
@@ -51,23 +42,18 @@ class Cooked:
     missed: bool = False  # a check or threshold
 
 
-def cooker(verb: str) -> Callable[[Path, Watch], Cooked]:
-    """What cooks files with recipes of `verb`, one of `VERBS`."""
-    found: Callable[[Path, Watch], Cooked] = importlib.import_module(VERBS[verb]).cook
-    return found
+def cooker(verb: str) -> Callable[[Path, Watch], Cooked] | None:
+    """What cooks files with recipes of `verb`; None where nothing does."""
+    if verb in VERBS:
+        found: Callable[[Path, Watch], Cooked] = importlib.import_module(VERBS[verb]).cook
+        return found
+    kind = find_action(verb)
+    return None if kind is None else lambda path, watch: Cooked(*again(path, kind, watch))
 
 
-class _Unseen:
-    """A bar that shows nothing."""
-
-    def update(self) -> None:
-        """One step is done."""
-
-
-@contextmanager
-def unwatched(label: str, steps: int) -> Iterator[Bar]:
-    """Progress that nobody looks at."""
-    yield _Unseen()
+def verbs() -> tuple[str, ...]:
+    """Those that can be cooked."""
+    return tuple(sorted({*VERBS, *summaries()}))
 
 
 @contextmanager

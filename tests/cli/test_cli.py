@@ -13,7 +13,7 @@ from command_line import done, failed, run
 from faces import tiny_face
 
 import facepipe
-from facepipe.cli import COMMANDS
+from facepipe.cli import commands_of
 from facepipe.stage import save_parts
 
 
@@ -24,7 +24,7 @@ def face(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", commands_of())
 def test_every_command_has_help_with_an_example(capsys: pytest.CaptureFixture[str], command: str) -> None:
     out = done(capsys, command, "--help")
     assert f"facepipe {command}" in out.partition("example")[2]
@@ -34,7 +34,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     out = done(
         capsys,
     )
-    assert all(command in out for command in COMMANDS)
+    assert all(command in out for command in commands_of())
     assert facepipe.__version__ in run(capsys, "--version")[1]
 
 

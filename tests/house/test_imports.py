@@ -16,7 +16,7 @@ import pytest
 
 import facepipe
 import facepipe.stage
-from facepipe.cli import COMMANDS, main
+from facepipe.cli import command_module, commands_of, main
 
 OURS = ("facepipe", "facepipe_schemas", "facepipe_gltf", "facepipe_onnx", "facepipe_web", "facepipe_blender")
 MOST_FOR_HELP, MOST_FOR_EXPORT = 30, 90
@@ -49,9 +49,11 @@ def ours(modules: list[str]) -> list[str]:
 def lines() -> list[tuple[str, ...]]:
     """Every command, and every action of those that have some."""
     found: list[tuple[str, ...]] = [()]
-    for command in COMMANDS:
+    for command in commands_of():
         parser = argparse.ArgumentParser()
-        importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command").configure(parser, ["--help"])
+        module = command_module(command)
+        assert module is not None
+        module.configure(parser, ["--help"])
         groups = [one.choices for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
         found += [(command,), *((command, action) for group in groups for action in group)]
     return found

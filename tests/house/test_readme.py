@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from places import REPOSITORY
 
-from facepipe.cli import COMMANDS
+from facepipe.cli import commands_of
 from facepipe.processors.blend import read_blend_recipe
 
 SHARED = REPOSITORY.parent / "shared"
@@ -95,7 +95,7 @@ def test_the_demo_makes_everything(tmp_path: Path) -> None:
 
 def test_the_table_lists_every_command() -> None:
     listed = re.findall(r"^\| `facepipe ([\w-]+)", README, re.MULTILINE)
-    assert sorted(listed) == sorted(COMMANDS)
+    assert sorted(listed) == sorted(commands_of())
 
 
 def test_pictures_and_links_of_the_readme_are_there() -> None:

@@ -417,6 +417,7 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
     """Sent while a file is written: nothing of it is left, one line, 128 + 15."""
     script = (
         "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what a shell's background ignores
         "from facepipe.cli import main\n"
         "from facepipe.core.atomic import write_bytes\n"
         "from facepipe.cli import sample_command\n"

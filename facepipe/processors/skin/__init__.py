@@ -7,8 +7,8 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
     from facepipe.processors.skin.options import SkinOptions
-    from facepipe.processors.skin.recipe import SkinRecipe, read_skin_recipe, skin_recipe
     from facepipe.processors.skin.report import SkinReport
+    from facepipe.processors.skin.skin_action import Skin
     from facepipe.processors.skin.skin_face import SkinFace
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -16,11 +16,9 @@ else:
 __all__ = [
     "JointSet",
     "JointSpec",
+    "Skin",
     "SkinFace",
     "SkinOptions",
-    "SkinRecipe",
     "SkinReport",
     "read_joints",
-    "read_skin_recipe",
-    "skin_recipe",
 ]

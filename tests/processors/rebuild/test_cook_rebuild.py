@@ -13,8 +13,8 @@ from command_line import content, done
 from neutral_files import Files
 from rebuild_project import PROJECT, rebuilt
 
+from facepipe.kinds import Bar, unwatched
 from facepipe.pipeline import cook
-from facepipe.pipeline.verbs import Bar, unwatched
 
 Capsys = pytest.CaptureFixture[str]
 

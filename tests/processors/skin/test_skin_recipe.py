@@ -14,7 +14,8 @@ import facepipe
 from facepipe.cli import main
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import FaceParts, Recipe
-from facepipe.processors.skin import SkinFace, SkinOptions, read_joints, read_skin_recipe, skin_recipe
+from facepipe.performing import perform, read_kept, recipe_to
+from facepipe.processors.skin import Skin
 from facepipe.stage import save_parts
 
 JOINTS = {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw": {"position": [0, 0, 15]}}}
@@ -48,32 +49,28 @@ def test_a_recipe_gives_back_what_skins_the_same_face_again(folder: Path, way: s
     if way == "face":
         words = ["--from", str(folder / "other.usdc"), "--influences", "2", "--smoothing", "0.5"]
     out = skin(folder, *words)
-    recipe = read_skin_recipe(out)
-    assert recipe.face == folder / "face.usda"
-    assert recipe.joints == (folder / "joints.json" if way == "joints" else None)
-    assert recipe.source == (folder / "other.usdc" if way == "face" else None)
+    kept = read_kept(out, Skin)
+    assert kept.values["face"] == folder / "face.usda"
+    assert kept.values["joints"] == (folder / "joints.json" if way == "joints" else None)
+    assert kept.values["source"] == (folder / "other.usdc" if way == "face" else None)
     expected = {"influences": 3, "sharpness": 2.0} if way == "joints" else {"influences": 2, "smoothing": 0.5}
-    assert recipe.options == SkinOptions(**expected)  # type: ignore[arg-type]
-    assert not recipe.optimise
-    assert not recipe.standalone
-    assert not recipe.warnings
-    again = facepipe.open(recipe.face)
-    joints = None if recipe.joints is None else read_joints(recipe.joints)
-    source = None if recipe.source is None else facepipe.open(recipe.source)
-    with again.deriving(folder / "again.usda") as face:
-        SkinFace(joints=joints, source=source, optimise=recipe.optimise, options=recipe.options)(face)
+    assert expected.items() <= kept.values.items()
+    assert not kept.values["optimise"]
+    assert not kept.standalone
+    assert not kept.warnings
+    perform(Skin(**kept.values), folder / "again.usda")
     found, first = (facepipe.open(path) for path in (folder / "again.usda", out))
     np.testing.assert_array_equal(weights_of(found), weights_of(first))
 
 
 def test_every_source_that_changes_is_told(folder: Path) -> None:
     out = skin(folder, "--joints", str(folder / "joints.json"))
-    assert not read_skin_recipe(out).warnings
+    assert not read_kept(out, Skin).warnings
     (folder / "joints.json").write_text(json.dumps(JOINTS) + "\n")
-    assert read_skin_recipe(out).warnings == ("joints.json changed since out.usda was made",)
+    assert read_kept(out, Skin).warnings == ("joints.json changed since out.usda was made",)
     below = folder / "below.usda"
     below.write_text(below.read_text() + "\n# a line\n")  # a layer that the face stands on
-    assert [line.split()[0] for line in read_skin_recipe(out).warnings] == ["face.usda", "joints.json"]
+    assert [line.split()[0] for line in read_kept(out, Skin).warnings] == ["face.usda", "joints.json"]
 
 
 def test_a_recipe_names_its_folder_s_neighbours_and_knows_lost_ones(folder: Path) -> None:
@@ -82,10 +79,10 @@ def test_a_recipe_names_its_folder_s_neighbours_and_knows_lost_ones(folder: Path
     assert recipe is not None
     assert recipe.sources == ("../face.usda", "../other.usdc")
     assert all(one.startswith("sha256:") for one in recipe.digests)
-    assert read_skin_recipe(out).standalone
+    assert read_kept(out, Skin).standalone
     (folder / "other.usdc").unlink()
     with pytest.raises(InputError, match=r"source 2: .*other.usdc: no such file, expected it there \(or --from\)"):
-        read_skin_recipe(out)
+        read_kept(out, Skin)
 
 
 def damaged(good: Recipe) -> dict[str, Recipe]:
@@ -93,25 +90,53 @@ def damaged(good: Recipe) -> dict[str, Recipe]:
     return {
         "recipe of 'blend'": replace(good, verb="blend"),
         "one digest per source": replace(good, digests=good.digests[:1]),
-        "1 sources, expected": replace(good, sources=good.sources[:1], digests=good.digests[:1]),
-        "expected an object of from, optimise, options": replace(good, options={}),
-        "from: sky, expected one of joints, face": replace(good, options={**options, "from": "sky"}),
+        "joints: ./joints.json, expected one of the sources": replace(good, sources=("./face.usda",), digests=("",)),
+        "no 'face', expected one": replace(good, options={}),
+        "option 'sky' is unknown": replace(good, options={**options, "sky": 1}),
+        "face: 5, expected the names of sources": replace(good, options={**options, "face": 5}),
         "optimise: 1, expected true": replace(good, options={**options, "optimise": 1}),
-        "options -> influences": replace(good, options={**options, "options": {"influences": 1.5}}),
-        "influences: is 0": replace(good, options={**options, "options": {"influences": 0}}),
+        "influences: 1.5, expected a whole number": replace(good, options={**options, "influences": 1.5}),
+        "influences: is 0": replace(good, options={**options, "influences": 0}),
         "made by facepipe 99.0": replace(good, version="99.0"),
     }
 
 
 def test_damaged_recipes_are_refused_in_one_line(folder: Path) -> None:
-    good = skin_recipe(folder / "face.usda", folder / "bad.usda", joints=folder / "joints.json")
+    good = recipe_to(Skin(face=folder / "face.usda", joints=folder / "joints.json"), folder / "bad.usda")
     for message, recipe in damaged(good).items():
         save_parts(replace(plain(without_joints(head("sample"))), recipe=recipe), folder / "bad.usda")
         with pytest.raises((InputError, SchemaError)) as caught:
-            read_skin_recipe(folder / "bad.usda")
+            read_kept(folder / "bad.usda", Skin)
         assert message in str(caught.value)
         assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="recipe of 'sample'"):
-        read_skin_recipe(folder / "below.usda")
+        read_kept(folder / "below.usda", Skin)
     with pytest.raises(InputError, match="expected one of them"):
-        skin_recipe(folder / "face.usda", folder / "bad.usda")
+        perform(Skin(face=folder / "face.usda"), folder / "bad.usda")
+
+
+def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
+    for way, file in (("joints", "joints.json"), ("face", "other.usdc")):
+        old = Recipe(
+            verb="skin",
+            sources=("./face.usda", f"./{file}"),
+            digests=("sha256:1", "sha256:2"),
+            options={"from": way, "optimise": True, "options": {"influences": 3}},
+            version="0.1.0",
+        )
+        save_parts(replace(plain(without_joints(head("sample"))), recipe=old), folder / "old.usda")
+        field = "joints" if way == "joints" else "source"
+        kept = read_kept(folder / "old.usda", Skin)
+        assert kept.values == {"face": folder / "face.usda", field: folder / file, "optimise": True, "influences": 3}
+        assert len(kept.warnings) == 2
+
+
+def test_edit_changes_what_is_given(folder: Path) -> None:
+    out = skin(folder, "--joints", str(folder / "joints.json"), "--influences", "3")
+    assert main(["skin", "--edit", str(out), "--sharpness", "2", "--force"]) == 0
+    changed = read_kept(out, Skin).values
+    assert (changed["influences"], changed["sharpness"]) == (3, 2.0)
+    other = ["--from", str(folder / "other.usdc"), "--no-joints", "-o", str(folder / "b.usda")]
+    assert main(["skin", "--edit", str(out), *other]) == 0
+    found = read_kept(folder / "b.usda", Skin).values
+    assert (found["joints"], found["source"], found["influences"]) == (None, folder / "other.usdc", 3)

@@ -254,7 +254,8 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
     words = ["skin", str(tmp_path / "bare.usdc"), "--from", str(tmp_path / "rigged.usdc")]
     assert main([*words, "-o", str(tmp_path / "out.usdc")]) == 0
     assert "mm from their own" in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main([*words, "--joints", "x.json", "-o", str(tmp_path / "out.usdc"), "--force"])
+    capsys.readouterr()
+    assert main([*words, "--joints", words[1], "-o", str(tmp_path / "out.usdc"), "--force"]) == 2
+    assert "expected one of them (--joints, --from)" in capsys.readouterr().err
     with pytest.raises(InputError, match="expected one of them"):
         SkinFace()

@@ -1,0 +1,52 @@
+"""Actions by their verbs: those in files called ``<verb>_action.py`` among the processors, and those of plug-ins.
+
+A plug-in has entry points in the group ``facepipe.processors``: a verb -> the class that is declared with
+`facepipe.declare.action`. Its commands, recipes and Python functions are as those of facepipe itself.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import re
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.errors import InputError
+from facepipe.kinds import StageAction
+
+GROUP = "facepipe.processors"
+_DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
+
+
+@functools.cache
+def _own() -> dict[str, tuple[str, str]]:
+    """Verb -> module and summary of each action in this package; nothing of them is imported."""
+    root, found = Path(__file__).parent, {}
+    for file in sorted((root / "processors").rglob("*_action.py")):
+        module = ".".join(("facepipe", *file.relative_to(root).with_suffix("").parts))
+        for verb, summary in _DECLARED.findall(file.read_text(encoding="utf-8")):
+            found[verb] = (module, summary)
+    return found
+
+
+def summaries() -> dict[str, str]:
+    """Verb -> what it does, of all actions."""
+    own = {verb: summary for verb, (_, summary) in _own().items()}
+    others = {entry.name: entry.load().summary for entry in entry_points(group=GROUP) if entry.name not in own}
+    return dict(sorted({**others, **own}.items()))
+
+
+def find_action(verb: str) -> type[StageAction[Any]] | None:
+    """The action of a verb; None where there is none."""
+    if verb in _own():
+        module = importlib.import_module(_own()[verb][0])
+        kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, StageAction))
+        return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
+    for entry in entry_points(group=GROUP, name=verb):
+        found = entry.load()
+        if not (isinstance(found, type) and issubclass(found, StageAction) and getattr(found, "verb", None) == verb):
+            raise InputError(f"{GROUP} -> {verb}", f"{entry.value} is no action of that verb, expected one")
+        return found
+    return None

@@ -1,0 +1,145 @@
+"""The command line of an action, made of its declaration: flags and help, `--edit`, what is printed, the exit code."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.cli.parser import add_field, output_of, output_or_edited
+from facepipe.cli.show import emit, progress, warn
+from facepipe.core.errors import InputError
+from facepipe.declare import fields_of
+from facepipe.kinds import StageAction
+
+if TYPE_CHECKING:
+    from facepipe.performing import Kept
+
+_EDIT = (
+    "do it again from the recipe of a result, with what else is given changed (--no-FLAG takes a FLAG of the recipe "
+    "away); without -o in place (with --force), and anything else authored there is lost"
+)
+
+
+@dataclass(frozen=True)
+class ActionLine:
+    """What `facepipe VERB` takes and does."""
+
+    kind: type[StageAction[Any]]
+    INTERMIXED = True
+
+    @property
+    def __doc__(self) -> str:  # type: ignore[override]
+        """The text of --help: that of the module that declares the action."""
+        return str(sys.modules[self.kind.__module__].__doc__)
+
+    def configure(self, parser: argparse.ArgumentParser, words: Sequence[str] = ()) -> None:
+        """Add the arguments."""
+        configure(parser, self.kind)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Do the action, print its report; the exit code."""
+        return run(arguments, self.kind)
+
+
+def configure(parser: argparse.ArgumentParser, kind: type[StageAction[Any]]) -> None:
+    """Add the arguments."""
+    add, fields = parser.add_argument, fields_of(kind)  # type: ignore[arg-type]
+    for one in fields:
+        if one.role == "source" and one.name not in kind.own_flags:
+            add_field(parser, one)
+    add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
+    add("--force", action="store_true", help="overwrite OUT, or with --edit RESULT, and what is written beside it")
+    add("--edit", type=Path, metavar="RESULT", help=_EDIT)
+    for one in fields:
+        if one.role == "beside":
+            add_field(parser, one)
+    add("--flatten", action="store_true", help="write a standalone file")
+    add("--json", action="store_true", help="print the report as JSON")
+    group = parser.add_argument_group("options (in the recipe; with --edit they change it)")
+    kind.add_flags(group)
+    for one in fields:
+        if one.role == "option" and one.name not in kind.own_flags:
+            add_field(group, one)
+
+
+def run(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> int:
+    """Do the action, print its report; the exit code."""
+    from facepipe.performing import files_of, perform
+    from facepipe.stage.files import check_suffix
+
+    kept, action = action_of(arguments, kind)
+    warn(kept.warnings if kept else ())
+    inputs = list(files_of(action))
+    out = output_or_edited(arguments, inputs)
+    check_suffix(out)
+    _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
+    flatten = arguments.flatten or (kept is not None and kept.standalone)
+    done = perform(action, out, flatten=flatten, watch=progress)
+    warn(done.report.warnings)
+    result = {"path": str(out), **json.loads(done.report.to_json()), **done.beside}
+    result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
+    text = [action.text(done.report, out), *map(_line, done.beside.values())]
+    emit(result, "\n".join(text), as_json=arguments.json)
+    return 1 if action.missed(done.report) else 0
+
+
+def _line(said: Any) -> str:
+    return f"{said['path']}: {said['bytes']:,} bytes" if isinstance(said, Mapping) else str(said)
+
+
+def action_of(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> tuple[Kept | None, StageAction[Any]]:
+    """The action that a line asks for, and the recipe that it edits.
+
+    :raises InputError: what is needed is not given, or a recipe that can't be used
+    """
+    from facepipe.performing import read_kept
+
+    fields = fields_of(kind)  # type: ignore[arg-type]
+    given = {one.name: getattr(arguments, one.name) for one in fields if hasattr(arguments, one.name)}
+    unsaid = {one.name for one in fields if one.stands_alone and not given.get(one.name)}
+    given = {name: value for name, value in given.items() if name not in unsaid}
+    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given})
+    values = dict(kept.values) if kept else {}
+    for one in fields:
+        if one.name in given:
+            values[one.name] = _joined(values.get(one.name), given[one.name])
+    values = kind.line_values(arguments, values)
+    for one in fields:
+        if one.needed and one.name not in values:
+            raise InputError(one.shown, f"none given, expected {one.help.split(';')[0]} (or --edit RESULT)")
+    return kept, kind(**values)
+
+
+def _joined(old: Any, given: Any) -> Any:
+    """A mapping joins the one there is; anything else takes its place."""
+    if isinstance(old, Mapping) and isinstance(given, Mapping) and given:
+        return {**old, **given}
+    return tuple(given) if isinstance(given, list) else given
+
+
+def _check_beside(action: StageAction[Any], arguments: argparse.Namespace, inputs: list[Path], out: Path) -> None:
+    """Before any work: what is to be written beside the result can be.
+
+    :raises InputError: as `output_of`, another suffix, or `out` itself
+    """
+    from facepipe.cli.report_folder import check_report_folder
+
+    for one in fields_of(type(action)):  # type: ignore[arg-type]
+        path = getattr(action, one.name) if one.role == "beside" else None
+        if path is None:
+            continue
+        if not one.suffix:
+            known = re.compile(one.holds)
+            check_report_folder(path, force=arguments.force, taken=[*inputs, out], known=known, command=action.verb)
+            continue
+        output_of(argparse.Namespace(output=path, force=arguments.force), inputs)
+        if path.suffix.lower() != one.suffix:
+            raise InputError(path, f"suffix '{path.suffix}', expected {one.suffix}")
+        if path.absolute() == out.absolute():
+            raise InputError(path, "is the output too, expected another file")

@@ -1,0 +1,127 @@
+"""The kinds of actions, of which each is declared once, in the folder of its processor.
+
+    @action("shrink", "draw points closer to their centre")
+    @dataclass(frozen=True, kw_only=True)
+    class Shrink(StageAction[ShrinkReport]):
+        # a docstring, the text of --help
+
+        face: Path = source("face stage")
+        width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
+        picture: Path | None = beside("draw what moved", ".png", "draw")
+
+        def author(self, face: Face, job: Job) -> ShrinkReport: ...
+
+The command with its flags and help, the recipe and what cooks it again, `--edit` and the Python function are made of
+that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+from facepipe.declare import check_ranges, fields_of
+
+if TYPE_CHECKING:
+    from facepipe.core.reports import Report
+    from facepipe.parts import Recipe
+    from facepipe.stage import Face
+
+A = TypeVar("A", bound="StageAction[Any]")
+R = TypeVar("R", bound="Report")
+
+
+class Bar(Protocol):
+    """Progress of one task."""
+
+    def update(self) -> object:
+        """One step is done."""
+
+
+Watch = Callable[[str, int], AbstractContextManager[Any]]  # label, steps -> the task's `Bar`
+
+
+@contextmanager
+def unwatched(label: str, steps: int) -> Iterator[Bar]:
+    """Progress that nobody looks at."""
+    yield _Unseen()
+
+
+class _Unseen:
+    """A bar that shows nothing."""
+
+    def update(self) -> None:
+        """One step is done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What an action is given to do its work."""
+
+    out: Path
+    watch: Watch
+    recipe: Callable[..., Recipe]  # of the action on `out`, with what was found: job.recipe(quality=...)
+
+
+class StageAction(Generic[R]):
+    """Base of the actions that make a face stage of others: a layer over the first source, with a recipe."""
+
+    verb: ClassVar[str]
+    summary: ClassVar[str]
+    own_flags: ClassVar[tuple[str, ...]] = ()  # fields whose flags `add_flags` adds, and `line_values` reads
+
+    @classmethod
+    def add_flags(cls, parser: Any) -> None:
+        """Add flags to the command's parser that are not a field each."""
+
+    @classmethod
+    def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
+        """The values of all fields, with those of flags that are not a field each.
+
+        :param arguments: what was parsed
+        :param values: those of the recipe that is edited, with those given as fields of their own
+        :raises InputError: flags that don't go together
+        """
+        return values
+
+    @property
+    def base(self) -> Path:
+        """The file that the result is a layer over."""
+        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
+        value = getattr(self, first.name)
+        return Path(value[0] if isinstance(value, tuple) else value)
+
+    def check(self) -> None:
+        """What can be said before any file is read.
+
+        :raises InputError: options out of range, or that don't go together
+        """
+        check_ranges(self)  # type: ignore[arg-type]
+
+    def author(self, face: Face, job: Job) -> R:
+        """Do the work on `face`, a layer over the base that is saved when this ends well.
+
+        :raises FacepipeError: what can't be read or done; then nothing is written
+        """
+        raise NotImplementedError
+
+    def missed(self, report: R) -> bool:
+        """Whether a check or threshold was missed, though the result is written."""
+        return False
+
+    def text(self, report: R, out: Path) -> str:
+        """The report for people."""
+        return str(out)
+
+
+def action(verb: str, summary: str) -> Callable[[type[A]], type[A]]:
+    """Declares an action: `facepipe VERB`; `summary` is its line in `facepipe --help`."""
+
+    def declare(kind: type[A]) -> type[A]:
+        kind.verb, kind.summary = verb, summary
+        return kind
+
+    return declare

@@ -1,0 +1,38 @@
+"""Recipes of the release before as those of now, which are read for one release: every field under its name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from facepipe.parts import Recipe
+
+# verb -> the fields that its sources were, in their order
+_SOURCES = {
+    "animate": ("face", "clip"),
+    "apply-bones": ("face", "coefficients"),
+    "landmarks": ("face", "source"),
+    "regions": ("face", "map", "legend"),
+}
+
+
+def as_now(recipe: Recipe) -> Mapping[str, Any]:
+    """The options of a recipe as actions of now keep them; what is damaged stays so."""
+    options = recipe.options
+    if not isinstance(options, Mapping):
+        return options
+    names = _SOURCES.get(recipe.verb, ())
+    if names and names[0] not in options and len(recipe.sources) == len(names):
+        return {**dict(zip(names, recipe.sources, strict=True)), **options}
+    rewrite = _REWRITES.get(recipe.verb)
+    return options if rewrite is None else rewrite(dict(options), recipe.sources)
+
+
+def _skin(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    if "from" not in options or not isinstance(options.get("options"), Mapping) or len(sources) != 2:
+        return options
+    way = "joints" if options.pop("from") == "joints" else "source"
+    return {"face": sources[0], way: sources[1], **options.pop("options"), **options}
+
+
+_REWRITES = {"skin": _skin}

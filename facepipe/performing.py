@@ -1,0 +1,237 @@
+"""Actions done: a face stage made of its sources, with the recipe that makes it again."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from facepipe import __version__
+from facepipe.core.atomic import replacing, replacing_folder, together
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.reports import Report
+from facepipe.declare import Field, fields_of, json_value
+from facepipe.kinds import Job, StageAction, Watch, unwatched
+from facepipe.older_recipes import as_now
+from facepipe.parts import Recipe
+from facepipe.stage import Face, open_face
+from facepipe.stage.files import relative_path
+from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
+
+R = TypeVar("R", bound=Report)
+
+FOUND = "found"  # key of a recipe's options for what the action found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Performed:
+    """What was written beside a result, and what JSON says of it."""
+
+    report: Report
+    beside: Mapping[str, Any]  # field -> its path, or what its writer says
+
+
+def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch: Watch = unwatched) -> Performed:
+    """Do an action; the result and what is asked for beside it are written whole, or nothing is.
+
+    :param flatten: write a standalone file
+    :raises FacepipeError: what can't be read, done or written
+    """
+    action.check()
+    job = Job(out=out, watch=watch, recipe=functools.partial(recipe_to, action, out))
+    said: dict[str, Any] = {}
+    with together(out), ExitStack() as files:
+        temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
+        with open_face(action.base).deriving(out, flatten=flatten) as face:
+            with _under(action.base):
+                report = action.author(face, job)
+            for one, (path, place) in temporary.items():
+                with _called(path):
+                    written = getattr(action, one.write)(Face(face.stage, face.prim), report, place)
+                said[one.name] = str(path) if written is None else {**written, "path": str(path)}
+    return Performed(report=report, beside=said)
+
+
+def _beside(action: StageAction[Any]) -> Iterator[tuple[Field, Path]]:
+    for one in fields_of(type(action)):  # type: ignore[arg-type]
+        if one.role == "beside" and getattr(action, one.name) is not None:
+            yield one, Path(getattr(action, one.name))
+
+
+@contextmanager
+def _passing(one: Field, path: Path) -> Iterator[tuple[Path, Path]]:
+    """The path, and where it is written first."""
+    with (replacing if one.suffix else replacing_folder)(path) as place:
+        yield path, place
+
+
+@contextmanager
+def _called(path: Path) -> Iterator[None]:
+    """Errors about a temporary file, as those of the file that it is for."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(path, error.what) from None
+
+
+@contextmanager
+def _under(path: Path) -> Iterator[None]:
+    """Errors of a layer that is being made name its source: it has no file yet."""
+    try:
+        yield
+    except FacepipeError as error:
+        prim = error.where.startswith("<") or (
+            error.where.startswith("/") and not Path(error.where.split(" -> ")[0]).exists()
+        )
+        raise error.under(path) if prim else error from None
+
+
+def files_of(action: StageAction[Any]) -> tuple[Path, ...]:
+    """The files that an action is made of, each once, in the order of its fields."""
+    return tuple(dict.fromkeys(Path(file) for one, value in _sources(action) for file, _ in _named(one, value)))
+
+
+def _sources(action: StageAction[Any]) -> Iterator[tuple[Field, Any]]:
+    for one in fields_of(type(action)):  # type: ignore[arg-type]
+        value = getattr(action, one.name)
+        if one.role == "source" and value is not None:
+            yield one, value
+
+
+def _named(one: Field, value: Any) -> Iterator[tuple[str, str]]:
+    """The files that the value of a source names, each with what its word says besides."""
+    for word in value if isinstance(value, tuple) else (value,):
+        file, rest = (os.fspath(word), "") if one.split is None else one.split(word)
+        if file is not None:
+            yield file, rest
+
+
+def recipe_to(action: StageAction[Any], out: str | os.PathLike[str], **found: Any) -> Recipe:
+    """The recipe to author on what an action makes as `out`: its fields as JSON, files as seen from that folder.
+
+    A digest covers every USD layer that its source stands on.
+
+    :param found: what else is to be kept
+    :raises InputError: a source can't be read
+    """
+    folder = Path(out).absolute().parent
+    options = {}
+    for one in fields_of(type(action)):  # type: ignore[arg-type]
+        if one.kept:
+            value = getattr(action, one.name)
+            options[one.name] = _seen_from(folder, one, value) if one.role == "source" else one.dump(value)
+    files = {relative_path(str(file), folder): file for file in files_of(action)}
+    return Recipe(
+        verb=action.verb,
+        sources=tuple(files),
+        digests=tuple(source_digest(file) for file in files.values()),
+        options={**options, **({FOUND: json_value(found)} if found else {})},
+        version=__version__,
+    )
+
+
+def _seen_from(folder: Path, one: Field, value: Any) -> Any:
+    def word(value: Any) -> str:
+        file, rest = (os.fspath(value), "") if one.split is None else one.split(value)
+        return str(value) if file is None else relative_path(file, folder) + (f":{rest}" if rest else "")
+
+    return [word(each) for each in value] if isinstance(value, tuple) else None if value is None else word(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """A recipe read back."""
+
+    values: Mapping[str, Any]  # field of the action -> its value; files absolute
+    standalone: bool  # the result was saved without reference to its base
+    warnings: tuple[str, ...] = ()  # sources that have changed since, one line each
+
+
+def read_kept(path: str | os.PathLike[str], kind: type[StageAction[Any]], replaced: Collection[str] = ()) -> Kept:
+    """The recipe on the face that an action made; its other layers may be lost.
+
+    :param replaced: fields that the caller has others for: their files may be lost or changed
+    :raises InputError: no recipe of the action, or a source that is not where it was
+    :raises SchemaError: a damaged recipe, or one of a newer facepipe
+    """
+    file = Path(path)
+    recipe, standalone = recipe_of(file, kind.verb)
+    where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}  # type: ignore[arg-type]
+    options = as_now(recipe)
+    try:
+        values = _values(options, fields, where)
+    except InputError as error:
+        raise SchemaError(error.where, error.what) from None
+    numbers = {source: number for number, source in enumerate(recipe.sources, 1)}
+    kept: dict[str, Path] = {}
+    for one in fields.values():
+        if one.role != "source" or one.name in replaced or values.get(one.name) is None:
+            continue
+        for source, _ in _named(one, values[one.name]):
+            if source not in numbers:
+                raise SchemaError(f"{where} -> {one.name}", f"{source[:60]}, expected one of the sources")
+            place = f"{where} -> source {numbers[source]}"
+            kept[source] = existing_source(place, file.absolute().parent / source, one.shown)
+        values[one.name] = _found_at(kept, one, values[one.name])
+    old = [
+        (kept[source], digest) for source, digest in zip(recipe.sources, recipe.digests, strict=True) if source in kept
+    ]
+    return Kept(values=values, standalone=standalone, warnings=changed_sources(file, old))
+
+
+def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str) -> dict[str, Any]:
+    if not isinstance(options, Mapping):
+        raise InputError(where, "options are damaged, expected an object")
+    values = {}
+    for name, value in options.items():
+        if name in fields:
+            values[name] = _load(fields[name], value, where)
+        elif name != FOUND:
+            raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
+    missing = [one.name for one in fields.values() if one.needed and one.name not in values]
+    if missing:
+        raise InputError(where, f"no '{missing[0]}', expected one")
+    return values
+
+
+def _load(one: Field, value: object, where: str) -> Any:
+    if one.role != "source":
+        found = one.load(value, where)
+        try:
+            one.check(found)
+        except InputError as error:
+            raise error.under(where) from None
+        return found
+    words = value if one.several else [value]
+    if value is None and one.default is None:
+        return None
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise InputError(f"{where} -> {one.name}", f"{str(value)[:40]}, expected the names of sources")
+    return tuple(words) if one.several else words[0]
+
+
+def _found_at(places: Mapping[str, Path], one: Field, value: Any) -> Any:
+    """The value of a source with files where they were found."""
+
+    def at(word: str) -> Any:
+        if one.split is None:
+            return places[word]
+        file, rest = one.split(word)
+        return word if file is None else f"{places[file]}:{rest}" if rest else str(places[file])
+
+    return tuple(at(word) for word in value) if isinstance(value, tuple) else at(value)
+
+
+def again(path: Path, kind: type[StageAction[Any]], watch: Watch = unwatched) -> tuple[Report, bool]:
+    """Do the action of the recipe on the face at `path` again in its place: the report, and whether a check was missed.
+
+    :raises FacepipeError: a recipe or sources that can't be read or used
+    """
+    kept = read_kept(path, kind)
+    action = kind(**kept.values)
+    report = perform(action, path, flatten=kept.standalone, watch=watch).report
+    return report, action.missed(report)
