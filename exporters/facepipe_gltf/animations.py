@@ -12,11 +12,11 @@ import numpy.typing as npt
 from facepipe.parts import Animation, FloatArray, IntArray, Skeleton, exact
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.resample import TICK
+from facepipe.rig.trs import Trs, decompose
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
-from facepipe_gltf.placement import accumulate
+from facepipe_gltf.placement import Space, accumulate
 from facepipe_gltf.sculpts import Sculpt
-from facepipe_gltf.space import Space, Trs, decompose
 
 Json = dict[str, Any]
 _NEAR = 1e-5  # seconds

@@ -12,9 +12,8 @@ from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
 from facepipe_gltf.morphs import Morphs, blocks, without_small
 from facepipe_gltf.options import Options
-from facepipe_gltf.placement import Placement, place, smooth_normals
+from facepipe_gltf.placement import Placement, Space, place, smooth_normals
 from facepipe_gltf.sculpts import Sculpt, sculpts_of
-from facepipe_gltf.space import Space
 from facepipe_gltf.vertices import Corners, corners_of
 
 

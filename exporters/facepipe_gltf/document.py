@@ -21,11 +21,11 @@ from facepipe_gltf.joints import JointNodes, joint_nodes
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
+from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.record import record_of, written
 from facepipe_gltf.record_format import Record
 from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
-from facepipe_gltf.space import space_of
 from facepipe_gltf.textures import Image
 
 Json = dict[str, Any]

@@ -11,8 +11,7 @@ from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.influences import LOST, merge
-from facepipe_gltf.placement import accumulate
-from facepipe_gltf.space import Space
+from facepipe_gltf.placement import Space, accumulate
 
 _STILL = 1e-13  # vertex matrices nearer to the identity than this are at rest but for rounding
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.parts import FloatArray, Skeleton
-from facepipe_gltf.placement import accumulate
-from facepipe_gltf.space import Space, Trs, decompose, numbers
+from facepipe.rig.trs import Trs, decompose
+from facepipe_gltf.placement import Space, accumulate, numbers
 
 Json = dict[str, Any]
 

@@ -27,6 +27,7 @@ from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.options import Options
+from facepipe_gltf.placement import Space
 from facepipe_gltf.primitives import by_material
 from facepipe_gltf.record_format import (
     NONE,
@@ -38,7 +39,6 @@ from facepipe_gltf.record_format import (
     shape_names,
     steps_between,
 )
-from facepipe_gltf.space import Space
 
 Json = dict[str, Any]
 

@@ -18,8 +18,7 @@ import numpy as np
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, FloatArray, IntArray, Mesh
-from facepipe.records.arrays import ArrayReader, ArrayWriter
-from facepipe.records.fields import from_json, to_json
+from facepipe.records.fields import ArrayReader, ArrayWriter, from_json, to_json
 
 Json = dict[str, Any]
 

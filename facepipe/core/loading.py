@@ -43,6 +43,8 @@ MOVED |= {
     "facepipe.importers.imported": "facepipe.stage.imported",
     "facepipe.meshopt": "facepipe_gltf.read.meshopt",
     "facepipe_onnx.nodes": "facepipe.onnx_graph",
+    "facepipe.records.arrays": "facepipe.records.fields",
+    "facepipe_gltf.space": "facepipe_gltf.placement",
     "facepipe.records.gltf": "facepipe_gltf.record_format",
 }
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from facepipe_gltf import Options, export
 from facepipe_gltf import read as gltf
-from facepipe_gltf.space import decompose, rotation_matrices
 from faces import tiny_face
 from gltf_builder import animated, make_model
 from gltf_export import (
@@ -34,6 +33,7 @@ import facepipe
 from facepipe.importers import load
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build
+from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.stage import save_parts
 from facepipe.stage.author import author
 

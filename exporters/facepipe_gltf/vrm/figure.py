@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from facepipe.parts import FaceParts, FloatArray, Mesh
-from facepipe_gltf.placement import place, rest_worlds
-from facepipe_gltf.space import space_of
+from facepipe_gltf.placement import place, rest_worlds, space_of
 
 # Parts of a person's height (Drillis and Contini 1966, after Winter, Biomechanics and Motor Control of Human Movement)
 HIPS, CHIN = 0.53, 0.87

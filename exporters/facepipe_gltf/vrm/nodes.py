@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from facepipe.parts import FloatArray
+from facepipe.rig.trs import decompose
+from facepipe_gltf.placement import numbers
 from facepipe_gltf.raw_nodes import local_matrix
-from facepipe_gltf.space import decompose, numbers
 
 Json = dict[str, Any]
 

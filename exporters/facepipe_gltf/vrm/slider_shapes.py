@@ -11,8 +11,7 @@ from facepipe.parts import Blendshape, FaceParts, FloatArray, Mesh, Slider
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import match_shapes
-from facepipe_gltf.placement import place
-from facepipe_gltf.space import Space, space_of
+from facepipe_gltf.placement import Space, place, space_of
 
 _STILL = 1e-6  # of the head height: offsets below are rounding
 _LISTED = 3
