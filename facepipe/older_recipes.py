@@ -11,7 +11,7 @@ from facepipe.parts import Recipe
 _SOURCES = {
     "animate": ("face", "clip"),
     "apply-bones": ("face", "coefficients"),
-    "landmarks": ("face", "source"),
+    "landmarks": ("face", "landmarks"),
     "regions": ("face", "map", "legend"),
 }
 

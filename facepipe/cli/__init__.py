@@ -42,7 +42,6 @@ COMMANDS = {
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "view": "look at a face in the browser",
-    "landmarks": "author named landmarks",
     "regions": "list regions, or author them from a painted map",
     "blend": "mix faces of one topology by region, with shapes and rig",
     "database": "collect faces: models of identity and expressions",

@@ -22,7 +22,6 @@ VERBS = {
     "fit-bones": "facepipe.pipeline.fit_bones",
     "fit-neutral": "facepipe.pipeline.fit_neutral",
     "fit-photo": "facepipe.pipeline.fit_photo",
-    "landmarks": "facepipe.pipeline.landmarks",
     "neural-rig": "facepipe.pipeline.neural_rig",
     "personal-template": "facepipe.pipeline.personal_template",
     "rebuild": "facepipe.pipeline.rebuild",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from facepipe.core.errors import InputError
@@ -16,40 +17,24 @@ from facepipe.stage.author_mesh import author_landmarks
 class LandmarksReport(Report):
     """What was authored."""
 
-    scheme: str
+    schemes: Mapping[str, int]  # scheme -> its landmarks
     mesh: str
-    count: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class SetLandmarks:
-    """Landmarks of one scheme on one mesh; those it had of that scheme are replaced.
+def set_landmarks(face: Face, mesh: Mesh, scheme: str, landmarks: Landmarks) -> None:
+    """Author landmarks of one scheme on a mesh; those it had of that scheme are replaced.
 
-    :param mesh: name of the mesh; default the one with most points
+    :raises InputError: no landmarks, indices out of range, or names that don't pair
     """
-
-    landmarks: Landmarks
-    scheme: str = "multipie68"
-    mesh: str | None = None
-
-    def __call__(self, face: Face) -> LandmarksReport:
-        """Author them.
-
-        :raises InputError: no such mesh, no landmarks, indices out of range, or names that don't pair
-        """
-        mesh = mesh_of(face, self.mesh)
-        self._check(f"{face.where} -> {mesh.name}", len(mesh.points))
-        author_landmarks(face.mesh_prim(mesh.name), replace(mesh, landmarks={self.scheme: self.landmarks}, anchor=None))
-        return LandmarksReport(scheme=self.scheme, mesh=mesh.name, count=len(self.landmarks.indices))
-
-    def _check(self, where: str, points: int) -> None:
-        indices, names = self.landmarks.indices, self.landmarks.names
-        if not (self.scheme.isascii() and self.scheme.isidentifier()):
-            raise InputError(where, f"scheme '{self.scheme}', expected letters, digits and underscores")
-        if not len(indices) or indices.min() < 0 or indices.max() >= points:
-            raise InputError(where, f"{len(indices)} landmarks, expected at least one, all at points 0 to {points - 1}")
-        if names and (len(names) != len(indices) or len(set(names)) != len(names)):
-            raise InputError(where, f"{len(names)} names, expected {len(indices)} different ones")
+    where, points = f"{face.where} -> {mesh.name}", len(mesh.points)
+    indices, names = landmarks.indices, landmarks.names
+    if not (scheme.isascii() and scheme.isidentifier()):
+        raise InputError(where, f"scheme '{scheme}', expected letters, digits and underscores")
+    if not len(indices) or indices.min() < 0 or indices.max() >= points:
+        raise InputError(where, f"{len(indices)} landmarks, expected at least one, all at points 0 to {points - 1}")
+    if names and (len(names) != len(indices) or len(set(names)) != len(names)):
+        raise InputError(where, f"{len(names)} names, expected {len(indices)} different ones")
+    author_landmarks(face.mesh_prim(mesh.name), replace(mesh, landmarks={scheme: landmarks}, anchor=None))
 
 
 def mesh_of(face: Face, name: str | None) -> Mesh:

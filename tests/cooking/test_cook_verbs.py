@@ -1,7 +1,11 @@
-"""Each verb that can be cooked: its result again from its recipe, to the bytes that its command writes."""
+"""Each verb that can be cooked: its result again from its recipe, to the bytes that its command writes.
+
+So does its --edit, and so do recipes of the release before.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +14,8 @@ from cook_cases import CASES
 from cook_chain import actions, cook
 
 from facepipe.cli import main
+from facepipe.stage import open_face
+from facepipe.stage.author_skeleton import author_recipe
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -41,3 +47,33 @@ def test_a_recipe_gives_the_bytes_of_its_command(name: str, folder: Path, capsys
     assert main([*line, "--force"]) == case.code
     assert main([*case.line, "-o", "flat.usda", "--flatten", "--force"]) == case.code
     assert content(folder) == cooked
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.edit])
+def test_an_edit_gives_the_bytes_of_the_command_with_what_it_changes(name: str, folder: Path) -> None:
+    case = CASES[name]
+    case.put(folder)
+    assert main([*case.line, "-o", "out.usda"]) == case.code
+    assert main([*case.command, "--edit", "out.usda", *case.edit, "-o", "edited.usda"]) == case.code
+    assert main([*case.line, *case.edit, "-o", "other.usda"]) == case.code
+    assert Path("edited.usda").read_bytes() == Path("other.usda").read_bytes()
+    assert main([*case.command, "--edit", "out.usda", *case.edit, "--force"]) == case.code
+    assert Path("out.usda").read_bytes() == Path("other.usda").read_bytes()
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.older is not None])
+def test_recipes_of_the_release_before_are_cooked_to_the_same_bytes(name: str, folder: Path, capsys: Capsys) -> None:
+    case = CASES[name]
+    case.put(folder)
+    assert main([*case.line, "-o", "out.usda"]) == case.code
+    capsys.readouterr()
+    made = Path("out.usda").read_bytes()
+    face = open_face("out.usda")
+    recipe = face.parts().recipe
+    assert recipe is not None
+    author_recipe(face.prim, replace(recipe, verb=case.command[0], options=case.older))
+    face.stage.Save()
+    assert Path("out.usda").read_bytes() != made
+    code, report, _ = cook(capsys, "out.usda", "--force")
+    assert (code, actions(report)) == (case.code, {"out.usda": "cooked"})
+    assert Path("out.usda").read_bytes() == made

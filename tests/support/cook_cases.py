@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,13 @@ class Case:
     put: Callable[[Path], object]
     change: Callable[[], object]
     code: int = 0  # of the command
+    edit: tuple[str, ...] = ()  # what else its --edit is given
+    older: Mapping[str, object] | None = None  # options of its recipe as the release before kept them
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """Its words before any argument."""
+        return self.line[: 2 if self.line[0] == "neural-rig" else 1]
 
 
 def _face(name: str = "face.usda", seed: int = 0) -> None:
@@ -126,6 +133,8 @@ CASES = {
         ("landmarks", "face.usda", "--from", "points.json", "--scheme", "mine"),
         _with_json("points.json", {"a": 1, "b": 2}),
         lambda: _text("points.json", '{"a": 3, "b": 2}'),
+        edit=("--mesh", "Teeth"),
+        older={"scheme": "mine", "mesh": None},
     ),
     "neural-rig": Case(("neural-rig", "apply", "face.usda", "rig.fpnr"), _neural, lambda: _rig(1)),
     "regions": Case(
@@ -137,6 +146,8 @@ CASES = {
         ("skin", "face.usda", "--joints", "joints.json", "--influences", "2"),
         _skinnable,
         lambda: _text("joints.json", _JOINTS.replace("[0, 10", "[0, 20")),
+        edit=("--influences", "1"),
+        older={"from": "joints", "optimise": False, "options": {"influences": 2}},
     ),
     "sliders from a table": Case(
         ("sliders", "face.usda", "--from", "table.toml", "--replace"), _tabled, lambda: _text("table.toml", _MORE)
