@@ -6,7 +6,7 @@ host (``facepipe.hosts``) is a module that brings faces into another program; it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -92,15 +92,16 @@ def importers() -> tuple[str, ...]:
     return _names(IMPORTERS)
 
 
-def importer(kind: str) -> Importer:
+def importer(kind: str, others: Iterable[str] = ()) -> Importer:
     """The importer module of a kind that a plug-in reads.
 
+    :param others: kinds that need none, for the message
     :raises InputError: no such kind, or an importer that can't be loaded or lacks part of the contract
     """
     for entry in entry_points(group=IMPORTERS, name=kind):
         found: Importer = _loaded(entry, "Options", "read")
         return found
-    raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(importers())}")
+    raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted({*importers(), *others}))}")
 
 
 def host(name: str) -> Any:

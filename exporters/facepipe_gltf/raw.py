@@ -7,7 +7,7 @@ from typing import Any, TypeGuard
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FloatArray
-from facepipe_gltf.read.accessors import numbers
+from facepipe_gltf.read.accessors import Accessor, accessor, numbers
 from facepipe_gltf.read.document import Document, read_document
 from facepipe_gltf.read.values import Value
 
@@ -35,6 +35,7 @@ class RawDocument:
         self._document = document
         self.path, self.binary = document.path, document.binary
         self.json: Json = document.root.members()
+        self._accessors: dict[str, Accessor] = {}  # by index
         self.notes = tuple(document.warnings)  # on its container
 
     def items(self, name: str) -> list[Json]:
@@ -54,7 +55,11 @@ class RawDocument:
 
         :raises InputError: it is not there, or asks for bytes that its buffer doesn't have
         """
-        return numbers(self._document, Value(index, self._document.root.trail))
+        found = self._accessors.get(str(index))
+        if found is None:
+            found = accessor(self._document, Value(index, self._document.root.trail))
+            self._accessors[str(index)] = found
+        return numbers(self._document, found)
 
     def maybe(self, index: object) -> FloatArray | None:
         """The accessor, or None where it can't be read (which the check of accessors reports)."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from facepipe import registry
-from facepipe.core.errors import InputError
 from facepipe.importers.options import OPTIONS
 
 if TYPE_CHECKING:
@@ -33,10 +32,8 @@ def importer(kind: str) -> Importer:
 
     :raises InputError: no such kind
     """
-    if kind not in kinds():
-        raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(kinds())}")
     if kind not in OPTIONS:
-        return registry.importer(kind)
+        return registry.importer(kind, OPTIONS)
     return cast("Importer", importlib.import_module(f"facepipe.importers.{kind}"))
 
 

@@ -46,12 +46,13 @@ class Deltas:
 
 
 def accessor(document: Document, reference: Value, *types: str) -> Accessor:
-    """The accessor that `reference` names, of one of `types` (``VEC3`` ...).
+    """The accessor that `reference` names, of one of `types` (``VEC3`` ...), of any where none is given.
 
     :raises InputError: another type, or data outside its bufferView
     """
     value = document.entry("accessors", reference)
     kind = value.require("type")
+    types = types or tuple(_COMPONENTS)
     if kind.text() not in types:
         raise reference.error(f"{value.place} is {kind.text()[:20]}, expected {' or '.join(types)}")
     dtype = _dtype(value.require("componentType"))
@@ -88,12 +89,11 @@ def floats(document: Document, reference: Value, *types: str, count: int | None 
     return result
 
 
-def numbers(document: Document, reference: Value) -> FloatArray:
-    """(count, components) float64 of an accessor of any type, NaN and infinity as they are; it is kept nowhere.
+def numbers(document: Document, found: Accessor) -> FloatArray:
+    """(count, components) float64, integers normalised where the accessor says so, NaN and infinity as they are.
 
-    :raises InputError: what `accessor` raises
+    :raises InputError: far more numbers than the file holds
     """
-    found = accessor(document, reference, *_COMPONENTS)
     document.budget.check(found.count * found.components * 8, found.value)
     result = np.zeros((found.count, found.components)) if found.base is None else found.base.astype(np.float64)
     if found.sparse is not None:
