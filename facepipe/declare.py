@@ -12,7 +12,7 @@ import functools
 import math
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
@@ -44,6 +44,7 @@ def option(
     metavar: str = "",
     value: JsonValue | None = None,
     kept: bool = True,
+    words: bool = False,
 ) -> T:
     """A field of an option dataclass.
 
@@ -54,9 +55,10 @@ def option(
     :param flag: other than ``--name``
     :param value: how JSON holds it, where it is no plain value
     :param kept: in recipes, and so with ``--edit``
+    :param words: a flag of a tuple or mapping takes all words up to the next flag
     """
     said = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "parse": parse, "flag": flag}
-    found: T = _declared(default, {**said, "metavar": metavar, "value": value, "kept": kept})
+    found: T = _declared(default, {**said, "metavar": metavar, "value": value, "kept": kept, "words": words})
     return found
 
 
@@ -101,6 +103,24 @@ def _declared(default: Any, said: dict[str, Any]) -> Any:
     return field(**way, metadata=said)
 
 
+def named_numbers(words: Sequence[str]) -> dict[str, float]:
+    """``name=number`` words as a mapping.
+
+    :raises InputError: a word that is not so, or a number that is not finite
+    """
+    found = {}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not equals or not name or not math.isfinite(value):
+            raise InputError(word, "expected NAME=NUMBER with a finite number")
+        found[name] = value
+    return found
+
+
 class JsonValue(NamedTuple):
     """How JSON holds a value that is not plain."""
 
@@ -125,6 +145,7 @@ class Field:
     metavar: str = ""
     value: JsonValue | None = None
     kept: bool = True
+    words: bool = False
     role: Literal["option", "source", "beside"] = "option"
     split: Callable[[str], tuple[str | None, str]] | None = None
     suffix: str = ""

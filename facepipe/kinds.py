@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from facepipe.parts import Recipe
     from facepipe.stage import Face
 
+FOUND = "found"  # key of a recipe's options for what the action found
+
 A = TypeVar("A", bound="StageAction[Any]")
 R = TypeVar("R", bound="Report")
 

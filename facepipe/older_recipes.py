@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from facepipe.kinds import FOUND
 from facepipe.parts import Recipe
 
 # verb -> the fields that its sources were, in their order
@@ -26,6 +27,13 @@ def as_now(recipe: Recipe) -> Mapping[str, Any]:
         return {**dict(zip(names, recipe.sources, strict=True)), **options}
     rewrite = _REWRITES.get(recipe.verb)
     return options if rewrite is None else rewrite(dict(options), recipe.sources)
+
+
+def found_of(recipe: Recipe | None) -> Mapping[str, Any]:
+    """What the action of a recipe found; nothing where there is no recipe, or it says nothing of that."""
+    options = {} if recipe is None else as_now(recipe)
+    found = options.get(FOUND) if isinstance(options, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
 
 
 def _skin(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:

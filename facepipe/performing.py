@@ -15,7 +15,7 @@ from facepipe.core.atomic import replacing, replacing_folder, together
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
-from facepipe.kinds import Job, StageAction, Watch, unwatched
+from facepipe.kinds import FOUND, Job, StageAction, Watch, unwatched
 from facepipe.older_recipes import as_now
 from facepipe.parts import Recipe
 from facepipe.stage import Face, open_face
@@ -23,8 +23,6 @@ from facepipe.stage.files import relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)
-
-FOUND = "found"  # key of a recipe's options for what the action found
 
 
 @dataclass(frozen=True, kw_only=True)

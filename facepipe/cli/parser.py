@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import sys
 import typing
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.core.errors import InputError
-from facepipe.declare import Field, fields_of
+from facepipe.declare import Field, fields_of, named_numbers
 
 
 class Parser(argparse.ArgumentParser):
@@ -77,6 +76,7 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     if field.several:
         settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
         settings["help"] += "; may be given again"
+        settings |= {"nargs": "+"} if field.words else {}
     parser.add_argument(field.shown, **settings)
     if field.default in (None, (), {}) and field.kept and not isinstance(field.default, bool):
         nothing = f"--no-{field.shown.removeprefix('--')}"
@@ -92,7 +92,7 @@ class _Several(argparse.Action):
         self._field, self._words = field, list[Any]()
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        self._words.append(values)
+        self._words += values if isinstance(values, list) else [values]
         read = _reader(self._field.parse or tuple)
         try:
             setattr(namespace, self.dest, read(self._words))
@@ -241,17 +241,10 @@ def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
 
     :raises InputError: a word that is not so, or a number that is not finite
     """
-    found = {}
-    for word in words:
-        name, equals, text = word.rpartition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not equals or not name or not math.isfinite(value):
-            raise InputError(f"{flag} {word}", "expected NAME=NUMBER with a finite number")
-        found[name] = value
-    return found
+    try:
+        return named_numbers(words)
+    except InputError as error:
+        raise InputError(f"{flag} {error.where}", error.what) from None
 
 
 def named(values: Mapping[str, float], known: Collection[str], flag: str, what: str) -> dict[str, float]:

@@ -10,6 +10,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 
+def unsaid() -> Any:
+    """A field of a report for what is drawn of it: not in its JSON."""
+    return field(default=None, repr=False, compare=False, metadata={"said": False})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """Base of all reports."""
@@ -18,7 +23,8 @@ class Report:
 
     def to_json(self) -> str:
         """The report as JSON, keys sorted."""
-        return json.dumps(dataclasses.asdict(self), default=_plain, sort_keys=True, indent=2)
+        said = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.metadata.get("said", True)}
+        return json.dumps(said, default=_plain, sort_keys=True, indent=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,4 +59,6 @@ class Finding:
 
 
 def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
     return value.tolist() if hasattr(value, "tolist") else str(value)  # arrays and numbers of numpy
