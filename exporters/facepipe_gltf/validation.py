@@ -15,9 +15,10 @@ from facepipe_gltf import skin_validation as skin
 from facepipe_gltf.khronos import check_khronos
 from facepipe_gltf.raw import RawDocument
 
-_Check = Callable[[RawDocument], Iterable[tuple[str, str]]]
+# its name, the check (places and messages), how bad what it finds is
+Check = tuple[str, Callable[[RawDocument], Iterable[tuple[str, str]]], Literal["error", "warning"]]
 
-CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
+CHECKS: tuple[Check, ...] = (
     ("GltfAsset", mesh.asset, "error"),
     ("GltfReferences", mesh.references, "error"),
     ("GltfNodeTree", mesh.node_tree, "error"),
@@ -53,11 +54,15 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
     :param khronos: also run the Khronos validator; a note says so where it is not installed
     :raises InputError: no such file, or no glTF at all
     """
-    document = RawDocument(Path(path))
+    return judged(RawDocument(Path(path)), CHECKS, khronos=khronos)
+
+
+def judged(document: RawDocument, checks: Iterable[Check], *, khronos: bool) -> tuple[Finding, ...]:
+    """What `checks` find in a document, and the Khronos validator in its file."""
     with np.errstate(all="ignore"):  # NaN and overflow are what some checks look for
         findings = [
             Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {at}", message=message)
-            for name, check, severity in CHECKS
+            for name, check, severity in checks
             for at, message in check(document)
         ]
     return tuple(findings + (check_khronos(document.path) if khronos else []))

@@ -29,6 +29,8 @@ def test_own_wheel_is_the_same_every_time_and_its_record_holds(tmp_path: Path) -
                 assert int(size) == len(data)
                 encoded = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
                 assert digest == f"sha256={encoded}"
+        entries = archive.read(record.replace("RECORD", "entry_points.txt")).decode().splitlines()
+    assert {"onnx = facepipe_onnx", "vrm = facepipe_gltf.vrm", "gltf = facepipe_gltf.read"} <= {*entries}
     assert "facepipe_schemas/generatedSchema.usda" in names
     assert not [name for name in names if name.startswith("facepipe_blender/")]
 

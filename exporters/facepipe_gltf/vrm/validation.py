@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,8 +25,6 @@ _LEVEL = 0.26  # sine of 15 degrees, by which arms held out may be off
 _UNIFORM = 1e-4
 _RANGES = ("rangeMapHorizontalInner", "rangeMapHorizontalOuter", "rangeMapVerticalDown", "rangeMapVerticalUp")
 
-_Check = Callable[[RawDocument, Json], Iterator[Problem]]
-
 
 def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:
     """What is wrong with a .vrm.
@@ -36,12 +35,9 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
     document = RawDocument(Path(path))
     extensions = document.json.get("extensions")
     found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
-    findings = [
-        Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {at}", message=message)
-        for name, check, severity in _CHECKS
-        for at, message in check(document, found if isinstance(found, dict) else {})
-    ]
-    return (*findings, *gltf.validate(path, khronos=khronos))
+    vrm: Json = found if isinstance(found, dict) else {}
+    checks = [(name, partial(check, vrm=vrm), severity) for name, check, severity in _CHECKS]
+    return gltf.judged(document, (*checks, *gltf.CHECKS), khronos=khronos)
 
 
 def _version(document: RawDocument, vrm: Json) -> Iterator[Problem]:
@@ -186,7 +182,7 @@ def _paths(document: RawDocument) -> Callable[[int], list[int]]:
     return path
 
 
-_CHECKS: tuple[tuple[str, _Check, Literal["error", "warning"]], ...] = (
+_CHECKS: tuple[tuple[str, Callable[..., Iterator[Problem]], Literal["error", "warning"]], ...] = (
     ("VrmVersion", _version, "error"),
     ("VrmMeta", _meta, "error"),
     ("VrmHumanBones", _bones, "error"),
