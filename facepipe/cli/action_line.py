@@ -15,7 +15,7 @@ from facepipe.cli.parser import add_field, output_of, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
-from facepipe.kinds import StageAction
+from facepipe.kinds import A, StageAction
 
 if TYPE_CHECKING:
     from facepipe.performing import Kept
@@ -93,7 +93,7 @@ def _line(said: Any) -> str:
     return f"{said['path']}: {said['bytes']:,} bytes" if isinstance(said, Mapping) else str(said)
 
 
-def action_of(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> tuple[Kept | None, StageAction[Any]]:
+def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None, A]:
     """The action that a line asks for, and the recipe that it edits.
 
     :raises InputError: what is needed is not given, or a recipe that can't be used

@@ -34,6 +34,12 @@ def identifier(text: str, fallback: str = "unnamed") -> str:
     return safe if safe.isidentifier() else f"_{safe}"
 
 
+def check_identifier(where: str, name: str) -> None:
+    """:raises InputError: `name` is no USD identifier"""
+    if identifier(name) != name:
+        raise InputError(f"{where} {name}", f"no name of a prim, expected one like {identifier(name)}")
+
+
 def file_name(text: str, fallback: str = "unnamed") -> str:
     """`text`, a name or path that a file brought along, as a name that files have on any system, in one folder.
 

@@ -17,7 +17,6 @@ from facepipe.performing import again
 # verb of a recipe -> its module
 VERBS = {
     "animate": "facepipe.pipeline.animate",
-    "apply-bones": "facepipe.pipeline.apply_bones",
     "blend": "facepipe.pipeline.blend",
     "fit-bones": "facepipe.pipeline.fit_bones",
     "fit-neutral": "facepipe.pipeline.fit_neutral",

@@ -113,7 +113,11 @@ CASES = {
         lambda: _text("take.csv", "jawOpen\n0\n0.5\n1\n"),
     ),
     "apply-bones": Case(
-        ("apply-bones", "face.usda", "pose.fpb"), _posed, lambda: tiny_payload(Path("pose.fpb"), scale=1.1)
+        ("apply-bones", "face.usda", "pose.fpb", "--name", "open"),
+        _posed,
+        lambda: tiny_payload(Path("pose.fpb"), scale=1.1),
+        edit=("--clamp", "--no-name"),
+        older={"name": "open", "clamp": False},
     ),
     "blend": Case(("blend", "face.usda", "other.usda", "--lock", "mouth=2"), _two, lambda: _face("other.usda", 2)),
     "fit-bones": Case(
