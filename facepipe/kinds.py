@@ -65,7 +65,7 @@ class Job:
 
     out: Path
     watch: Watch
-    recipe: Callable[..., Recipe]  # of the action on `out`, with what was found: job.recipe(quality=...)
+    recipe: Callable[..., Recipe]  # of `out`: job.recipe(quality=...) with what was found; or of a changed action
 
 
 class StageAction(Generic[R]):

@@ -43,4 +43,10 @@ def _skin(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any
     return {"face": sources[0], way: sources[1], **options.pop("options"), **options}
 
 
-_REWRITES = {"skin": _skin}
+def _blend(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    if set(options) != {"weights", "options"} or not isinstance(options["options"], Mapping):
+        return options
+    return {"sources": list(sources), "weights": options["weights"], **options["options"]}
+
+
+_REWRITES = {"blend": _blend, "skin": _skin}

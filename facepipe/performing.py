@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -40,7 +39,7 @@ def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch
     :raises FacepipeError: what can't be read, done or written
     """
     action.check()
-    job = Job(out=out, watch=watch, recipe=functools.partial(recipe_to, action, out))
+    job = job_of(action, out, watch)
     said: dict[str, Any] = {}
     with together(out), ExitStack() as files:
         temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
@@ -52,6 +51,15 @@ def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch
                     written = getattr(action, one.write)(Face(face.stage, face.prim), report, place)
                 said[one.name] = str(path) if written is None else {**written, "path": str(path)}
     return Performed(report=report, beside=said)
+
+
+def job_of(action: StageAction[Any], out: Path, watch: Watch = unwatched) -> Job:
+    """What `action` is given to make `out`."""
+
+    def recipe(changed: StageAction[Any] = action, /, **found: Any) -> Recipe:
+        return recipe_to(changed, out, **found)
+
+    return Job(out=out, watch=watch, recipe=recipe)
 
 
 def _beside(action: StageAction[Any]) -> Iterator[tuple[Field, Path]]:
@@ -88,9 +96,13 @@ def _under(path: Path) -> Iterator[None]:
         raise error.under(path) if prim else error from None
 
 
-def files_of(action: StageAction[Any]) -> tuple[Path, ...]:
-    """The files that an action is made of, each once, in the order of its fields."""
-    return tuple(dict.fromkeys(Path(file) for one, value in _sources(action) for file, _ in _named(one, value)))
+def files_of(action: StageAction[Any], *, kept: bool = False) -> tuple[Path, ...]:
+    """The files that an action reads, each once, in the order of its fields.
+
+    :param kept: those alone that its recipe names
+    """
+    sources = [pair for pair in _sources(action) if pair[0].kept or not kept]
+    return tuple(dict.fromkeys(Path(file) for one, value in sources for file, _ in _named(one, value)))
 
 
 def _sources(action: StageAction[Any]) -> Iterator[tuple[Field, Any]]:
@@ -122,7 +134,7 @@ def recipe_to(action: StageAction[Any], out: str | os.PathLike[str], **found: An
         if one.kept:
             value = getattr(action, one.name)
             options[one.name] = _seen_from(folder, one, value) if one.role == "source" else one.dump(value)
-    files = {relative_path(str(file), folder): file for file in files_of(action)}
+    files = {relative_path(str(file), folder): file for file in files_of(action, kept=True)}
     return Recipe(
         verb=action.verb,
         sources=tuple(files),
@@ -149,11 +161,17 @@ class Kept:
     warnings: tuple[str, ...] = ()  # sources that have changed since, one line each
 
 
-def read_kept(path: str | os.PathLike[str], kind: type[StageAction[Any]], replaced: Collection[str] = ()) -> Kept:
+def read_kept(
+    path: str | os.PathLike[str],
+    kind: type[StageAction[Any]],
+    replaced: Collection[str] = (),
+    instead: Mapping[int, Path] | None = None,
+) -> Kept:
     """The recipe on the face that an action made; its other layers may be lost.
 
     :param replaced: fields that the caller has others for: their files may be lost or changed
-    :raises InputError: no recipe of the action, or a source that is not where it was
+    :param instead: number of a source, from 1 -> the file that takes its place
+    :raises InputError: no recipe of the action, a source that is not where it was, or no such number in `instead`
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
     file = Path(path)
@@ -164,21 +182,38 @@ def read_kept(path: str | os.PathLike[str], kind: type[StageAction[Any]], replac
         values = _values(options, fields, where)
     except InputError as error:
         raise SchemaError(error.where, error.what) from None
-    numbers = {source: number for number, source in enumerate(recipe.sources, 1)}
-    kept: dict[str, Path] = {}
-    for one in fields.values():
-        if one.role != "source" or one.name in replaced or values.get(one.name) is None:
-            continue
-        for source, _ in _named(one, values[one.name]):
-            if source not in numbers:
-                raise SchemaError(f"{where} -> {one.name}", f"{source[:60]}, expected one of the sources")
-            place = f"{where} -> source {numbers[source]}"
-            kept[source] = existing_source(place, file.absolute().parent / source, one.shown)
-        values[one.name] = _found_at(kept, one, values[one.name])
+    places = _places(file, recipe, fields, {**values, **dict.fromkeys(replaced)}, instead or {})
+    for name, one in fields.items():
+        if one.role == "source" and name not in replaced and values.get(name) is not None:
+            values[name] = _found_at(places, one, values[name])
+    digests = enumerate(zip(recipe.sources, recipe.digests, strict=True), 1)
     old = [
-        (kept[source], digest) for source, digest in zip(recipe.sources, recipe.digests, strict=True) if source in kept
+        (places[one], digest) for number, (one, digest) in digests if one in places and number not in (instead or {})
     ]
     return Kept(values=values, standalone=standalone, warnings=changed_sources(file, old))
+
+
+def _places(
+    file: Path, recipe: Recipe, fields: Mapping[str, Field], values: Mapping[str, Any], instead: Mapping[int, Path]
+) -> dict[str, Path]:
+    """Source of a recipe -> the file that it is, of those that `values` name."""
+    where, numbers = f"{file} -> recipe", {source: number for number, source in enumerate(recipe.sources, 1)}
+    if len(numbers) != len(recipe.sources):
+        raise SchemaError(where, "names a source twice, expected each once")
+    for number in instead:
+        if not 1 <= number <= len(recipe.sources):
+            what = f"no such source, expected a number from 1 to {len(recipe.sources)}"
+            raise InputError(f"--replace {number}", what)
+    places: dict[str, Path] = {}
+    for name, one in fields.items():
+        words = () if one.role != "source" or values.get(name) is None else _named(one, values[name])
+        for source, _ in words:
+            if source not in numbers:
+                raise SchemaError(f"{where} -> {name}", f"{source[:60]}, expected one of the sources")
+            path = instead.get(numbers[source], file.absolute().parent / source)
+            given_as = "--replace" if one.several and one.stands_alone else one.shown
+            places[source] = existing_source(f"{where} -> source {numbers[source]}", path, given_as)
+    return places
 
 
 def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str) -> dict[str, Any]:

@@ -43,7 +43,6 @@ COMMANDS = {
     "render": "draw a face",
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
-    "blend": "mix faces of one topology by region, with shapes and rig",
     "database": "collect faces: models of identity and expressions",
     "fit-neutral": "fit a face to the scan of a person",
     "refine-neutral": "draw a neutral, or regions of it, closer to its scan",

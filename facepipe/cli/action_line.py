@@ -56,6 +56,9 @@ def configure(parser: argparse.ArgumentParser, kind: type[StageAction[Any]]) -> 
     add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
     add("--force", action="store_true", help="overwrite OUT, or with --edit RESULT, and what is written beside it")
     add("--edit", type=Path, metavar="RESULT", help=_EDIT)
+    if any(one.several and one.stands_alone for one in fields):
+        text = "with --edit: another file for source N of the recipe"
+        add("--replace", action="append", default=[], metavar="N=FILE", help=text)
     for one in fields:
         if one.role == "beside":
             add_field(parser, one)
@@ -103,8 +106,15 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     fields = fields_of(kind)  # type: ignore[arg-type]
     given = {one.name: getattr(arguments, one.name) for one in fields if hasattr(arguments, one.name)}
     unsaid = {one.name for one in fields if one.stands_alone and not given.get(one.name)}
-    given = {name: value for name, value in given.items() if name not in unsaid}
-    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given})
+    given = {name: value for name, value in given.items() if name not in {*unsaid, *kind.own_flags}}
+    instead = _replacements(getattr(arguments, "replace", ()))
+    if instead and arguments.edit is None:
+        raise InputError("--replace", "given without --edit, expected both or neither")
+    for one in fields:
+        if arguments.edit is not None and one.several and one.stands_alone and one.name in given:
+            what = "given with --edit, expected the sources of its recipe (--replace N=FILE takes another)"
+            raise InputError(given[one.name][0], what)
+    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given}, instead)
     values = dict(kept.values) if kept else {}
     for one in fields:
         if one.name in given:
@@ -114,6 +124,18 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
         if one.needed and one.name not in values:
             raise InputError(one.shown, f"none given, expected {one.help.split(';')[0]} (or --edit RESULT)")
     return kept, kind(**values)
+
+
+def _replacements(words: Sequence[str]) -> dict[int, Path]:
+    found: dict[int, Path] = {}
+    for word in words:
+        number, equals, path = word.partition("=")
+        if not (equals and path and number.isascii() and number.isdecimal() and len(number) < 7):
+            raise InputError(f"--replace {word}", "expected N=FILE, N the number of a source from 1")
+        if int(number) in found:
+            raise InputError(f"--replace {int(number)}=...", "given twice, expected it once")
+        found[int(number)] = Path(path)
+    return found
 
 
 def _joined(old: Any, given: Any) -> Any:

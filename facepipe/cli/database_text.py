@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.show import table
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.database import FaceDatabase

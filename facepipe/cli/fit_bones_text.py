@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.show import table
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.fit_bones import FitBonesReport, TargetReport

@@ -29,8 +29,9 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
 from facepipe.cli.scan_picture import draw_fit
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing, together
+from facepipe.core.texts import table
 from facepipe.pipeline.scan_input import landmark_file
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.show import table
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.parts import Slider

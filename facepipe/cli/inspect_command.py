@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.rename import convention_of, convention_text
-from facepipe.cli.show import emit, table, warn
+from facepipe.cli.show import emit, warn
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.stage import Face

@@ -33,8 +33,9 @@ from facepipe.cli.neural_rig_apply import add_apply, apply
 from facepipe.cli.neural_rig_invert import add_invert, invert
 from facepipe.cli.neural_rig_retarget import add_retarget, retarget
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder, TrainedNeuralRig

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig.retarget_report import RetargetReport

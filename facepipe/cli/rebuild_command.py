@@ -43,8 +43,9 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_output, output_of
 from facepipe.cli.rebuild_report import RebuildPictures, check_folder, refined_line
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing_folder, together
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.pipeline.rebuild import Actor, RebuildReport

@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, options_from, output_of, picture_of
-from facepipe.cli.show import emit, table, warn
+from facepipe.cli.show import emit, warn
 from facepipe.core.errors import InputError
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -27,8 +27,9 @@ from typing import TYPE_CHECKING
 from facepipe.cli.parser import add_options, add_output
 from facepipe.cli.register_scan_request import Request, request_of
 from facepipe.cli.scan_picture import draw_fit
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing, together
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.pipeline.rebuild_stage import Made

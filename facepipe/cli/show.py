@@ -13,7 +13,6 @@ from typing import Any
 
 from facepipe.core.errors import printable
 from facepipe.core.reports import Report
-from facepipe.core.texts import table as table
 
 
 def emit(value: Report | dict[str, Any], text: str, *, as_json: bool) -> None:

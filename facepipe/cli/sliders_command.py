@@ -32,10 +32,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import named, output_of, pairs
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.cli.sliders_from_network import listed, network_json, network_text
 from facepipe.cli.sliders_from_shapes import add_shape_options, as_text, limit_files, maker_of, shape_flags
 from facepipe.core.errors import InputError
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Recipe, Slider

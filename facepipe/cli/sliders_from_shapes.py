@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, given_options
-from facepipe.cli.show import table
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.sliders import MadeSlider, ShapeSlidersReport, SlidersFromShapes

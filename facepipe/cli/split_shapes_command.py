@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.show import emit, table, warn
+from facepipe.cli.show import emit, warn
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild import SplitReport

@@ -27,8 +27,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.show import emit, progress, table, warn
+from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.amortised.pictures import Picture

@@ -12,8 +12,8 @@ import numpy as np
 
 import facepipe
 from facepipe.parts import FaceParts
-from facepipe.processors.blend import BlendRecipe, BlendSession, Weights, read_blend_recipe
-from facepipe.processors.blend.recipe import VERB
+from facepipe.performing import read_kept
+from facepipe.processors.blend import BlendFaces, BlendSession, Weights
 from facepipe.processors.blend.result import result_parts
 from facepipe.processors.blend.weights_json import weights_from_json
 
@@ -23,9 +23,8 @@ _DEFAULT = "default"
 class LiveBlend:
     """The blend that a recipe describes. Calls from several threads wait for each other."""
 
-    def __init__(self, recipe: BlendRecipe) -> None:
-        """:param recipe: of `read_blend_recipe`"""
-        self.sources, self.weights, self._recipe = recipe.sources, recipe.weights, recipe
+    def __init__(self, blend: BlendFaces) -> None:
+        self.sources, self.weights, self._blend = blend.sources, blend.weights or Weights(), blend
         self._lock = threading.Lock()
 
     @classmethod
@@ -36,12 +35,13 @@ class LiveBlend:
         :raises SchemaError: a stage without a face, or a damaged recipe
         """
         recipe = facepipe.open(path).parts().recipe
-        return cls(read_blend_recipe(path)) if recipe is not None and recipe.verb == VERB else None
+        made = recipe is not None and recipe.verb == BlendFaces.verb
+        return cls(BlendFaces(**read_kept(path, BlendFaces).values)) if made else None
 
     @cached_property
     def session(self) -> BlendSession:
         """The warm session; made when it is first needed, which takes seconds for a large face."""
-        return BlendSession([facepipe.open(path) for path in self.sources], self._recipe.options)
+        return BlendSession([facepipe.open(path) for path in self.sources], self._blend)
 
     @cached_property
     def base(self) -> FaceParts:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe.parts import FaceParts
-from facepipe.processors.blend import Blend, blend_recipe, read_blend_recipe
+from facepipe.performing import job_of, read_kept
+from facepipe.processors.blend import BlendFaces
 from facepipe.stage import Face, open_face
 
 
@@ -25,13 +26,12 @@ def reblended(path: Path) -> Reblended:
     :raises InputError: no recipe of a blend, a source that is gone
     :raises SchemaError, TopologyError: a damaged recipe, or sources that can't be blended any more
     """
-    recipe = read_blend_recipe(path)
-    sources = [open_face(one) for one in recipe.sources]
-    made = blend_recipe([str(one) for one in recipe.sources], path, recipe.weights, recipe.options)
+    kept = read_kept(path, BlendFaces)
+    blend = BlendFaces(**kept.values)
     with (
         tempfile.TemporaryDirectory() as folder,
-        sources[0].deriving(Path(folder) / "blended.usda", flatten=recipe.standalone) as face,
+        open_face(blend.base).deriving(Path(folder) / "blended.usda", flatten=kept.standalone) as face,
     ):
-        report = Blend(weights=recipe.weights, options=recipe.options)(face, sources, recipe=made)
+        report = blend.author(face, job_of(blend, path))
         parts = Face(face.stage, face.prim).parts()
-    return Reblended(parts=parts, warnings=(*recipe.warnings, *report.warnings))
+    return Reblended(parts=parts, warnings=(*kept.warnings, *report.warnings))

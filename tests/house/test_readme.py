@@ -14,7 +14,8 @@ import pytest
 from places import REPOSITORY
 
 from facepipe.cli import commands_of
-from facepipe.processors.blend import read_blend_recipe
+from facepipe.performing import read_kept
+from facepipe.processors.blend import BlendFaces
 
 SHARED = REPOSITORY.parent / "shared"
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
@@ -59,8 +60,8 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         "poses.usda",
         "jaw.fpb",
     } <= made
-    recipe = read_blend_recipe(folder / "live.usda")  # made in Python as the page says, it can be edited
-    assert [source.name for source in recipe.sources] == ["head.usda", "other.usda"]
+    kept = read_kept(folder / "live.usda", BlendFaces)  # made in Python as the page says, it can be edited
+    assert [source.name for source in kept.values["sources"]] == ["head.usda", "other.usda"]
 
 
 @pytest.mark.slow

@@ -6,10 +6,10 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.blend.blend import Blend
+    from facepipe.processors.blend.blend_action import BlendFaces
     from facepipe.processors.blend.matching import MatchReport, match
     from facepipe.processors.blend.options import BlendOptions
     from facepipe.processors.blend.quality import BlendReport
-    from facepipe.processors.blend.recipe import BlendRecipe, blend_recipe, read_blend_recipe
     from facepipe.processors.blend.session import BlendSession
     from facepipe.processors.blend.weights import Weights
 else:
@@ -17,13 +17,11 @@ else:
 
 __all__ = [
     "Blend",
+    "BlendFaces",
     "BlendOptions",
-    "BlendRecipe",
     "BlendReport",
     "BlendSession",
     "MatchReport",
     "Weights",
-    "blend_recipe",
     "match",
-    "read_blend_recipe",
 ]

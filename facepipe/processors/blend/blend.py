@@ -27,9 +27,8 @@ class Blend:
     ends of an edge, which can't satisfy ``M x = D``; here rows hold -1 and +1.
 
     >>> weights = Weights(regions={"eyes": (0.8, 0.2)})
-    >>> recipe = blend_recipe(["a.usda", "b.usda"], "blended.usda", weights)
     >>> with sources[0].deriving("blended.usda") as face:
-    ...     report = Blend(weights=weights)(face, sources, recipe=recipe)
+    ...     report = Blend(weights=weights)(face, sources)
 
     :raises InputError: weights or options of another type
     """
@@ -54,7 +53,7 @@ class Blend:
         """Blend and author the result on `face`, which stands over the first source.
 
         :param sources: the faces, or a session over them, whose options win
-        :param recipe: authored with the result (`blend_recipe` makes it); without, the result has none, whatever the
+        :param recipe: authored with the result ; without, the result has none, whatever the
             first source has
         :param done: called after every sculpt
         :raises InputError, TopologyError: sources, weights or options that can't be blended; nothing is authored then

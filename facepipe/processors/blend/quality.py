@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,9 @@ from facepipe.geometry.flips import triangle_normals, turned_triangles
 from facepipe.processors.blend.lids import LidContact, lid_contacts
 from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.session import BlendSession, Solution
+
+if TYPE_CHECKING:
+    from facepipe.processors.blend.matching import MatchReport
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -61,6 +65,7 @@ class BlendReport(Report):
     transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
+    match: MatchReport | None = None  # what found the weights
 
 
 def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, FloatArray]:

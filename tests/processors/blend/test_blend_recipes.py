@@ -22,7 +22,8 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
 from facepipe.parts import Recipe
-from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights, blend_recipe, read_blend_recipe
+from facepipe.performing import read_kept, recipe_to
+from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights
 from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
 from facepipe.stage import save_parts
 
@@ -32,13 +33,16 @@ from facepipe.stage import save_parts
 def test_a_recipe_reads_back_as_it_was_written(folder: Path) -> None:
     weights = Weights(regions={"mouth": (0.1, 0.2), "neck": (1, 0)}, gains=(1, 1 / 3), locked={"neck": 2})
     options = BlendOptions(missing="transfer", region_width_mm=2.5, keep_shape="Teeth", anchor="Head:1", solver="splu")
-    recipe = blend_recipe(["a.usda", Path("sub") / ".." / "b.usda"], Path("sub") / "c.usda", weights, options)
+    sources = (Path("a.usda"), Path("sub") / ".." / "b.usda")
+    recipe = recipe_to(BlendFaces(sources=sources, weights=weights, **dataclasses.asdict(options)), Path("sub/c.usda"))
     assert recipe.sources == ("../a.usda", "../b.usda")
     (folder / "sub").mkdir()
     save_parts(dataclasses.replace(made(0), recipe=recipe), Path("sub") / "c.usda")
-    again = read_blend_recipe("sub/c.usda")
-    assert again.sources == (folder.resolve() / "a.usda", folder.resolve() / "b.usda")
-    assert (again.weights, again.options, again.warnings) == (weights, options, ())
+    again = read_kept("sub/c.usda", BlendFaces)
+    assert again.values["sources"] == (folder.resolve() / "a.usda", folder.resolve() / "b.usda")
+    assert again.values["weights"] == weights
+    assert dataclasses.asdict(options).items() <= again.values.items()
+    assert again.warnings == ()
 
 
 def test_a_blend_has_the_recipe_given_or_none(folder: Path, capsys: Capsys) -> None:
@@ -53,7 +57,8 @@ def test_a_blend_has_the_recipe_given_or_none(folder: Path, capsys: Capsys) -> N
     assert "has no recipe" in failed(capsys, "blend", "--edit", "bare.usda", "-o", "d.usda")
     session = BlendSession(sources, BlendOptions(edges="cotangent"))
     with sources[0].deriving("c.usda") as face:
-        recipe = blend_recipe(["a.usda", "b.usda"], "c.usda", weights, session.options)
+        action = BlendFaces(sources=(Path("a.usda"), Path("b.usda")), weights=weights, edges="cotangent")
+        recipe = recipe_to(action, "c.usda")
         Blend(weights=weights)(face, session, recipe=recipe)
     done(capsys, "blend", "--edit", "c.usda", "-o", "again.usda")
     assert Path("again.usda").read_bytes() == Path("c.usda").read_bytes()
@@ -109,14 +114,18 @@ HOSTILE = [
     (lambda text: text.replace('recipe:version = "', 'recipe:version = "x'), "version 'x"),
     (lambda text: text.replace('["./a.usda", "./b.usda"]', "[]"), "0 sources and 2 digests"),
     (lambda text: text.replace('["./a.usda", "./b.usda"]', '["./a.usda", ""]'), "source 2"),
-    (lambda text: text.replace('["./a.usda", "./b.usda"]', '["./a.usda", "/dev/zero"]'), "no such file"),
-    (lambda text: text.replace('"./b.usda"]', f'"{"b" * 300}.usda"]'), "no such file"),
-    (lambda text: text.replace('["./a.usda", "./b.usda"]', '["./a.usda", "./a.usda"]'), "a source twice"),
+    (lambda text: text.replace("./b.usda", "/dev/zero"), "no such file"),
+    (lambda text: text.replace("./b.usda", f"{'b' * 300}.usda"), "no such file"),
+    (lambda text: text.replace("./b.usda", "./a.usda"), "a source twice"),
+    (
+        lambda text: text.replace('sources = ["./a.usda", "./b', 'sources = ["./a.usda", "./c'),
+        "expected one of the sources",
+    ),
     (lambda text: text.replace('["./a.usda", "./b.usda"]', "3"), "c.usda"),
     (replaced_options(lambda options: "nothing"), "no JSON"),
     (replaced_options(lambda options: "[" * 100_000), "no JSON"),
     (replaced_options(lambda options: "[1]"), "options are damaged"),
-    (replaced_options(lambda options: options.pop("weights")), "options are damaged"),
+    (replaced_options(lambda options: options.pop("sources") and 0), "no 'sources', expected one"),
     (replaced_options(lambda options: options.update(weights=3) or 0), "expected a JSON object"),
     (replaced_options(lambda options: options["weights"].update(regions={"mouth": "ab"}) or 0), "list of numbers"),
     (replaced_options(lambda options: options["weights"].update(regions={"mouth": [1]}) or 0), "1 weights, expected 2"),
@@ -126,11 +135,11 @@ HOSTILE = [
     (replaced_options(lambda options: options["weights"].update(default=[float("nan"), 1]) or 0), "weight nan"),
     (replaced_options(lambda options: options["weights"].update(locked={"mouth": 7}) or 0), "from 1 to 2"),
     (replaced_options(lambda options: options["weights"].update(locked={"mouth": 1.5}) or 0), "number of a source"),
-    (replaced_options(lambda options: options["options"].update(edges="both") or 0), "uniform, cotangent"),
-    (replaced_options(lambda options: options["options"].update(static_mm=-1) or 0), "number from 0 to 100"),
-    (replaced_options(lambda options: options["options"].update(static_mm="1") or 0), "a finite number"),
-    (replaced_options(lambda options: options["options"].update(anchor=[]) or 0), "a text or null"),
-    (replaced_options(lambda options: options["options"].update(speed=1) or 0), "option 'speed' is unknown"),
+    (replaced_options(lambda options: options.update(edges="both") or 0), "uniform, cotangent"),
+    (replaced_options(lambda options: options.update(static_mm=-1) or 0), "number from 0 to 100"),
+    (replaced_options(lambda options: options.update(static_mm="1") or 0), "a finite number"),
+    (replaced_options(lambda options: options.update(anchor=[]) or 0), "a text or null"),
+    (replaced_options(lambda options: options.update(speed=1) or 0), "option 'speed' is unknown"),
 ]
 
 
@@ -275,7 +284,7 @@ def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
         (("--edit", "c.usda", "--unlock", "mouth", "-o", "d.usda"), "--unlock mouth: is not locked"),
         (("--edit", "c.usda", "--lock", "mouth=3", "-o", "d.usda"), "source 3, expected a number from 1 to 2"),
         (("--edit", "c.usda", "--replace", "3=other.usda", "-o", "d.usda"), "no such source, expected a number from 1"),
-        (("--edit", "c.usda", "--replace", "other.usda", "-o", "d.usda"), "expected N=FACE"),
+        (("--edit", "c.usda", "--replace", "other.usda", "-o", "d.usda"), "expected N=FILE"),
         (("--edit", "c.usda", *("--replace", "2=other.usda") * 2, "-o", "d.usda"), "--replace 2=...: given twice"),
         (("--edit", "c.usda", "--replace", "2=gone.usda", "-o", "d.usda"), "gone.usda: no such file"),
         (("--edit", "c.usda", "--replace", "2=a.usda", "-o", "d.usda"), "a source twice"),
@@ -294,7 +303,7 @@ def test_weights_of_a_file_respect_locks_too(folder: Path, capsys: Capsys) -> No
     assert "locked to source 2" in failed(capsys, "blend", "--edit", "c.usda", "--weights", "w.json", "--force")
     done(capsys, "blend", "--edit", "c.usda", "--weights", "w.json", "--unlock", "neck", "--force")
     regions = {"mouth": (0.75, 0.25), "neck": (1.0, 0.0)}
-    assert read_blend_recipe("c.usda").weights == Weights(regions=regions, default=(0.5, 0.5))
+    assert read_kept("c.usda", BlendFaces).values["weights"] == Weights(regions=regions, default=(0.5, 0.5))
 
 
 def test_layers_that_a_source_stands_on_are_not_overwritten(folder: Path, capsys: Capsys) -> None:
@@ -302,3 +311,19 @@ def test_layers_that_a_source_stands_on_are_not_overwritten(folder: Path, capsys
     done(capsys, "blend", "c.usda", "b.usda", "-o", "d.usda")
     assert "needed by" in failed(capsys, "blend", "d.usda", "b.usda", "-o", "a.usda", "--force")
     assert "needed by" in failed(capsys, "blend", "--edit", "c.usda", "--replace", "2=d.usda", "--force")
+
+
+def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
+    weights = {"regions": {"mouth": [0.75, 0.25]}, "default": None, "gains": None, "locked": {"neck": 2}}
+    old = Recipe(
+        verb="blend",
+        sources=("./a.usda", "./b.usda"),
+        digests=("sha256:1", "sha256:2"),
+        options={"weights": weights, "options": {"edges": "cotangent", "static_mm": 0.5}},
+        version="0.1.0",
+    )
+    save_parts(dataclasses.replace(made(0), recipe=old), Path("c.usda"))
+    values = read_kept("c.usda", BlendFaces).values
+    assert values["sources"] == (folder.resolve() / "a.usda", folder.resolve() / "b.usda")
+    assert weights_to_json(values["weights"]) == weights
+    assert (values["edges"], values["static_mm"]) == ("cotangent", 0.5)
