@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from facepipe.core.errors import InputError
-from facepipe.declare import option
+from facepipe.declare import check_ranges, option
 
 LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
 WIDEST_EDGE, WIDEST_FOOTPRINT = 8, 256  # texels
@@ -33,22 +32,21 @@ class MapSampling:
     """
 
     tolerance: float = option(
-        8.0, "distance to a legend colour that still is that colour", unit="RGB, 0 to 255 a channel"
+        8.0,
+        "distance to a legend colour that still is that colour",
+        0,
+        LARGEST_RGB_DISTANCE,
+        unit="RGB, 0 to 255 a channel",
     )
-    edge: int = option(2, "how far antialiased borders run, and paint counts beyond its end", unit="texels")
-    footprint: int = option(1, "side of the square averaged at a point; 1: its texel", unit="texels")
+    edge: int = option(2, "how far antialiased borders run, and paint counts beyond its end", 0, WIDEST_EDGE, "texels")
+    footprint: int = option(1, "side of the square averaged at a point; 1: its texel", 1, WIDEST_FOOTPRINT, "texels")
     tile: int | None = option(
-        FIRST_TILE, "UDIM tile that the map covers, or `all`: it repeats in every tile", parse=tile_number
+        FIRST_TILE,
+        "UDIM tile that the map covers, or `all`: it repeats in every tile",
+        FIRST_TILE,
+        LAST_TILE,
+        parse=tile_number,
     )
 
     def __post_init__(self) -> None:
-        _check("tolerance", self.tolerance, 0, LARGEST_RGB_DISTANCE)
-        _check("edge", self.edge, 0, WIDEST_EDGE)
-        _check("footprint", self.footprint, 1, WIDEST_FOOTPRINT)
-        if self.tile is not None:
-            _check("tile", self.tile, FIRST_TILE, LAST_TILE)
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(name, f"{value}, expected {low:g} to {high:g}")
+        check_ranges(self)

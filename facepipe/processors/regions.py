@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, select
 from facepipe.core.reports import Report
+from facepipe.core.texts import table
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.geometry.region_texels import Image8
@@ -211,6 +213,20 @@ def count_regions(masks: Masks) -> dict[str, RegionCount]:
         )
         for name, column, first in zip(masks, table.T, most, strict=True)
     }
+
+
+def region_table(regions: Mapping[str, RegionCount]) -> str:
+    """How much of the points each region has, for people."""
+    rows = [[name, one.points, one.most, f"{one.share * 100:.1f}%"] for name, one in regions.items()]
+    return table([["region", "points", "most of", "share"], *rows])
+
+
+def draw_regions(face: Face, path: Path) -> None:
+    """A picture of the regions on the face, in its order a colour each."""
+    from facepipe.pictures import PictureOptions, RegionColors, picture, save_png
+
+    parts = face.parts()
+    save_png(picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.of(parts))), path)
 
 
 def _author(face: Face, name: str, masks: Masks) -> None:

@@ -145,6 +145,8 @@ CASES = {
         ("regions", "face.usda", "--map", "map.png", "--legend", "legend.json", "--edge", "1"),
         _mapped,
         lambda: _text("legend.json", json.dumps(legend_of(["lips", "chin"]))),
+        edit=("--tile", "all"),
+        older={"mesh": None, "uv_set": None, "tolerance": 8.0, "edge": 1, "footprint": 1, "tile": 1001},
     ),
     "skin": Case(
         ("skin", "face.usda", "--joints", "joints.json", "--influences", "2"),
