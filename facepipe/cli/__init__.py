@@ -38,7 +38,6 @@ COMMANDS = {
     "fit-bones": "bring bones to targets, within limits",
     "fit-photo": "find a person's sliders in photos",
     "train-photo": "train a network that guesses where a photo fit starts",
-    "animate": "put a captured performance on a face",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "view": "look at a face in the browser",

@@ -16,7 +16,6 @@ from facepipe.performing import again
 
 # verb of a recipe -> its module
 VERBS = {
-    "animate": "facepipe.pipeline.animate",
     "fit-bones": "facepipe.pipeline.fit_bones",
     "fit-neutral": "facepipe.pipeline.fit_neutral",
     "fit-photo": "facepipe.pipeline.fit_photo",

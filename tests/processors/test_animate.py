@@ -24,8 +24,8 @@ from facepipe.heads import make as make_sample
 from facepipe.importers import load
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
-from facepipe.pipeline.animate import AnimateJob, make
-from facepipe.processors.animate import AnimateOptions, Performance, read_performance
+from facepipe.performing import perform
+from facepipe.processors.animate import Animate, Performance, read_performance
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]
@@ -192,7 +192,7 @@ def test_cut_and_resampled() -> None:
 def test_the_clip_is_what_usdskel_plays(head: Path, tmp_path: Path) -> None:
     values = live_link.performance(12)
     out = tmp_path / "take.usda"
-    report = make(AnimateJob(face=head, clip=live_link.write(tmp_path / "take 1.csv", values), out=out))
+    report = perform(Animate(face=head, clip=live_link.write(tmp_path / "take 1.csv", values)), out).report
     assert (report.animation, report.frames, len(report.shapes)) == ("take_1", 12, 52)
     assert report.joints == {"Head": "root/neck/head"}
     assert set(report.no_target) == {name for name in live_link.ANGLES if "Eye" in name}
@@ -251,7 +251,7 @@ def moved(parts: FaceParts, angles: dict[str, float], folder: Path, **options: s
     path, out = folder / "face.usda", folder / "out.usda"
     save_parts(parts, path)
     clip = table(folder / "a.csv", ",".join(["jawOpen", *angles]), np.array([[0.0, *angles.values()]] * 2))
-    make(AnimateJob(face=path, clip=clip, out=out, options=AnimateOptions(**options)))  # type: ignore[arg-type]
+    perform(Animate(face=path, clip=clip, **options), out)  # type: ignore[arg-type]
     face = facepipe.open(out)
     local, weights = face.sample("a", 1)
     motion = face.evaluate(weights, joint_transforms=local) - face.evaluate()
@@ -306,7 +306,7 @@ def test_names_of_another_convention_and_of_both_sides(tmp_path: Path) -> None:
     path, out = tmp_path / "face.usda", tmp_path / "out.usda"
     save_parts(replace(parts, meshes=(replace_mesh(head, blendshapes=(*shapes, right)),)), path)
     clip = table(tmp_path / "a.csv", "JawOpen,mouthSmile,tongueOut", np.array([[0.25, 0.5, 1.0]] * 2))
-    report = make(AnimateJob(face=path, clip=clip, out=out))
+    report = perform(Animate(face=path, clip=clip), out).report
     assert facepipe.open(out).sample("a", 1)[1] == {"jaw_open": 0.25, "mouthSmile_L": 0.5, "mouthSmile_R": 0.5}
     assert report.renamed == {"JawOpen": "jaw_open", "mouthSmile": "mouthSmile_L, mouthSmile_R"}
     assert set(report.no_target) == {"tongueOut"}
@@ -329,7 +329,7 @@ def test_what_no_shape_means_moves_sliders(tmp_path: Path) -> None:
     save_parts(slid(), path)
     rows = np.random.default_rng(2).random((4, 3))
     clip = table(tmp_path / "a.csv", "JawDrop,eyeLookUpLeft,mouthSmileLeft", rows)
-    report = make(AnimateJob(face=path, clip=clip, out=out))
+    report = perform(Animate(face=path, clip=clip), out).report
     assert (report.sliders, report.shapes) == (("jaw_drop", "eyeLookUp_L"), ("mouthSmileLeft",))
     face = facepipe.open(out)
     for index, (drop, look, smile) in enumerate(rows):
@@ -350,7 +350,7 @@ def test_a_joint_that_a_slider_moves_turns_with_the_head_and_an_eye_not_twice(tm
     ):
         rows = np.array([[0.3, 1.0, 0.0, 0.2] if name == "both" else [0.3 if name == "turn" else 1.0]] * 2)
         clip, out = table(tmp_path / f"{name}.csv", header, rows), tmp_path / f"{name}.usda"
-        report = make(AnimateJob(face=path, clip=clip, out=out))
+        report = perform(Animate(face=path, clip=clip), out).report
         local[name] = facepipe.open(out).sample(name, 1)[0][1]
     assert report.no_target == {"LeftEyeYaw": "eyeLookUp_L and its like turn this eye"}
     rest = boned().skeleton.rest_transforms[1]
@@ -362,8 +362,8 @@ def test_trim_resample_and_offset(tmp_path: Path) -> None:
     path, out = tmp_path / "face.usda", tmp_path / "out.usda"
     save_parts(tiny_face(), path)
     clip = table(tmp_path / "a.csv", "jawOpen", np.arange(121.0)[:, None] / 120)
-    options = AnimateOptions(start=0.5, end=1.5, resample=24.0, offset=2.0)
-    report = make(AnimateJob(face=path, clip=clip, out=out, name="part", options=options))
+    animate = Animate(face=path, clip=clip, name="part", start=0.5, end=1.5, resample=24.0, offset=2.0)
+    report = perform(animate, out).report
     assert (report.frames, report.start, report.end, report.frames_per_second) == (25, 2.0, 3.0, 24.0)
     face = facepipe.open(out)
     assert face.animations[-1].name == "part"
@@ -492,7 +492,7 @@ def three_agrees(path: Path, frames: list[int], folder: Path) -> float:
 def test_a_short_recording_plays_in_three_js(head: Path, tmp_path: Path) -> None:
     node_packages()
     clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(90)), tmp_path / "out.usda"
-    make(AnimateJob(face=head, clip=clip, out=out))
+    perform(Animate(face=head, clip=clip), out)
     assert three_agrees(out, [0, 1, 41, 89], tmp_path) < 1e-5
 
 
@@ -504,7 +504,7 @@ def test_a_minute_plays_in_three_js(name: str, head: Path, tmp_path: Path) -> No
     if name == "ict":
         save_parts(load("ict", shared("ict_facekit/ict_facekit.npz"), IctOptions()).parts, face)
     clip = live_link.write(tmp_path / "take.csv", live_link.performance(3600))
-    report = make(AnimateJob(face=face if name == "ict" else head, clip=clip, out=out))
+    report = perform(Animate(face=face if name == "ict" else head, clip=clip), out).report
     assert (report.frames, report.end) == (3600, 3599 / 60)
     assert len(report.shapes) == (53 if name == "ict" else 52)
     assert three_agrees(out, [*range(0, 3600, 97), 3599], tmp_path) < 1e-5
@@ -513,7 +513,7 @@ def test_a_minute_plays_in_three_js(name: str, head: Path, tmp_path: Path) -> No
 def test_a_long_clip_in_our_glb_comes_back_exactly(head: Path, tmp_path: Path) -> None:
     """Inbetweens put keys of their own beside those of frames; far from 0 these are near in float32."""
     clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(240)), tmp_path / "out.usda"
-    make(AnimateJob(face=head, clip=clip, out=out, options=AnimateOptions(offset=60.0)))
+    perform(Animate(face=head, clip=clip, offset=60.0), out)
     assert main(["export", str(out), "-o", str(tmp_path / "take.glb"), "--animations"]) == 0
     imported = load("gltf", tmp_path / "take.glb", GltfOptions())
     assert not any("differently" in line for line in imported.warnings)

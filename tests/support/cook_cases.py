@@ -108,9 +108,11 @@ _JOINTS = '{"unit": "mm", "joints": {"head": {"position": [0, 40, -20]}, "head/j
 _MORE = TABLE + '[slider.up]\nchannels = { "jaw:ty" = 0.25 }\n'
 CASES = {
     "animate": Case(
-        ("animate", "face.usda", "take.csv", "--resample", "24", "--offset", "0.5"),
+        ("animate", "face.usda", "take.csv", "--resample", "24", "--offset", "0.5", "--name", "hello"),
         _performed,
         lambda: _text("take.csv", "jawOpen\n0\n0.5\n1\n"),
+        edit=("--start", "0.01", "--no-name"),
+        older={"name": "hello", "resample": 24.0, "offset": 0.5},
     ),
     "apply-bones": Case(
         ("apply-bones", "face.usda", "pose.fpb", "--name", "open"),
