@@ -49,4 +49,24 @@ def _blend(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, An
     return {"sources": list(sources), "weights": options["weights"], **options["options"]}
 
 
-_REWRITES = {"blend": _blend, "skin": _skin}
+_MEASURED = ("quality", "fit")
+
+
+def _stage(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    """Stages of a rebuild: files and options under one name each, and what was found among what was given."""
+    files, own = options.get("files", {}), options.get("options", {})
+    if not isinstance(files, Mapping) or not isinstance(own, Mapping) or (FOUND in options and "files" not in options):
+        return options
+    found = {name: options[name] for name in _MEASURED if name in options}
+    of_split = "weights" if "expressions" in files else FOUND
+    found |= {"weights": options[of_split]} if of_split in options else {}
+    kept = {name: value for name, value in options.items() if name not in ("files", "options", of_split, *_MEASURED)}
+    return {**files, **own, **kept, **({FOUND: found} if found else {})}
+
+
+_STAGES = ("fit-neutral", "refine-neutral", "personal-template", "register-scan", "split-shapes", "rebuild")
+_REWRITES = {
+    "blend": _blend,
+    "skin": _skin,
+    **dict.fromkeys(_STAGES, _stage),
+}

@@ -43,7 +43,6 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "database": "collect faces: models of identity and expressions",
-    "fit-neutral": "fit a face to the scan of a person",
     "refine-neutral": "draw a neutral, or regions of it, closer to its scan",
     "personal-template": "make a person's starting shapes",
     "register-scan": "put a person's face on the scan of an expression",

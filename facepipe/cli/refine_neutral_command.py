@@ -27,11 +27,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of, pairs, picture_of
-from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing, together
 from facepipe.core.texts import table
-from facepipe.pipeline.scan_input import landmark_file
+from facepipe.processors.rebuild.scan_input import landmark_file
 
 if TYPE_CHECKING:
     from facepipe.pipeline.rebuild_stage import Made
@@ -83,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _make(job: RefineJob, picture: Path | None) -> Made[RefineReport]:
     """Write the stage and the picture, or neither."""
     from facepipe.pipeline.refine_neutral import make
+    from facepipe.processors.rebuild.scan_picture import draw_fit
 
     with together(job.out), ExitStack() as files:
         image = None if picture is None else files.enter_context(replacing(picture))

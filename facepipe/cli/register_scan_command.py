@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, add_output
 from facepipe.cli.register_scan_request import Request, request_of
-from facepipe.cli.scan_picture import draw_fit
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing, together
 from facepipe.core.texts import table
@@ -79,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _make(request: Request) -> Made[CompositeReport]:
     """Write the stage and the picture, or neither."""
     from facepipe.pipeline.register_scan import make
+    from facepipe.processors.rebuild.scan_picture import draw_fit
 
     with together(request.job.out), ExitStack() as files:
         image = None if request.picture is None else files.enter_context(replacing(request.picture))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from facepipe.cli.parser import options_from, output_of, pairs, picture_of
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier
-from facepipe.pipeline.scan_input import landmark_file
+from facepipe.processors.rebuild.scan_input import landmark_file
 
 if TYPE_CHECKING:
     from facepipe.pipeline.register_job import RegisterJob

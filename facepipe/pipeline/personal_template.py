@@ -7,11 +7,11 @@ from pathlib import Path
 
 from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import read_stage_recipe
-from facepipe.pipeline.scan_input import named
 from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import load_database
 from facepipe.processors.rebuild import PersonalTemplate, PersonalTemplateOptions, Template
 from facepipe.processors.rebuild.author_personal import VERB, AuthorPersonal, PersonalReport, personal_recipe
+from facepipe.processors.rebuild.scan_input import named
 from facepipe.stage import open_face
 
 

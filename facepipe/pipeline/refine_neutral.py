@@ -12,7 +12,6 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pipeline.rebuild_stage import Made, StageRecipe, read_stage_recipe
-from facepipe.pipeline.scan_input import landmarks_of, named
 from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import QualityLimits, misses, whole_face
 from facepipe.processors.rebuild import (
@@ -26,6 +25,7 @@ from facepipe.processors.rebuild import (
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.processors.rebuild.neutral_recipe import REFINED, flipped_before, refined_recipe, shown_before
 from facepipe.processors.rebuild.region_weights import region_weights
+from facepipe.processors.rebuild.scan_input import landmarks_of, named
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.scans import Scan
 from facepipe.stage import open_face

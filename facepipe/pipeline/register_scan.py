@@ -10,7 +10,6 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import Made
 from facepipe.pipeline.register_job import RegisterJob, recipe_job
-from facepipe.pipeline.scan_input import landmarks_of, named
 from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import Quality, QualityLimits, WholeFace, misses, whole_face
 from facepipe.processors.rebuild import (
@@ -24,6 +23,7 @@ from facepipe.processors.rebuild import (
 )
 from facepipe.processors.rebuild.expression_file import author_expression
 from facepipe.processors.rebuild.neutral_place import placed_neutral
+from facepipe.processors.rebuild.scan_input import landmarks_of, named
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.scans import Scan
 from facepipe.stage import open_face

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 from facepipe.kinds import Watch
 from facepipe.pipeline.rebuild_stage import read_stage_recipe
-from facepipe.pipeline.scan_input import named
 from facepipe.pipeline.verbs import Cooked
 from facepipe.processors.database import whole_face
 from facepipe.processors.rebuild import SplitExpressions, SplitExpressionsOptions, SplitReport, Template
 from facepipe.processors.rebuild.author_split import VERB, SplitFiles, author_shapes
 from facepipe.processors.rebuild.expression_file import read_expression
+from facepipe.processors.rebuild.scan_input import named
 from facepipe.stage import open_face
 
 _MOST_LEFT_MM = 2.0  # 95th percentile of what shapes leave of an expression

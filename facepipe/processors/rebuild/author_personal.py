@@ -12,6 +12,7 @@ import numpy.typing as npt
 from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
 from facepipe.declare import to_json
+from facepipe.older_recipes import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
@@ -98,7 +99,7 @@ def personal_recipe(
     """
     files = {"neutral": neutral, "template": template}
     files |= {} if database is None else {"database": database}
-    kept = {} if before is None or "quality" not in before.options else {"quality": before.options["quality"]}
+    kept = {} if before is None or "quality" not in found_of(before) else {"quality": found_of(before)["quality"]}
     return stage_recipe(VERB, files, out, {"options": to_json(options), **kept})
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from facepipe.core.errors import InputError
 from facepipe.declare import to_json
 from facepipe.geometry.flips import flipped_triangles
+from facepipe.older_recipes import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, quality_from
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
@@ -98,8 +99,8 @@ def seen_shapes(fit: SplitFit) -> tuple[str, ...]:
 
 
 def _quality(before: Recipe | None, where: str, flipped: int) -> Mapping[str, object]:
-    if before is None or "quality" not in before.options:
+    if before is None or "quality" not in found_of(before):
         return {}
-    quality = quality_from(before.options["quality"], f"{where} -> recipe -> quality")
+    quality = quality_from(found_of(before)["quality"], f"{where} -> recipe -> quality")
     counted = replace(quality, flipped_triangles=quality.flipped_triangles + flipped)
     return {"quality": to_json(counted)}

@@ -13,6 +13,7 @@ from command_line import content, done
 from neutral_files import Files
 from rebuild_project import PROJECT, rebuilt
 
+from facepipe.core.atomic import apart
 from facepipe.kinds import Bar, unwatched
 from facepipe.pipeline import cook
 
@@ -91,7 +92,8 @@ def test_a_scan_that_changes_while_it_is_fitted_is_fitted_again(files: Files, ca
         nonlocal fits
         fits += 1
         if fits == 1:
-            files.put(*scan_domes.scan(7))
+            with apart():  # as another process writes
+                files.put(*scan_domes.scan(7))
         with unwatched(label, steps) as bar:
             yield bar
 

@@ -15,21 +15,24 @@ from command_line import done, failed, run
 from database_faces import person, source
 from import_data import shared
 from neutral_files import PERSON, Files
+from old_stages import QUALITY, old_recipe
 from PIL import Image
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.declare import to_json
 from facepipe.geometry.similarity import fit_similarity
+from facepipe.older_recipes import found_of
+from facepipe.performing import read_kept
 from facepipe.processors.database import (
     Topology,
     WholeFace,
     create_database,
-    quality_from,
     save_database,
     whole_points,
 )
 from facepipe.processors.rebuild import FitNeutralOptions
+from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
@@ -81,8 +84,31 @@ def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.Captu
     assert recipe.verb == "fit-neutral"
     assert recipe.sources == ("../head.usda", "../scan.ply", "../faces.fpdb", "../scan.landmarks.json")
     assert recipe.digests == tuple(source_digest(out.parent / one) for one in recipe.sources)
-    assert recipe.options["options"] == {**to_json(FitNeutralOptions(unit="cm")), "prior": 0.2}
-    assert quality_from(recipe.options["quality"], "recipe") == quality_from(json.loads(text)["quality"], "report")
+    assert {**to_json(FitNeutralOptions(unit="cm")), "prior": 0.2}.items() <= recipe.options.items()
+    assert found_of(recipe)["quality"] == json.loads(text)["quality"]
+
+
+def test_a_recipe_of_the_release_before_is_read(files: Files) -> None:
+    made_of = {"template": "head.usda", "scan": "scan.ply", "database": "faces.fpdb"}
+    given = {"options": {"unit": "cm"}, "weights": {"jawOpen": 0.1}, "found": {"jawOpen": 0.12}}
+    old = old_recipe("fit-neutral", made_of, **given)
+    assert found_of(old) == {"quality": QUALITY, "weights": {"jawOpen": 0.12}}
+    save_parts(replace(scan_domes.face(), recipe=old), files["old.usda"])
+    kept = read_kept(files["old.usda"], FitNeutralAction).values
+    assert kept == {**{what: files[name] for what, name in made_of.items()}, "unit": "cm", "weights": {"jawOpen": 0.1}}
+
+
+def test_edit_changes_what_is_given(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+    """A scan that is given comes with its own landmarks."""
+    done(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"), quiet=False)
+    files.put(*scan_domes.scan(8), "other.ply")
+    edit = ("fit-neutral", files["other.ply"], "--edit", files["out.usda"], "--no-weights", "--prior", 0.2)
+    done(capsys, *edit, "-o", files["edited.usda"], quiet=False)
+    kept = read_kept(files["edited.usda"], FitNeutralAction).values
+    assert (kept["scan"], kept["landmarks"]) == (files["other.ply"], files["other.landmarks.json"])
+    assert (kept["unit"], kept["prior"], kept["weights"]) == ("cm", 0.2, {})
+    done(capsys, *files.words("--unit", "cm", "--prior", 0.2, "--force", scan="other.ply"), quiet=False)
+    assert files["edited.usda"].read_bytes() == files["out.usda"].read_bytes()
 
 
 def test_the_same_scan_gives_the_same_bytes(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

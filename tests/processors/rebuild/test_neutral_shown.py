@@ -13,9 +13,9 @@ from command_line import done, failed
 from expression_domes import OWN, PERSON, SIDE
 
 import facepipe
-from facepipe.geometry.similarity import Similarity
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.older_recipes import found_of
 from facepipe.processors.database import save_database, whole_face, whole_points
 from facepipe.processors.rebuild import (
     ExpressionScan,
@@ -28,6 +28,7 @@ from facepipe.processors.rebuild import (
 )
 from facepipe.processors.rebuild.neutral_place import placed_neutral
 from facepipe.processors.rebuild.scan_distances import scan_distances
+from facepipe.processors.rebuild.scan_picture import FaceOnScan
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 
@@ -85,27 +86,26 @@ def test_what_is_named_is_not_in_the_neutral(drawer: Path, tmp_path: Path, capsy
     recipe = facepipe.open(tmp_path / "named.usda").parts().recipe
     assert recipe is not None
     assert recipe.options["weights"] == {"browUp": GIVEN}
-    assert recipe.options["found"] == told["weights"]
+    assert found_of(recipe)["weights"] == told["weights"]
 
 
 def test_the_picture_shows_what_the_scan_does(
     drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn: list[np.ndarray] = []
+    drawn: list[FaceOnScan] = []
 
-    def draw(
-        path: Path, template: Template, points: np.ndarray, scan: Scan, place: Similarity, neutral: np.ndarray
-    ) -> None:
+    def draw(shown: FaceOnScan, path: Path) -> None:
         path.write_bytes(b"")
-        drawn.extend([points, neutral, scan_distances(template, points, scan, place)])
+        drawn.append(shown)
 
-    monkeypatch.setattr("facepipe.cli.fit_neutral_command.draw_fit", draw)
+    monkeypatch.setattr(FaceOnScan, "draw", draw)
     more = ("--weights", f"browUp={GIVEN}", "--picture", tmp_path / "sheet.png")
     neutral, _ = fitted(drawer, tmp_path / "named.usda", capsys, *more)
-    points, without, distances = drawn
-    assert np.abs(without[:DOME] - neutral).max() < 1e-3
-    assert np.abs(points[:DOME] - neutral - lifted()).max() < 0.5
-    assert np.nanmean(distances) < 0.05
+    (shown,) = drawn
+    assert shown.neutral is not None
+    assert np.abs(shown.neutral[:DOME] - neutral).max() < 1e-3
+    assert np.abs(shown.points[:DOME] - neutral - lifted()).max() < 0.5
+    assert np.nanmean(scan_distances(shown.template, shown.points, shown.scan, shown.place)) < 0.05
 
 
 def test_bad_weights_are_told_in_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -193,7 +193,7 @@ def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys:
     write_ply(opened, folder / "anna.ply")
     write_scan_landmarks(ScanLandmarks(points=marks), folder / "anna.landmarks.json")
     off = []
-    told = {"quality": _QUALITY.__dict__, "found": {"jawOpen": weight}}
+    told = {"found": {"quality": _QUALITY.__dict__, "weights": {"jawOpen": weight}}}
     for options, more in ((told, ()), ({}, ("--weights", f"jawOpen={weight}")), ({}, ())):
         save_parts(replace(_neutral(), recipe=Recipe(verb="fit-neutral", options=options)), folder / "anna.usda")
         done(capsys, *_words(folder, "--force", *more))

@@ -1,23 +1,47 @@
-"""Scans and their landmarks as stages of a rebuild take them."""
+"""Scans and their landmarks as the actions of a rebuild take them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from facepipe.core.errors import FacepipeError
+from facepipe.kinds import StageAction
 
 if TYPE_CHECKING:
+    from facepipe.processors.rebuild.judged import Judged
     from facepipe.scans import Scan, ScanLandmarks
+    from facepipe.stage import Face
+
+J = TypeVar("J", bound="Judged")
+
+
+class ScanAction(StageAction[J]):
+    """Base of the actions that put a face on a scan."""
+
+    @classmethod
+    def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
+        for scan, landmarks in (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks")):
+            if getattr(arguments, scan, None) and not hasattr(arguments, landmarks):
+                values.pop(landmarks, None)  # of the recipe's scan
+        return values
+
+    def missed(self, report: J) -> bool:
+        return bool(report.missed)
+
+    def draw(self, face: Face, report: J, path: Path) -> None:
+        """The picture of scan, face and their distance."""
+        if report.picture is not None:
+            report.picture.draw(path)
 
 
 def landmark_file(scan: Path, given: Path | None) -> Path | None:
     """The landmarks given, or those that lie beside the scan."""
     if given is not None:
         return Path(given)
-    beside = scan.with_name(f"{scan.stem}.landmarks.json")
+    beside = Path(scan).with_name(f"{Path(scan).stem}.landmarks.json")
     return beside if beside.exists() else None
 
 

@@ -1,0 +1,108 @@
+"""Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
+
+SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of any pose and unit, whole or in part.
+Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
+scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
+which needs `pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
+
+The neutral has open eyes and a mouth at rest. Where SCAN shows something else, such as closed eyes, --weights says so
+with the template's shapes; the neutral is without them, the picture with them.
+
+OUT is an override layer over the template, whose blendshapes, rig, regions, materials and sliders it keeps; joints
+move with the skin. --flatten writes a standalone file. --picture shows scan, face and their distance. Exit code 1:
+done, but a limit of the quality gate of `facepipe database add` is missed.
+
+examples:
+  facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
+  facepipe fit-neutral anna.glb --template head.usda --database faces.fpdb --landmarks marks.json --unit cm -o a.usda
+  facepipe fit-neutral ben.ply --template head.usda --database faces.fpdb -o ben.usda \\
+      --weights eyeBlinkLeft=1 eyeBlinkRight=1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.texts import table
+from facepipe.declare import beside, named_numbers, option, source, to_json
+from facepipe.kinds import Job, action
+from facepipe.processors.rebuild.options import FitNeutralOptions
+from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
+
+if TYPE_CHECKING:
+    from facepipe.processors.rebuild.judged import FitNeutralReport
+    from facepipe.stage import Face
+
+_STEPS = 18  # of a fit, at most
+
+
+@action("fit-neutral", "fit a face to the scan of a person")
+@dataclass(frozen=True, kw_only=True)
+class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
+    """The action."""
+
+    template: Path = source("face stage with multipie68 landmarks", flag="--template", metavar="FACE")
+    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD")
+    database: Path = source("faces of the template's topology: .fpdb", flag="--database", metavar="FPDB")
+    landmarks: Path | None = source(
+        "landmarks of the scan (default SCAN's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
+    )
+    weights: Mapping[str, float] = option(
+        dict,
+        "shapes that the scan shows besides the neutral, weights above 0 up to 2",
+        parse=named_numbers,
+        metavar="SHAPE=WEIGHT",
+        words=True,
+    )
+    picture: Path | None = beside("draw scan, face and their distance", ".png", "draw")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "landmarks", landmark_file(self.scan, self.landmarks))
+
+    def author(self, face: Face, job: Job) -> FitNeutralReport:
+        from facepipe.importers.scan_file import read_scan
+        from facepipe.processors.database import QualityLimits, load_database, misses
+        from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+        from facepipe.processors.rebuild.fit_neutral import FitNeutral
+        from facepipe.processors.rebuild.judged import FitNeutralReport
+        from facepipe.processors.rebuild.scan_input import landmarks_of, named
+        from facepipe.processors.rebuild.scan_picture import FaceOnScan
+        from facepipe.processors.rebuild.template import Template
+
+        template = Template.of(face.parts(), str(self.template))
+        database, scan = load_database(self.database), read_scan(self.scan)
+        landmarks, found = landmarks_of(self.landmarks, scan)
+        with named(self.scan), job.watch("fit", _STEPS) as bar:
+            fit = FitNeutral(options=self)(template, scan, landmarks, database, lambda step: bar.update(), self.weights)
+        report = fit.report
+        recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
+        authored = AuthorNeutral()(face, fit.points, recipe=recipe)
+        neutral = fit.points if report.weights else None
+        shown = FaceOnScan(
+            template=template, points=fit.points + fit.expression, scan=scan, place=fit.place, neutral=neutral
+        )
+        missed = misses(report.quality, QualityLimits())
+        warnings = (*found, *report.warnings, *authored.warnings)
+        return FitNeutralReport.of(report, warnings, missed, picture=shown)
+
+    def text(self, report: FitNeutralReport, out: Path) -> str:
+        fit, quality = report.fit, report.quality
+        unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
+        off = f", {len(fit.outliers)} of them lie off" if fit.outliers else ""
+        shown = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
+        distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
+        rows = [
+            ("distance from the scan", distance),
+            ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
+            ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+            *([("shows besides", shown)] if shown else []),
+            ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
+            ("flipped triangles", f"{quality.flipped_triangles}"),
+            ("a unit of the scan", unit),
+            ("steps", f"{fit.steps}"),
+        ]
+        return "\n".join([str(out), table(rows)])
