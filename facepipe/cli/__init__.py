@@ -45,7 +45,6 @@ COMMANDS = {
     "database": "collect faces: models of identity and expressions",
     "refine-neutral": "draw a neutral, or regions of it, closer to its scan",
     "personal-template": "make a person's starting shapes",
-    "register-scan": "put a person's face on the scan of an expression",
     "split-shapes": "split scanned expressions into the person's own shapes",
     "rebuild": "make an actor's neutral and own shapes from scans",
     "neural-rig": "learn what a rig does, as one small network",

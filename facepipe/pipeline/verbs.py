@@ -22,7 +22,6 @@ VERBS = {
     "personal-template": "facepipe.pipeline.personal_template",
     "rebuild": "facepipe.pipeline.rebuild",
     "refine-neutral": "facepipe.pipeline.refine_neutral",
-    "register-scan": "facepipe.pipeline.register_scan",
     "sliders": "facepipe.pipeline.sliders",
     "split-shapes": "facepipe.pipeline.split_shapes",
 }

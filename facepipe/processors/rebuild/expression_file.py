@@ -19,9 +19,11 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError, SchemaError, TopologyError
 from facepipe.core.tokens import SCANNED
+from facepipe.older_recipes import as_now
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
+from facepipe.processors.rebuild.composites import resolved
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.stage import Face, open_face
 from facepipe.stage.recipes import recipe_of, source_digest
@@ -29,7 +31,6 @@ from facepipe.stage.recipes import recipe_of, source_digest
 FloatArray = npt.NDArray[np.floating]
 AnyPath = str | os.PathLike[str]
 
-VERB = "register-scan"
 _SAME_MM = 0.01  # neutrals that differ by less are one
 
 
@@ -65,8 +66,8 @@ def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> Expressio
     :raises TopologyError: other meshes or faces
     :raises SchemaError: a damaged recipe, or no shape of its name
     """
-    recipe, _ = recipe_of(path, VERB)
-    name, weights = _asked(recipe, f"{path} -> recipe")
+    recipe, _ = recipe_of(path, "register-scan")
+    name, given = _asked(recipe, f"{path} -> recipe")
     face = open_face(path)
     found = whole_face(face.parts(), str(path))
     if found.topology.digest != base.topology.digest:
@@ -76,6 +77,7 @@ def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> Expressio
         raise InputError(path, f"stands on a neutral that is up to {off:.2f} mm from that of {personal}")
     if name not in found.deltas:
         raise SchemaError(path, f"has no shape '{name}', expected that of its recipe")
+    weights = resolved(given, tuple(base.deltas), f"{path} -> recipe -> weights")
     scanned = np.nan_to_num(face.primvar(SCANNED)) > 0.5
     composite = Composite(points=base.points + found.deltas[name], weights=weights, matched=scanned)
     return ExpressionFile(name=name, composite=composite, warnings=_changes(path, recipe, Path(personal)))
@@ -83,7 +85,8 @@ def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> Expressio
 
 def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
     """Name and weights in a recipe."""
-    name, weights = recipe.options.get("name"), recipe.options.get("weights")
+    options = as_now(recipe)
+    name, weights = (options.get(one) if isinstance(options, Mapping) else None for one in ("name", "weights"))
     if not isinstance(name, str) or not isinstance(weights, Mapping) or not weights:
         raise SchemaError(where, "expected the expression's name and weights")
     for shape, weight in weights.items():
@@ -94,9 +97,8 @@ def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
 
 def _changes(path: Path, recipe: Recipe, personal: Path) -> tuple[str, ...]:
     """What to say where the personal template is not what the expression was registered with."""
-    files = recipe.options.get("files")
-    seen = files.get("personal") if isinstance(files, Mapping) else None
-    known = dict(zip(recipe.sources, recipe.digests, strict=True)).get(str(seen))
+    seen = str(as_now(recipe).get("personal"))
+    known = dict(zip(recipe.sources, recipe.digests, strict=True)).get(seen)
     if known == source_digest(personal):
         return ()
     return (f"{personal.name} is not what {path.name} was registered with",)

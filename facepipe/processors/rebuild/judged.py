@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from facepipe.core.reports import Report, unsaid
+from facepipe.processors.database import Quality, QualityLimits, misses
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
+from facepipe.processors.rebuild.register_scans import CompositeReport
+from facepipe.processors.rebuild.scan_fit import ScanFit
 from facepipe.processors.rebuild.scan_picture import FaceOnScan
 
 J = TypeVar("J", bound="Judged")
@@ -31,3 +34,16 @@ class Judged(Report):
 @dataclass(frozen=True, kw_only=True)
 class FitNeutralReport(Judged, NeutralReport):
     """What `facepipe fit-neutral` did."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterScanReport(Judged, CompositeReport):
+    """What `facepipe register-scan` did."""
+
+    name: str  # of the shape
+
+
+def fit_misses(fit: ScanFit) -> tuple[str, ...]:
+    """A line for each limit that a face misses on its scan; triangles that turn over are counted of shapes."""
+    numbers = {name: getattr(fit, name) for name in ("surface_mean_mm", "surface_p95_mm", "coverage")}
+    return misses(Quality(**numbers, flipped_triangles=0), QualityLimits())
