@@ -51,7 +51,8 @@ def option(
     :param default: a callable is called for each
     :param low: numbers lie from `low` to `high`
     :param choices: its values, where they are few and its type is no Literal
-    :param parse: its value from a word of the command line; of a tuple or mapping from all its words
+    :param parse: its value from a word of the command line; of a tuple or mapping from all its words; with `value` from
+        a file
     :param flag: other than ``--name``
     :param value: how JSON holds it, where it is no plain value
     :param kept: in recipes, and so with ``--edit``
@@ -167,6 +168,11 @@ class Field:
         return self.flag or f"--{self.name.replace('_', '-')}"
 
     @property
+    def is_read(self) -> bool:
+        """Whether the command line gives a file that its value is read from."""
+        return self.parse is not None and self.value is not None
+
+    @property
     def needed(self) -> bool:
         """Whether it has no default."""
         return self.default is MISSING
@@ -230,6 +236,11 @@ def _flat(hint: Any) -> tuple[Any, ...]:
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         return tuple(kind for part in typing.get_args(hint) for kind in _flat(part))
     return (hint,)
+
+
+def values_of(kind: type[DataclassInstance], holder: object) -> dict[str, Any]:
+    """The fields of the option dataclass `kind` as `holder`, which has them too, has them."""
+    return {one.name: getattr(holder, one.name) for one in dataclasses.fields(kind)}
 
 
 def check_ranges(options: DataclassInstance) -> None:

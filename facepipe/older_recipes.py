@@ -64,9 +64,16 @@ def _stage(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, An
     return {**files, **own, **kept, **({FOUND: found} if found else {})}
 
 
+def _fit_bones(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    if "rig" in options or not isinstance(options.get("options"), Mapping) or not sources:
+        return options
+    return {"rig": sources[0], **options.pop("options"), **options}
+
+
 _STAGES = ("fit-neutral", "refine-neutral", "personal-template", "register-scan", "split-shapes", "rebuild")
 _REWRITES = {
     "blend": _blend,
+    "fit-bones": _fit_bones,
     "skin": _skin,
     **dict.fromkeys(_STAGES, _stage),
 }

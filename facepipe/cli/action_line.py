@@ -78,7 +78,8 @@ def run(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> int:
 
     kept, action = action_of(arguments, kind)
     warn(kept.warnings if kept else ())
-    inputs = list(files_of(action))
+    read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]  # type: ignore[arg-type]
+    inputs = [*files_of(action), *(path for path in read if path is not None)]
     out = output_or_edited(arguments, inputs)
     check_suffix(out)
     _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
@@ -118,7 +119,8 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     values = dict(kept.values) if kept else {}
     for one in fields:
         if one.name in given:
-            values[one.name] = _joined(values.get(one.name), given[one.name])
+            value = one.parse(given[one.name]) if one.is_read and one.parse and given[one.name] else given[one.name]
+            values[one.name] = _joined(values.get(one.name), value)
     values = kind.line_values(arguments, values)
     for one in fields:
         if one.needed and one.name not in values:

@@ -73,6 +73,8 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     settings = {**_settings(field), **absent}
     if settings.get("action") == "store_true":
         settings["action"] = argparse.BooleanOptionalAction
+    if field.is_read:
+        settings["type"] = Path
     if field.several:
         settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
         settings["help"] += "; may be given again"
@@ -92,12 +94,13 @@ class _Several(argparse.Action):
         self._field, self._words = field, list[Any]()
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        if not getattr(namespace, self.dest, None):  # none so far, or taken away
+            self._words = []
         self._words += values if isinstance(values, list) else [values]
-        read = _reader(self._field.parse or tuple)
         try:
-            setattr(namespace, self.dest, read(self._words))
-        except argparse.ArgumentTypeError as error:
-            raise argparse.ArgumentError(self, str(error)) from None
+            setattr(namespace, self.dest, (self._field.parse or tuple)(self._words))
+        except InputError as error:
+            raise InputError(f"{option} {error.where}", error.what) from None
 
 
 def _paths_of(field: Field) -> bool:

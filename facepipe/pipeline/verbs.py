@@ -16,7 +16,6 @@ from facepipe.performing import again
 
 # verb of a recipe -> its module
 VERBS = {
-    "fit-bones": "facepipe.pipeline.fit_bones",
     "fit-photo": "facepipe.pipeline.fit_photo",
     "neural-rig": "facepipe.pipeline.neural_rig",
     "personal-template": "facepipe.pipeline.personal_template",

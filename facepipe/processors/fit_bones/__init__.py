@@ -6,10 +6,10 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.fit_bones.fit_bones import FitBones
+    from facepipe.processors.fit_bones.fit_bones_action import FitBonesToTargets
     from facepipe.processors.fit_bones.initial import initial_coefficients
     from facepipe.processors.fit_bones.limits import LimitRules, read_limits
     from facepipe.processors.fit_bones.options import FitBonesOptions
-    from facepipe.processors.fit_bones.recipe import FitBonesRecipe, fit_bones_recipe, read_fit_bones_recipe
     from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
     from facepipe.processors.fit_bones.session import BoneFit
     from facepipe.processors.fit_bones.targets import Target, read_targets
@@ -20,14 +20,12 @@ __all__ = [
     "BoneFit",
     "FitBones",
     "FitBonesOptions",
-    "FitBonesRecipe",
     "FitBonesReport",
+    "FitBonesToTargets",
     "LimitRules",
     "Target",
     "TargetReport",
-    "fit_bones_recipe",
     "initial_coefficients",
-    "read_fit_bones_recipe",
     "read_limits",
     "read_targets",
 ]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unsaid
 from facepipe.parts import FloatArray
 from facepipe.rig import CHANNELS
 
@@ -60,6 +61,7 @@ class FitBonesReport(Report):
     targets: Mapping[str, TargetReport]
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
+    fitted: Any = unsaid()  # the targets, of which pictures are drawn
 
     @property
     def missed(self) -> tuple[str, ...]:

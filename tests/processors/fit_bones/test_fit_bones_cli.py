@@ -17,7 +17,8 @@ import facepipe
 from facepipe.cli import main
 from facepipe.core import atomic
 from facepipe.parts import BoneLimits
-from facepipe.processors.fit_bones import FitBones, fit_bones_recipe, read_limits, read_targets
+from facepipe.performing import recipe_to
+from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_limits, read_targets
 from facepipe.rig import build
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
@@ -37,9 +38,10 @@ def test_the_result_is_that_of_python(folder: Path, capsys: Capsys) -> None:
         capsys, "fit-bones", "rig.usda", *flags, "-o", "a.usda", "--limits", "limits.json", "--region", "mouth=2"
     )
     face = facepipe.open("rig.usda")
-    fit = FitBones(limits=read_limits(Path("limits.json")), regions={"mouth": 2.0})
+    settings = {"limits": read_limits(Path("limits.json")), "regions": {"mouth": 2.0}}
+    recipe = recipe_to(FitBonesToTargets(rig=Path("rig.usda"), targets=tuple(words), **settings), "b.usda")
     with face.deriving("b.usda") as result:
-        report = fit(result, read_targets(face, words), recipe=fit_bones_recipe("rig.usda", words, "b.usda", fit))
+        report = FitBones(**settings)(result, read_targets(face, words), recipe=recipe)
     assert Path("a.usda").read_bytes() == Path("b.usda").read_bytes()
     assert "@./rig.usda@" in Path("a.usda").read_text()
     assert out.startswith("a.usda: 2 targets, 3 of 3 joints, 45 points in ")
@@ -58,7 +60,7 @@ def test_the_recipe_names_sources_targets_and_options(folder: Path, capsys: Caps
     assert recipe.options["targets"] == ["../goal.usda", "jawOpen=0.5"]
     assert recipe.options["limits"] == {"joints": [["*", {"s": [0.5, 2], "t": [-1, 1]}]], "lock": [], "units": "stage"}
     assert (recipe.options["mask"], recipe.options["initial"]) == (["mouth"], "talk")
-    assert recipe.options["options"]["threshold_mm"] == 50.0  # type: ignore[index]
+    assert recipe.options["threshold_mm"] == 50.0
 
 
 def test_json_has_every_figure_and_a_missed_target_is_told_and_authored(folder: Path, capsys: Capsys) -> None:
@@ -142,8 +144,8 @@ def test_flattened_results_stand_alone(folder: Path, capsys: Capsys) -> None:
 
 
 MISTAKES = {
-    "nothing": ((), "RIG: none given, expected a face stage with joints (or --edit FITTED)"),
-    "no target": (("rig.usda", "-o", "a.usda"), "--target: none given, expected what to reach (or --edit FITTED)"),
+    "nothing": ((), "RIG: none given, expected face stage with joints and skin weights (or --edit RESULT)"),
+    "no target": (("rig.usda", "-o", "a.usda"), "--target: none given, expected what to reach (or --edit RESULT)"),
     "no output": (("rig.usda", "--target", "jawOpen"), "OUT: no output file, expected -o OUT"),
     "unknown target": (("rig.usda", "--target", "frown", "-o", "a.usda"), "target frown: no such blendshape"),
     "no rig": (("none.usda", "--target", "jawOpen", "-o", "a.usda"), "none.usda: no such file"),
@@ -158,12 +160,12 @@ MISTAKES = {
             "-o",
             "a.usda",
             "--limits",
-            "l.json",
+            "limits.json",
             "--coefficients",
-            "l.json",
+            "limits.json",
             "--force",
         ),
-        "l.json: is an input",
+        "limits.json: is an input",
     ),
     "not usd": (("rig.usda", "--target", "jawOpen", "-o", "a.txt"), "a.txt: suffix '.txt', expected one of"),
     "not fpb": (

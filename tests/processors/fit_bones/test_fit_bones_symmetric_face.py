@@ -15,7 +15,8 @@ import facepipe
 from facepipe.core.names import mirrored_name
 from facepipe.heads import make
 from facepipe.parts import BoneLimits, FaceParts
-from facepipe.processors.fit_bones import FitBones, read_fit_bones_recipe, read_targets
+from facepipe.performing import read_kept
+from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_targets
 from facepipe.rig import Rig, build, rest_coefficients
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -90,8 +91,7 @@ def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Cap
     line = ("pairs.usda", "--target", "aside.usda", "--threshold-mm", "100")
     code, out, err = run(capsys, "fit-bones", *line, "--symmetric", "-o", "a.usda", "--json")
     assert (code, err, json.loads(out)["warnings"]) == (0, "", [])
-    recipe = read_fit_bones_recipe("a.usda")
-    assert recipe.fit.symmetric
+    assert read_kept("a.usda", FitBonesToTargets).values["symmetric"]
     own = facepipe.open("a.usda").animations[-1].coefficients
     assert own is not None
     check_mirrored(facepipe.open("a.usda").rig(), own[0])
@@ -101,7 +101,7 @@ def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Cap
     done(capsys, "fit-bones", "--edit", "a.usda", "--no-symmetric", "-o", "b.usda")
     done(capsys, "fit-bones", *line, "-o", "c.usda")
     assert Path("b.usda").read_bytes() == Path("c.usda").read_bytes() != first
-    assert not read_fit_bones_recipe("b.usda").fit.symmetric
+    assert not read_kept("b.usda", FitBonesToTargets).values["symmetric"]
 
 
 def test_joints_without_a_partner_are_told(folder: Path, capsys: Capsys) -> None:

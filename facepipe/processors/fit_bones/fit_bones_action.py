@@ -1,0 +1,168 @@
+"""Fit the bones of a face to targets: coefficients within limits, a SkelAnimation for each target.
+
+A target is a blendshape of the face (jawOpen, jawOpen=0.5), `shapes` (each of them), an animation of the face (all its
+frames), a face stage of its topology, a stage with points over time, a SkelAnimation of a stage (clip.usda:talk), or an
+OBJ, GLB or glTF of its topology (sculpt.obj:Head says which mesh a single one of another name is; OBJ is read in the
+units and axes of the face). Meshes that a target lacks don't count.
+
+Limits are those of the rig, and over them those of a file, where later joints win: {"joints": {"*": {"t": [-0.1, 0.1],
+"r": [-0.5, 0.5]}, "jaw": {"rx": [0, 0.4], "tz": [null, 0]}}, "lock": ["root:*", "eye*:s"], "units": "cm"}. Channels are
+tx ty tz (units: stage, mm, cm or m) rx ry rz (radians) sx sy sz (factors), or t r s; null is no limit.
+
+OUT is an override layer over RIG and needs that file; hand on what --flatten writes. Its skeleton plays the fit of a
+single target; of several none plays. What bones can't reach is reported; --residual keeps it as a sparse blendshape,
+which the animation turns on. Exit code 1: done, but a target is missed by more than the threshold.
+
+The recipe stays on the result. --edit fits again from it with what the line changes: another RIG, other targets (all of
+them), limits, masks and options; a --region joins those there are (NAME=1 undoes one). Payload and picture are made
+where they are asked for.
+
+examples:
+  facepipe fit-bones rig.usda --target smile.usda -o fitted.usda --residual
+  facepipe fit-bones rig.usda --target shapes --limits limits.json --region mouth=2 --region neck=0 -o fitted.usda
+  facepipe fit-bones rig.usda --target cache.usdc -o clip.usda --coefficients clip.fpb
+  facepipe fit-bones --edit fitted.usda --threshold-mm 0.5 --no-residual --force
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from facepipe.core.errors import InputError
+from facepipe.declare import JsonValue, beside, named_numbers, option, source, values_of
+from facepipe.kinds import Job, StageAction, action
+from facepipe.processors.fit_bones.options import FitBonesOptions
+
+if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
+    from facepipe.processors.fit_bones.limits import LimitRules
+    from facepipe.processors.fit_bones.report import FitBonesReport
+    from facepipe.stage import Face
+else:
+    LimitRules = Any
+
+
+def _split_target(word: str) -> tuple[str | None, str]:
+    from facepipe.processors.fit_bones.target_files import split_file
+
+    return split_file(word)
+
+
+def _split_initial(word: str) -> tuple[str | None, str]:
+    from facepipe.processors.fit_bones.initial import is_payload
+
+    return (word, "") if is_payload(word) else (None, word)
+
+
+def read_rules(path: Path) -> LimitRules:
+    """The limits in a file."""
+    from facepipe.processors.fit_bones.limits import read_limits
+
+    return read_limits(path)
+
+
+def _load_rules(content: object, where: str) -> LimitRules | None:
+    from facepipe.processors.fit_bones.limits import limits_from_json
+
+    return None if content is None else limits_from_json(content, where)
+
+
+RULES = JsonValue(lambda rules: None if rules is None else rules.to_json(), _load_rules)
+
+
+@action("fit-bones", "bring bones to targets, within limits")
+@dataclass(frozen=True, kw_only=True)
+class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
+    """The action."""
+
+    rig: Path = source("face stage with joints and skin weights")
+    targets: tuple[str, ...] = source("what to reach", flag="--target", metavar="T", split=_split_target)
+    initial: str | None = source(
+        "start from the first frame of an animation of RIG or of a payload (default rest)",
+        default=None,
+        flag="--initial",
+        metavar="ANIMATION|FPB",
+        split=_split_initial,
+    )
+    limits: LimitRules | None = option(
+        None, "limits over those of the rig (default none)", metavar="JSON", parse=read_rules, value=RULES
+    )
+    regions: Mapping[str, float] = option(
+        dict,
+        "how much points of a region or point subset count, 0 or more (default 1)",
+        flag="--region",
+        metavar="NAME=WEIGHT",
+        parse=named_numbers,
+    )
+    mask: tuple[str, ...] = option(
+        (), "only points of this region or point subset count (default all do)", metavar="NAME"
+    )
+    coefficients: Path | None = beside("write the coefficients as a payload: .fpb", ".fpb", "write_coefficients")
+    precision: Literal["float16", "float32"] = option("float32", "of the payload", kept=False)
+    heatmap: Path | None = beside("draw the targets that are missed most, coloured by distance", ".png", "draw")
+
+    def check(self) -> None:
+        super().check()
+        seen = set()
+        for word in self.targets:
+            file, name = _split_target(word)
+            key = (word if file is None else Path(file).resolve(), name)
+            if key in seen:
+                raise InputError(f"target {word}", "given twice, expected it once")
+            seen.add(key)
+
+    def author(self, face: Face, job: Job) -> FitBonesReport:
+        from facepipe.processors.fit_bones.fit_bones import FitBones
+        from facepipe.processors.fit_bones.initial import initial_coefficients
+        from facepipe.processors.fit_bones.limits import LimitRules
+        from facepipe.processors.fit_bones.targets import read_targets
+        from facepipe.stage import open_face
+
+        rig = open_face(self.rig)
+        targets = tuple(read_targets(rig, self.targets, lambda path: _read(path, rig)))
+        if self.coefficients and len(targets) > 1 and any(target.times is not None for target in targets):
+            what = "holds one clip or several poses, expected a single --target with times"
+            raise InputError(self.coefficients, what)
+        fit = FitBones(
+            **values_of(FitBonesOptions, self),
+            limits=self.limits or LimitRules(),
+            regions=self.regions,
+            mask=self.mask,
+            initial=None if self.initial is None else initial_coefficients(rig, self.initial),
+        )
+        with job.watch("fit", sum(len(target.points) for target in targets)) as bar:
+            report = fit(face, targets, recipe=job.recipe(), done=bar.update)
+        return replace(report, fitted=targets)
+
+    def write_coefficients(self, face: Face, report: FitBonesReport, path: Path) -> dict[str, Any]:
+        """The payload beside the result."""
+        from facepipe.processors.fit_bones.beside import write_coefficients
+
+        return write_coefficients(face, report, self.precision, path)
+
+    def draw(self, face: Face, report: FitBonesReport, path: Path) -> None:
+        """The picture of what is missed most."""
+        from facepipe.processors.fit_bones.beside import draw_missed
+
+        draw_missed(face, report.fitted, report, path)
+
+    def missed(self, report: FitBonesReport) -> bool:
+        return bool(report.missed)
+
+    def text(self, report: FitBonesReport, out: Path) -> str:
+        from facepipe.processors.fit_bones.text import as_text
+
+        return as_text(out, report)
+
+
+def _read(path: Path, face: Face) -> FaceParts:
+    """An OBJ in the units and axes of the face, or a glTF in its own."""
+    from facepipe.importers import load, obj
+
+    if path.suffix.lower() == ".obj":
+        up_axis = "Z" if face.up_axis == "Z" else "Y"
+        return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts  # type: ignore[arg-type]
+    return load("gltf", path).parts
