@@ -42,7 +42,6 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "database": "collect faces: models of identity and expressions",
-    "refine-neutral": "draw a neutral, or regions of it, closer to its scan",
     "personal-template": "make a person's starting shapes",
     "split-shapes": "split scanned expressions into the person's own shapes",
     "rebuild": "make an actor's neutral and own shapes from scans",

@@ -20,7 +20,6 @@ VERBS = {
     "neural-rig": "facepipe.pipeline.neural_rig",
     "personal-template": "facepipe.pipeline.personal_template",
     "rebuild": "facepipe.pipeline.rebuild",
-    "refine-neutral": "facepipe.pipeline.refine_neutral",
     "sliders": "facepipe.pipeline.sliders",
     "split-shapes": "facepipe.pipeline.split_shapes",
 }

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from facepipe.core.reports import Report, unsaid
 from facepipe.processors.database import Quality, QualityLimits, misses
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
+from facepipe.processors.rebuild.refine_report import RefineReport
 from facepipe.processors.rebuild.register_scans import CompositeReport
 from facepipe.processors.rebuild.scan_fit import ScanFit
 from facepipe.processors.rebuild.scan_picture import FaceOnScan
@@ -34,6 +35,13 @@ class Judged(Report):
 @dataclass(frozen=True, kw_only=True)
 class FitNeutralReport(Judged, NeutralReport):
     """What `facepipe fit-neutral` did."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineNeutralReport(Judged, RefineReport):
+    """What `facepipe refine-neutral` did."""
+
+    regions: tuple[str, ...]  # that could follow; none: all
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy.typing as npt
 from facepipe.core.reports import Report
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.registration import Registered
+from facepipe.older_recipes import found_of
+from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.template import Template
 
@@ -88,6 +90,13 @@ class BeforeAndAfter:
             coverage=float(np.isfinite(after[face]).mean()) if face.any() else 0.0,
             flipped_triangles=flipped,
         )
+
+
+def flipped_before(recipe: Recipe | None) -> int:
+    """Triangles that a neutral has turned over by its recipe, 0 where that says nothing."""
+    quality = found_of(recipe).get("quality")
+    found = quality.get("flipped_triangles") if isinstance(quality, Mapping) else None
+    return found if isinstance(found, int) and found > 0 else 0
 
 
 def _mean(distances: FloatArray) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FloatArray
@@ -38,8 +37,3 @@ class FaceOnScan:
             neutral=None if self.neutral is None else whole_parts(template.parts, self.neutral),
         )
         save_png(fit_sheet(shown), path)
-
-
-def draw_fit(path: Path, template: Template, *shown: Any) -> None:
-    names = ("points", "scan", "place", "neutral")
-    FaceOnScan(template=template, **dict(zip(names, shown, strict=False))).draw(path)

@@ -11,6 +11,8 @@ import numpy.typing as npt
 from facepipe.core.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.registration import Shown
+from facepipe.older_recipes import found_of
+from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, whole_face
 from facepipe.processors.rebuild.composites import resolved
 from facepipe.processors.rebuild.template import Template
@@ -61,3 +63,11 @@ class ShownShapes:
             expected=np.array(list(self.weights.values())),
             precision=np.full(count, 1.0 / sigma**2),
         )
+
+
+def shown_before(recipe: Recipe | None) -> dict[str, float]:
+    """Weights of the shapes that the scan of a neutral shows besides, as its recipe says that they were found."""
+    found = found_of(recipe).get("weights")
+    if not isinstance(found, Mapping) or not all(isinstance(one, int | float) for one in found.values()):
+        return {}
+    return {str(name): float(weight) for name, weight in found.items() if 0.0 < weight <= 2.0}

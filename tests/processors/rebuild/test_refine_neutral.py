@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scan_domes
 from command_line import done, failed
+from old_stages import old_recipe
 from scan_domes import POSE, dome, grid
 
 import facepipe
@@ -19,10 +20,15 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
+from facepipe.older_recipes import found_of
 from facepipe.parts import FaceParts, Recipe
-from facepipe.processors.database import Quality, quality_from, whole_points
+from facepipe.performing import read_kept
+from facepipe.processors.database import Quality, whole_points
 from facepipe.processors.rebuild import RefineNeutral, RefineNeutralOptions, Template
+from facepipe.processors.rebuild.refine_neutral_action import RefineNeutralAction
+from facepipe.processors.rebuild.refine_report import flipped_before
 from facepipe.processors.rebuild.region_weights import region_weights
+from facepipe.processors.rebuild.shown_shapes import shown_before
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
@@ -99,10 +105,26 @@ def test_the_recipe_tells_what_was_refined(folder: Path, capsys: pytest.CaptureF
     assert recipe.sources == ("./anna.usda", "./anna.ply", "./anna.landmarks.json")
     assert recipe.digests == tuple(source_digest(folder / one) for one in recipe.sources)
     assert recipe.options["regions"] == ["bump", "right"]
-    assert recipe.options["options"]["detail_mm"] == 7.0
-    quality = quality_from(recipe.options["quality"], "recipe")
-    assert quality == quality_from(json.loads(out), "report")
-    assert quality.flipped_triangles == _QUALITY.flipped_triangles
+    assert recipe.options["detail_mm"] == 7.0
+    assert found_of(recipe)["quality"] == json.loads(out)["quality"]
+    assert found_of(recipe)["quality"]["flipped_triangles"] == _QUALITY.flipped_triangles
+
+
+def test_a_recipe_of_the_release_before_is_read(folder: Path) -> None:
+    made_of = {"neutral": "anna.usda", "scan": "anna.ply", "landmarks": "anna.landmarks.json"}
+    old = old_recipe("refine-neutral", made_of, regions=["bump"], options={"detail_mm": 7.0}, found={"jawOpen": 0.4})
+    save_parts(replace(_neutral(), recipe=old), folder / "old.usda")
+    kept = read_kept(folder / "old.usda", RefineNeutralAction).values
+    assert kept == {**{what: folder / name for what, name in made_of.items()}, "regions": ("bump",), "detail_mm": 7.0}
+    assert (flipped_before(old), shown_before(old)) == (3, {"jawOpen": 0.4})
+
+
+def test_edit_changes_what_is_given(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done(capsys, *_words(folder, "--region", "bump", "right"))
+    edit = ("refine-neutral", "--edit", folder / "out.usda", "--region", "bump", "--detail-mm", 7)
+    done(capsys, *edit, "-o", folder / "edited.usda")
+    done(capsys, *_words(folder, "--force", "--region", "bump", "--detail-mm", 7))
+    assert (folder / "edited.usda").read_bytes() == (folder / "out.usda").read_bytes()
 
 
 def test_the_same_call_writes_the_same_bytes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
