@@ -8,13 +8,20 @@ from typing import Any
 from facepipe.kinds import FOUND
 from facepipe.parts import Recipe
 
+_VERBS = {"neural-rig": "neural-rig apply"}  # then -> now
 # verb -> the fields that its sources were, in their order
 _SOURCES = {
     "animate": ("face", "clip"),
     "apply-bones": ("face", "coefficients"),
     "landmarks": ("face", "landmarks"),
+    "neural-rig": ("face", "rig"),
     "regions": ("face", "map", "legend"),
 }
+
+
+def verb_now(verb: str) -> str:
+    """What a verb of a recipe is called now."""
+    return _VERBS.get(verb, verb)
 
 
 def as_now(recipe: Recipe) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.kinds import FOUND, Job, StageAction, Watch, unwatched
-from facepipe.older_recipes import as_now
+from facepipe.older_recipes import as_now, verb_now
 from facepipe.parts import Recipe
 from facepipe.stage import Face, open_face
 from facepipe.stage.files import relative_path
@@ -175,7 +175,7 @@ def read_kept(
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
     file = Path(path)
-    recipe, standalone = recipe_of(file, kind.verb)
+    recipe, standalone = recipe_of(file, kind.verb, verb_now)
     where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}  # type: ignore[arg-type]
     options = as_now(recipe)
     try:

@@ -115,9 +115,7 @@ def _run(words: list[str]) -> int:
     rest = words[words.index(command) + 1 :]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, rest)
-    # argparse takes positionals in one run, unless told that they may stand between flags
-    parse = parser.parse_intermixed_args if getattr(module, "INTERMIXED", False) else parser.parse_args
-    parsed = parse(rest)
+    parsed = parser.parse_args(rest)
     for path in _paths(list(vars(parsed).values())):
         check_input(path)
     with trusting(_trust_of(parsed)):
@@ -158,7 +156,7 @@ def commands_of() -> dict[str, str]:
     """Every command -> what it does."""
     from facepipe.actions import summaries
 
-    return {**COMMANDS, **summaries()}
+    return {**COMMANDS, **{verb: summary for verb, summary in summaries().items() if " " not in verb}}
 
 
 def _help(words: list[str], command: str | None) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import add_field, output_of, output_or_edited
+from facepipe.cli.parser import Parser, add_field, output_of, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
@@ -31,14 +31,13 @@ class ActionLine:
     """What `facepipe VERB` takes and does."""
 
     kind: type[StageAction[Any]]
-    INTERMIXED = True
 
     @property
     def __doc__(self) -> str:  # type: ignore[override]
         """The text of --help: that of the module that declares the action."""
         return str(sys.modules[self.kind.__module__].__doc__)
 
-    def configure(self, parser: argparse.ArgumentParser, words: Sequence[str] = ()) -> None:
+    def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the arguments."""
         configure(parser, self.kind)
 
@@ -47,8 +46,9 @@ class ActionLine:
         return run(arguments, self.kind)
 
 
-def configure(parser: argparse.ArgumentParser, kind: type[StageAction[Any]]) -> None:
+def configure(parser: Parser, kind: type[StageAction[Any]]) -> None:
     """Add the arguments."""
+    parser.intermixed = True
     add, fields = parser.add_argument, fields_of(kind)  # type: ignore[arg-type]
     for one in fields:
         if one.role == "source" and one.name not in kind.own_flags:

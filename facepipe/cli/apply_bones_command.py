@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli import action_line
-from facepipe.cli.parser import output_of
+from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.processors import apply_bones_action
@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 __doc__ = apply_bones_action.__doc__  # of --help
-INTERMIXED = True
 
 
-def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+def configure(parser: Parser, words: list[str]) -> None:
     """Add the arguments."""
     action_line.configure(parser, ApplyCoefficients)
     parser.add_argument("--info", action="store_true", help="print what COEFFICIENTS holds, and whether it fits FACE")

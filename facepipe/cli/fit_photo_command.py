@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.cli.fit_photo_request import Request, request_of
 from facepipe.cli.fit_photo_text import as_text
-from facepipe.cli.parser import add_options
+from facepipe.cli.parser import Parser, add_options
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.atomic import replacing_folder, together
 
@@ -47,11 +47,10 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit import PhotoFitReport
     from facepipe.stage import Face
 
-INTERMIXED = True  # photos and their landmarks may be given in turn
 
-
-def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+def configure(parser: Parser, words: list[str]) -> None:
     """Add the arguments."""
+    parser.intermixed = True  # photos and their landmarks may be given in turn
     from facepipe.photo_options import MODELS, PhotoFitOptions
 
     add, absent = parser.add_argument, argparse.SUPPRESS

@@ -29,13 +29,15 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.neural_rig_apply import add_apply, apply
+from facepipe.cli import action_line
 from facepipe.cli.neural_rig_invert import add_invert, invert
 from facepipe.cli.neural_rig_retarget import add_retarget, retarget
 from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.core.texts import table
+from facepipe.processors.neural_rig import apply_action
+from facepipe.processors.neural_rig.apply_action import ApplyNeuralRig
 
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig import EncoderReport, Motion, NeuralRigReport, TrainedEncoder, TrainedNeuralRig
@@ -71,14 +73,17 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     train.add_argument("--checkpoint", type=Path, metavar="FILE", help=file)
     train.add_argument("--plot", type=Path, metavar="PNG", help="picture of what is left of the motion, step by step")
     train.add_argument("--json", action="store_true", help="print the report as JSON")
-    add_apply(actions)
+    put = actions.add_parser("apply", help=ApplyNeuralRig.summary, description=apply_action.__doc__)
+    action_line.configure(put, ApplyNeuralRig)
     add_invert(actions)
     add_retarget(actions)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """The action."""
-    return {"train": _train, "apply": apply, "invert": invert, "retarget": retarget}[arguments.action](arguments)
+    if arguments.action == "apply":
+        return action_line.run(arguments, ApplyNeuralRig)
+    return {"train": _train, "invert": invert, "retarget": retarget}[arguments.action](arguments)
 
 
 def _train(arguments: argparse.Namespace) -> int:

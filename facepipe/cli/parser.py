@@ -19,8 +19,19 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *, trust: bool = True, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
+        self.intermixed = False  # whether words without a flag may stand between flags; else they stand in one run
         if trust:
             self._add_trust()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does, and words of parsers that are `intermixed` in any place."""
+        if not self.intermixed:
+            return super().parse_known_args(args, namespace)
+        self.intermixed = False  # what follows calls this again
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self.intermixed = True
 
     def _add_trust(self) -> None:
         group = self.add_argument_group("files of others")

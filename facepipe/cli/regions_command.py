@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli import action_line
-from facepipe.cli.parser import picture_of
+from facepipe.cli.parser import Parser, picture_of
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
 from facepipe.processors import regions_action
@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from facepipe.processors.regions import RegionCount
 
 __doc__ = regions_action.__doc__  # of --help
-INTERMIXED = True
 
 
-def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+def configure(parser: Parser, words: list[str]) -> None:
     """Add the arguments."""
     action_line.configure(parser, AuthorRegions)
 

@@ -12,12 +12,12 @@ from facepipe.actions import find_action, summaries
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
 from facepipe.kinds import Watch
+from facepipe.older_recipes import verb_now
 from facepipe.performing import again
 
 # verb of a recipe -> its module
 VERBS = {
     "fit-photo": "facepipe.pipeline.fit_photo",
-    "neural-rig": "facepipe.pipeline.neural_rig",
     "personal-template": "facepipe.pipeline.personal_template",
     "rebuild": "facepipe.pipeline.rebuild",
     "sliders": "facepipe.pipeline.sliders",
@@ -38,7 +38,7 @@ def cooker(verb: str) -> Callable[[Path, Watch], Cooked] | None:
     if verb in VERBS:
         found: Callable[[Path, Watch], Cooked] = importlib.import_module(VERBS[verb]).cook
         return found
-    kind = find_action(verb)
+    kind = find_action(verb_now(verb))
     return None if kind is None else lambda path, watch: Cooked(*again(path, kind, watch))
 
 

@@ -142,7 +142,13 @@ CASES = {
         edit=("--mesh", "Teeth"),
         older={"scheme": "mine", "mesh": None},
     ),
-    "neural-rig": Case(("neural-rig", "apply", "face.usda", "rig.fpnr"), _neural, lambda: _rig(1)),
+    "neural-rig": Case(
+        ("neural-rig", "apply", "face.usda", "rig.fpnr", "--offset-tolerance-mm", "0.02"),
+        _neural,
+        lambda: _rig(1),
+        edit=("--no-keep-shapes",),
+        older={"offset_tolerance_mm": 0.02, "keep_shapes": True},
+    ),
     "regions": Case(
         ("regions", "face.usda", "--map", "map.png", "--legend", "legend.json", "--edge", "1"),
         _mapped,

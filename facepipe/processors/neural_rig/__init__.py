@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig.apply_rig import ApplyNeuralRig, ApplyNeuralRigReport
+    from facepipe.processors.neural_rig.apply_action import ApplyNeuralRig, ApplyNeuralRigReport
     from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, with_neural_rig
     from facepipe.processors.neural_rig.bake_motion import BakeMotion, BakeReport
     from facepipe.processors.neural_rig.inverse_report import ControlReport, InverseReport
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         TrainNeuralRigOptions,
     )
     from facepipe.processors.neural_rig.read_motion import ReadMotion
-    from facepipe.processors.neural_rig.recipe import NeuralRigRecipe, neural_rig_recipe, read_neural_rig_recipe
     from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
     from facepipe.processors.neural_rig.sample_motion import SampleMotion
     from facepipe.processors.neural_rig.train_encoder import EncoderReport, TrainedEncoder, TrainEncoder
@@ -45,7 +44,6 @@ __all__ = [
     "InvertNeuralRigOptions",
     "InvertedMotion",
     "Motion",
-    "NeuralRigRecipe",
     "NeuralRigReport",
     "ReadClips",
     "ReadMotion",
@@ -60,8 +58,6 @@ __all__ = [
     "TrainedNeuralRig",
     "load_encoder",
     "load_neural_rig",
-    "neural_rig_recipe",
-    "read_neural_rig_recipe",
     "save_neural_rig",
     "with_neural_rig",
 ]

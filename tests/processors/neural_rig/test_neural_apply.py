@@ -51,9 +51,10 @@ def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, caps
     link = read_neural_rig_link(found.prim)
     assert link is not None
     assert (link.file, link.path) == ("../head.fpnr", tmp_path / "head.fpnr")
-    recipe, _ = recipe_of(tmp_path / "out" / "neural.usda", "neural-rig")
+    recipe, _ = recipe_of(tmp_path / "out" / "neural.usda", "neural-rig apply")
     assert recipe.sources == ("../head.usda", "../head.fpnr")
-    assert recipe.options == {"keep_shapes": True, "offset_tolerance_mm": 0.01}
+    files = dict(zip(("face", "rig"), recipe.sources, strict=True))
+    assert recipe.options == {**files, "keep_shapes": True, "offset_tolerance_mm": 0.01}
     assert recipe.digests[1] == link.digest
 
 
