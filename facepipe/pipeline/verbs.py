@@ -18,10 +18,8 @@ from facepipe.performing import again
 # verb of a recipe -> its module
 VERBS = {
     "fit-photo": "facepipe.pipeline.fit_photo",
-    "personal-template": "facepipe.pipeline.personal_template",
     "rebuild": "facepipe.pipeline.rebuild",
     "sliders": "facepipe.pipeline.sliders",
-    "split-shapes": "facepipe.pipeline.split_shapes",
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -11,21 +10,15 @@ import numpy.typing as npt
 
 from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
-from facepipe.declare import to_json
-from facepipe.older_recipes import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
-from facepipe.processors.rebuild.stage_recipe import stage_recipe
 from facepipe.processors.rebuild.template import Template
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
-AnyPath = str | os.PathLike[str]
 
-VERB = "personal-template"
 _MOVED = 0.05  # of a shape's largest motion: points that move less are not what it moves
 
 
@@ -81,26 +74,6 @@ class AuthorPersonal:
         return self.make.options.shapes_from != "template" and (
             self.database is not None and self.database.expressions is not None
         )
-
-
-def personal_recipe(
-    before: Recipe | None,
-    neutral: AnyPath,
-    template: AnyPath,
-    database: AnyPath | None,
-    *,
-    out: AnyPath,
-    options: PersonalTemplateOptions,
-) -> Recipe:
-    """The recipe to author on a personal template that is saved as `out`.
-
-    :param before: that of the neutral, whose measures for the quality gate of a database stay
-    :raises InputError: a source that can't be read
-    """
-    files = {"neutral": neutral, "template": template}
-    files |= {} if database is None else {"database": database}
-    kept = {} if before is None or "quality" not in found_of(before) else {"quality": found_of(before)["quality"]}
-    return stage_recipe(VERB, files, out, {"options": to_json(options), **kept})
 
 
 def _shapes_of(template: Template) -> Mapping[str, FloatArray]:

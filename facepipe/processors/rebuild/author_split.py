@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,10 @@ from facepipe.processors.database import WholeFace, quality_from
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
 from facepipe.processors.rebuild.expression_file import ExpressionFile
 from facepipe.processors.rebuild.split_expressions import SplitExpressions, SplitFit
-from facepipe.processors.rebuild.stage_recipe import stage_recipe
 from facepipe.processors.rebuild.template import Template
 from facepipe.stage import Face
 
 FloatArray = npt.NDArray[np.floating]
-AnyPath = str | os.PathLike[str]
-
-VERB = "split-shapes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,51 +33,26 @@ class ActorShapes:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SplitFiles:
-    """Splits expressions that were read from files, and authors what they tell of the shapes."""
+def split_files(
+    split: SplitExpressions, template: Template, base: WholeFace, expressions: Sequence[ExpressionFile]
+) -> ActorShapes:
+    """Split expressions that were read from files.
 
-    split: SplitExpressions = field(default_factory=SplitExpressions)
-
-    def __call__(self, template: Template, base: WholeFace, expressions: Sequence[ExpressionFile]) -> ActorShapes:
-        """Split.
-
-        :param base: the personal template's neutral and shapes
-        :raises InputError: no expression, two of one name, or one of shapes that are not there
-        """
-        names = [one.name for one in expressions]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InputError(base.name, f"two expressions are called '{twice}', expected each name once")
-        composites = {one.name: one.composite for one in expressions}
-        fit = self.split(template, base.points, base.deltas, composites)
-        told = tuple(line for one in expressions for line in one.warnings)
-        flipped = np.zeros(len(template.topology.triangles), bool)
-        for name in seen_shapes(fit):
-            before, after = (base.points + deltas[name] for deltas in (base.deltas, fit.shapes))
-            flipped |= flipped_triangles(before, after, template.topology.triangles)
-        return ActorShapes(fit=fit, flipped_triangles=int(flipped.sum()), warnings=(*told, *fit.report.warnings))
-
-    def recipe(
-        self,
-        before: Recipe | None,
-        personal: AnyPath,
-        expressions: Sequence[AnyPath],
-        out: AnyPath,
-        found: ActorShapes,
-    ) -> Recipe:
-        """The recipe to author on a face that is saved as `out`.
-
-        :param before: that of the personal template, whose measures for the quality gate of a database stay, with the
-            triangles that the shapes turn over counted in
-        :raises InputError: a source that can't be read, or damaged measures
-        """
-        content: dict[str, object] = {
-            "options": to_json(self.split.options),
-            "weights": {scan: dict(own) for scan, own in found.fit.report.weights.items()},
-            **_quality(before, os.fspath(personal), found.flipped_triangles),
-        }
-        return stage_recipe(VERB, {"personal": personal, "expressions": list(expressions)}, out, content)
+    :param base: the personal template's neutral and shapes
+    :raises InputError: no expression, two of one name, or one of shapes that are not there
+    """
+    names = [one.name for one in expressions]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(base.name, f"two expressions are called '{twice}', expected each name once")
+    composites = {one.name: one.composite for one in expressions}
+    fit = split(template, base.points, base.deltas, composites)
+    told = tuple(line for one in expressions for line in one.warnings)
+    flipped = np.zeros(len(template.topology.triangles), bool)
+    for name in seen_shapes(fit):
+        before, after = (base.points + deltas[name] for deltas in (base.deltas, fit.shapes))
+        flipped |= flipped_triangles(before, after, template.topology.triangles)
+    return ActorShapes(fit=fit, flipped_triangles=int(flipped.sum()), warnings=(*told, *fit.report.warnings))
 
 
 def author_shapes(face: Face, base: WholeFace, fit: SplitFit, recipe: Recipe) -> AuthorNeutralReport:
@@ -98,9 +69,13 @@ def seen_shapes(fit: SplitFit) -> tuple[str, ...]:
     return tuple(name for name, one in fit.report.shapes.items() if one.scans)
 
 
-def _quality(before: Recipe | None, where: str, flipped: int) -> Mapping[str, object]:
-    if before is None or "quality" not in found_of(before):
+def quality_with(before: Recipe | None, where: str, flipped: int) -> dict[str, Any]:
+    """The measures in the recipe of a personal template, with the triangles that shapes turn over counted in.
+
+    :raises InputError: damaged measures
+    """
+    known = found_of(before)
+    if "quality" not in known:
         return {}
-    quality = quality_from(found_of(before)["quality"], f"{where} -> recipe -> quality")
-    counted = replace(quality, flipped_triangles=quality.flipped_triangles + flipped)
-    return {"quality": to_json(counted)}
+    quality = quality_from(known["quality"], f"{where} -> recipe -> quality")
+    return {"quality": to_json(replace(quality, flipped_triangles=quality.flipped_triangles + flipped))}

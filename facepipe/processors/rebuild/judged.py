@@ -12,6 +12,7 @@ from facepipe.processors.rebuild.refine_report import RefineReport
 from facepipe.processors.rebuild.register_scans import CompositeReport
 from facepipe.processors.rebuild.scan_fit import ScanFit
 from facepipe.processors.rebuild.scan_picture import FaceOnScan
+from facepipe.processors.rebuild.split_expressions import SplitReport
 
 J = TypeVar("J", bound="Judged")
 
@@ -49,6 +50,13 @@ class RegisterScanReport(Judged, CompositeReport):
     """What `facepipe register-scan` did."""
 
     name: str  # of the shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitShapesReport(Judged, SplitReport):
+    """What `facepipe split-shapes` did."""
+
+    flipped_triangles: int  # in some shape, where the personal template's has them upright
 
 
 def fit_misses(fit: ScanFit) -> tuple[str, ...]:
