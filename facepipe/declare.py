@@ -45,6 +45,7 @@ def option(
     value: JsonValue | None = None,
     kept: bool = True,
     words: bool = False,
+    alone: str | None = None,
 ) -> T:
     """A field of an option dataclass.
 
@@ -56,10 +57,12 @@ def option(
     :param flag: other than ``--name``
     :param value: how JSON holds it, where it is no plain value
     :param kept: in recipes, and so with ``--edit``
+    :param alone: its value where the flag is given without one
     :param words: a flag of a tuple or mapping takes all words up to the next flag
     """
-    said = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "parse": parse, "flag": flag}
-    found: T = _declared(default, {**said, "metavar": metavar, "value": value, "kept": kept, "words": words})
+    numbers = {"low": low, "high": high, "unit": unit, "choices": choices}
+    words_of = {"parse": parse, "flag": flag, "metavar": metavar, "words": words, "alone": alone}
+    found: T = _declared(default, {"help": help, **numbers, **words_of, "value": value, "kept": kept})
     return found
 
 
@@ -149,6 +152,7 @@ class Field:
     value: JsonValue | None = None
     kept: bool = True
     words: bool = False
+    alone: str | None = None
     role: Literal["option", "source", "beside"] = "option"
     split: Callable[[str], tuple[str | None, str]] | None = None
     suffix: str = ""

@@ -77,10 +77,21 @@ def _fit_bones(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str
     return {"rig": sources[0], **options.pop("options"), **options}
 
 
+def _sliders(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    if "face" in options or not sources:
+        return options
+    own = options.pop("options", {})
+    if len(sources) == 2:
+        way = "network" if options.pop("network", False) else "table"
+        return {"face": sources[0], way: sources[1], **options}
+    return {"face": sources[0], **options, **(own if isinstance(own, Mapping) else {})}
+
+
 _STAGES = ("fit-neutral", "refine-neutral", "personal-template", "register-scan", "split-shapes", "rebuild")
 _REWRITES = {
     "blend": _blend,
     "fit-bones": _fit_bones,
     "skin": _skin,
+    "sliders": _sliders,
     **dict.fromkeys(_STAGES, _stage),
 }

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from facepipe import registry
-from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
+from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
 from facepipe.cli.show import emit
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
+from facepipe.core.names import named
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:

@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import sys
 import typing
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -86,6 +86,8 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
         settings["action"] = argparse.BooleanOptionalAction
     if field.is_read:
         settings["type"] = Path
+    if field.alone is not None:
+        settings |= {"nargs": "?", "const": field.alone}
     if field.several:
         settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
         settings["help"] += "; may be given again"
@@ -259,22 +261,6 @@ def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
         return named_numbers(words)
     except InputError as error:
         raise InputError(f"{flag} {error.where}", error.what) from None
-
-
-def named(values: Mapping[str, float], known: Collection[str], flag: str, what: str) -> dict[str, float]:
-    """Values by the names of `known` that they were given for; case alone may differ where that leaves one.
-
-    :raises InputError: no such name, or one twice
-    """
-    from facepipe.core.names import find
-
-    found: dict[str, float] = {}
-    for given, value in values.items():
-        name = find(given, known, f"{flag} {given}", what)
-        if name in found:
-            raise InputError(f"{flag} {given}", f"means {what} '{name}' once more, expected it once")
-        found[name] = value
-    return found
 
 
 def coefficients_of(words: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> Any:

@@ -13,9 +13,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.parser import add_output, add_pose, coefficients_of, named, output_of, pairs
+from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
+from facepipe.core.names import named
 
 if TYPE_CHECKING:
     from facepipe.parts import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import PurePosixPath
@@ -194,3 +194,17 @@ def mirrored_names(name: str) -> list[str]:
             found.append(other.join(part.replace(other, one) for part in name.split(one)))
     found.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
     return [other for other in found if other != name]
+
+
+def named(values: Mapping[str, float], known: Collection[str], flag: str, what: str) -> dict[str, float]:
+    """Values by the names of `known` that they were given for; case alone may differ where that leaves one.
+
+    :raises InputError: no such name, or one twice
+    """
+    found: dict[str, float] = {}
+    for given, value in values.items():
+        name = find(given, known, f"{flag} {given}", what)
+        if name in found:
+            raise InputError(f"{flag} {given}", f"means {what} '{name}' once more, expected it once")
+        found[name] = value
+    return found

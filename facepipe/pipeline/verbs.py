@@ -19,7 +19,6 @@ from facepipe.performing import again
 VERBS = {
     "fit-photo": "facepipe.pipeline.fit_photo",
     "rebuild": "facepipe.pipeline.rebuild",
-    "sliders": "facepipe.pipeline.sliders",
 }
 
 

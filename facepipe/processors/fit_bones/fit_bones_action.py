@@ -32,8 +32,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from facepipe.core.errors import InputError
-from facepipe.declare import JsonValue, beside, named_numbers, option, source, values_of
+from facepipe.declare import beside, named_numbers, option, source, values_of
 from facepipe.kinds import Job, StageAction, action
+from facepipe.processors.fit_bones.limit_rules import RULES, read_rules
 from facepipe.processors.fit_bones.options import FitBonesOptions
 
 if TYPE_CHECKING:
@@ -55,22 +56,6 @@ def _split_initial(word: str) -> tuple[str | None, str]:
     from facepipe.processors.fit_bones.initial import is_payload
 
     return (word, "") if is_payload(word) else (None, word)
-
-
-def read_rules(path: Path) -> LimitRules:
-    """The limits in a file."""
-    from facepipe.processors.fit_bones.limits import read_limits
-
-    return read_limits(path)
-
-
-def _load_rules(content: object, where: str) -> LimitRules | None:
-    from facepipe.processors.fit_bones.limits import limits_from_json
-
-    return None if content is None else limits_from_json(content, where)
-
-
-RULES = JsonValue(lambda rules: None if rules is None else rules.to_json(), _load_rules)
 
 
 @action("fit-bones", "bring bones to targets, within limits")

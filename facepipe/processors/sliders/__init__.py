@@ -9,12 +9,12 @@ if TYPE_CHECKING:
     from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
     from facepipe.processors.sliders.distil import DistilReport, DistilSliders
     from facepipe.processors.sliders.from_shapes import SlidersFromShapes
-    from facepipe.processors.sliders.recipe import SliderRecipe, read_slider_recipe, slider_recipe
     from facepipe.processors.sliders.rules import Drive, SliderRule
     from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
     from facepipe.processors.sliders.shape_options import ShapeSliderOptions
     from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
     from facepipe.processors.sliders.slider_table import SliderTable
+    from facepipe.processors.sliders.sliders_action import SlidersOfFace
     from facepipe.processors.sliders.tables import read_table
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -32,11 +32,9 @@ __all__ = [
     "SetSlidersReport",
     "ShapeSliderOptions",
     "ShapeSlidersReport",
-    "SliderRecipe",
     "SliderRule",
     "SliderTable",
     "SlidersFromShapes",
-    "read_slider_recipe",
+    "SlidersOfFace",
     "read_table",
-    "slider_recipe",
 ]

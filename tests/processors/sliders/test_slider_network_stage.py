@@ -23,7 +23,8 @@ from facepipe.cli import main
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.importers.slider_network import read_network
 from facepipe.parts import FaceParts, SliderNetwork
-from facepipe.processors.sliders import AuthorNetwork, AuthorSliders, SetSliders, read_slider_recipe, read_table
+from facepipe.performing import read_kept
+from facepipe.processors.sliders import AuthorNetwork, AuthorSliders, SetSliders, SlidersOfFace, read_table
 from facepipe.rig import build, slide
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
@@ -183,8 +184,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     file = save_network(tmp_path / "net.npz", network())
     assert "4 -> 16 -> 5" in done(capsys, "sliders", face, "--from-network", file, "-o", learned)
     assert json.loads(done(capsys, "sliders", learned, "--json"))["network"]["layers"] == [4, 16, 5]
-    recipe = read_slider_recipe(learned)
-    assert (recipe.network, recipe.table) == (file, None)
+    values = read_kept(learned, SlidersOfFace).values
+    assert (values["network"], values["table"]) == (file, None)
     done(capsys, "sliders", learned, "--set", "jaw=0.5", "-o", posed)
     done(capsys, "export", posed, "--sliders", "--points", "-o", model)
     found, expected = Deformer(model).evaluate()["points"], facepipe.open(posed).evaluate(sliders={})

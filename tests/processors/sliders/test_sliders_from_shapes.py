@@ -25,8 +25,9 @@ from facepipe.core.names import mirrored_name
 from facepipe.heads import make
 from facepipe.importers import makehuman
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Slider
+from facepipe.performing import perform, read_kept
 from facepipe.processors.fit_bones import LimitRules, read_limits
-from facepipe.processors.sliders import ShapeSlidersReport, SlidersFromShapes, read_slider_recipe
+from facepipe.processors.sliders import ShapeSlidersReport, SlidersFromShapes, SlidersOfFace
 from facepipe.processors.sliders import shape_names as names_module
 from facepipe.processors.sliders.effects import channel_effects
 from facepipe.processors.sliders.shape_names import PAIRS, ShapeSlider, parse_pairs, shape_sliders
@@ -396,10 +397,7 @@ def test_the_command_makes_them_and_its_recipe_makes_them_again(folder: Path, ca
     assert "1 sliders left out" in err
     report = json.loads(out)
     assert (list(report["sliders"]), list(report["left_out"])) == (["mouthSmileLeft", "mouthSmileRight"], ["jawOpen"])
-    recipe = read_slider_recipe("made.usda")
-    assert recipe.shapes is not None
-    with facepipe.open(recipe.face).deriving("again.usda") as face:
-        recipe.shapes(face)
+    perform(SlidersOfFace(**read_kept("made.usda", SlidersOfFace).values), Path("again.usda"))
     assert facepipe.open("again.usda").sliders == facepipe.open("made.usda").sliders
     text = done(capsys, "sliders", *words, "--residual", "-o", "whole.usda")
     assert "jawOpen" in text
@@ -416,7 +414,7 @@ def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) ->
     stage.GetDefaultPrim().GetAttribute("facepipe:recipe:options").Set(options)
     stage.GetRootLayer().Save()
     with pytest.raises(SchemaError):
-        read_slider_recipe("made.usda")
+        read_kept("made.usda", SlidersOfFace)
 
 
 @pytest.mark.parametrize(
