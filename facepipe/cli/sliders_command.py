@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli import action_line
+from facepipe.cli.parser import Parser
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
 from facepipe.core.texts import table
@@ -16,13 +17,12 @@ if TYPE_CHECKING:
     from facepipe.parts import Curve, Slider, SliderNetwork
 
 __doc__ = sliders_action.__doc__  # of --help
-INTERMIXED = True
 
 _SHOWN = 4  # of what a slider drives
 _WAYS = ("table", "network", "shapes", "values", "reset")
 
 
-def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+def configure(parser: Parser, words: list[str]) -> None:
     """Add the arguments."""
     action_line.configure(parser, SlidersOfFace)
 
