@@ -96,6 +96,11 @@ class StageAction(Generic[R]):
         value = getattr(self, first.name)
         return Path(value[0] if isinstance(value, tuple) else value)
 
+    @property
+    def further_files(self) -> tuple[Path, ...]:
+        """What the result is made of beside its sources: files that these name."""
+        return ()
+
     def check(self) -> None:
         """What can be said before any file is read.
 

@@ -47,7 +47,7 @@ def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch
             with _under(action.base):
                 report = action.author(face, job)
             for one, (path, place) in temporary.items():
-                with _called(path):
+                with _called(path, place):
                     written = getattr(action, one.write)(Face(face.stage, face.prim), report, place)
                 said[one.name] = str(path) if written is None else {**written, "path": str(path)}
     return Performed(report=report, beside=said)
@@ -76,12 +76,12 @@ def _passing(one: Field, path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 @contextmanager
-def _called(path: Path) -> Iterator[None]:
+def _called(path: Path, place: Path) -> Iterator[None]:
     """Errors about a temporary file, as those of the file that it is for."""
     try:
         yield
     except InputError as error:
-        raise InputError(path, error.what) from None
+        raise (InputError(path, error.what) if str(place) in error.where else error) from None
 
 
 @contextmanager
@@ -102,7 +102,8 @@ def files_of(action: StageAction[Any], *, kept: bool = False) -> tuple[Path, ...
     :param kept: those alone that its recipe names
     """
     sources = [pair for pair in _sources(action) if pair[0].kept or not kept]
-    return tuple(dict.fromkeys(Path(file) for one, value in sources for file, _ in _named(one, value)))
+    own = (Path(file) for one, value in sources for file, _ in _named(one, value))
+    return tuple(dict.fromkeys((*own, *action.further_files)))
 
 
 def _sources(action: StageAction[Any]) -> Iterator[tuple[Field, Any]]:

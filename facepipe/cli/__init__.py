@@ -42,7 +42,6 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "database": "collect faces: models of identity and expressions",
-    "rebuild": "make an actor's neutral and own shapes from scans",
     "neural-rig": "learn what a rig does, as one small network",
     "bake": "write what a face's rig does as controls and points over time",
     "sliders": "list, author or set sliders",

@@ -18,7 +18,6 @@ from facepipe.performing import again
 # verb of a recipe -> its module
 VERBS = {
     "fit-photo": "facepipe.pipeline.fit_photo",
-    "rebuild": "facepipe.pipeline.rebuild",
 }
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from facepipe.core.errors import InputError
+from facepipe.older_recipes import found_of
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.quality import Quality, quality_from
 from facepipe.processors.database.whole_faces import Topology, WholeFace, whole_face
@@ -46,10 +47,11 @@ class StageSource:
         recipe = file_recipe(self.path).recipe
         if recipe is None or recipe.verb != REBUILT:
             return None
-        if "quality" not in recipe.options:
+        found = found_of(recipe)
+        if "quality" not in found:
             what = "is rebuilt and states no quality, expected it in its recipe (or --quality, or --ignore-quality)"
             raise InputError(self.path, what)
-        return quality_from(recipe.options["quality"], f"{self.path} -> recipe -> quality")
+        return quality_from(found["quality"], f"{self.path} -> recipe -> quality")
 
 
 def stage_sources(

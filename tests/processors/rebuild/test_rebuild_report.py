@@ -15,7 +15,6 @@ from command_line import failed
 from PIL import Image
 
 from facepipe.cli import main
-from facepipe.cli.rebuild_report import RebuildPictures, shape_rows
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
@@ -30,6 +29,7 @@ from facepipe.pictures.turntable import Turntable, turntable
 from facepipe.pictures.typesetting import SMALL, text_width
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
+from facepipe.processors.rebuild.rebuild_report import RebuildPictures, shape_rows
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.report_folder import REPORT, check_report_folder
+from facepipe.core.reports import Report, unsaid
 
 if TYPE_CHECKING:
+    from facepipe.kinds import Job
     from facepipe.parts import FloatArray
     from facepipe.pictures.shapes_table import ShapeRow
     from facepipe.pictures.turntable import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template
     from facepipe.scans import Scan
 
-_KNOWN = re.compile(r"report\.json|(neutral|shapes|shapes_heat)\.png|expressions(/\w+\.png)?")
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
 _NAMED = 8  # weights of an expression that its picture tells
 
 
-def check_folder(folder: Path, *, force: bool, taken: Sequence[Path]) -> None:
-    """:raises InputError: a report of a rebuild may not be written as `folder`"""
-    check_report_folder(folder, force=force, taken=taken, known=_KNOWN, command="rebuild")
+@dataclass(frozen=True, kw_only=True)
+class RebuildReport(Report):
+    """What a rebuild did."""
+
+    stages: Mapping[str, Any] = field(default_factory=dict)  # stage -> its report
+    quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
+    reused: tuple[str, ...] = ()  # stages whose results were there
+    corrected: tuple[str, ...] = ()  # stages in whose place an artist put a mesh
+    missed: tuple[str, ...] = ()  # a line for each limit
+    pictures: RebuildPictures | None = unsaid()
+    job: Job | None = unsaid()
 
 
 def refined_line(report: Mapping[str, Any]) -> str:
@@ -69,7 +76,7 @@ class RebuildPictures:
             drawn()
         self._draw_shapes(folder, drawn)
         text = json.dumps(result, sort_keys=True, indent=2, default=str)
-        write_bytes(folder / REPORT, f"{text}\n".encode())
+        write_bytes(folder / "report.json", f"{text}\n".encode())
 
     def _scans(self) -> dict[str, tuple[ProjectScan, FloatArray]]:
         """Stage -> its scan, and the whole points (n, 3) that were found."""

@@ -1,0 +1,142 @@
+"""Rebuild an actor's face from scans: the neutral, and the actor's own blendshapes, on a template's topology.
+
+PROJECT (TOML) names the template, a face database, the scan of the neutral and those of other expressions, with the
+shapes that each shows:
+
+  template = "head.usda"
+  database = "faces.fpdb"
+  [neutral]
+  scan = "scans/neutral.ply"                # landmarks: scans/neutral.landmarks.json, or found on the scan
+  [expressions.smile]                       # its weights are in the table of composites
+  scan = "scans/smile.ply"
+  [expressions.wink]
+  scan = "scans/wink.ply"
+  weights = { eyeBlink_L = 1, cheekSquint_L = 0.5 }
+
+[options.refinement] with regions = ["nose", ...] draws the neutral, or these regions of it, closer to its scan.
+
+Each stage's result is kept in the project's work folder and used again until its inputs change: neutral, refined,
+template, expressions/NAME, shapes. Beside it lies the mesh (NAME.usdc); a corrected one, saved as
+corrections/NAME.usdc (.obj, .glb ...) in the work folder, takes its place in all that follows, and
+corrections/shapes/jawOpen.usdc that of a shape.
+
+With --joint the neutral is refined on all scans together, from fits to each alone (alone/ in the work folder): truer,
+in about twice the time.
+
+OUT is an override layer over the template. --report makes a folder of pictures: each scan beside what was registered to
+it, and how much the scans told of each shape. Exit code 1: done, but a limit of the quality gate of `facepipe database
+add` is missed.
+
+examples:
+  facepipe rebuild anna.toml -o anna.usda --report anna_report
+  facepipe rebuild anna.toml -o anna.usda --joint --flatten --force --json
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.core.errors import InputError
+from facepipe.declare import beside, option, source, to_json
+from facepipe.kinds import Job, StageAction, action
+
+if TYPE_CHECKING:
+    from facepipe.processors.rebuild.project import Project
+    from facepipe.processors.rebuild.rebuild_report import RebuildReport
+    from facepipe.stage import Face
+
+_NAMES = r"report\.json|(neutral|shapes|shapes_heat)\.png|expressions(/\w+\.png)?"
+
+
+@action("rebuild", "make an actor's neutral and own shapes from scans")
+@dataclass(frozen=True, kw_only=True)
+class RebuildAction(StageAction["RebuildReport"]):
+    """The action; what it finds on the way stays in the project's work folder."""
+
+    project: Path = source("scans, template, database and options: .toml")
+    joint: bool = option(False, "refine the neutral on all scans together, as joint = true in PROJECT")
+    report: Path | None = beside("folder to make: report, pictures of scans and shapes", "", "draw", holds=_NAMES)
+
+    @cached_property
+    def _project(self) -> Project:
+        from facepipe.processors.rebuild.project import read_project
+
+        project = read_project(Path(self.project))
+        return replace(project, joint=project.joint or self.joint)
+
+    @property
+    def base(self) -> Path:
+        return self._project.template
+
+    @property
+    def further_files(self) -> tuple[Path, ...]:
+        project = self._project
+        scans = (project.neutral, *project.expressions)
+        each = (file for scan in scans for file in (scan.scan, scan.landmarks) if file is not None)
+        return (project.template, project.database, *each)
+
+    def check(self) -> None:
+        from facepipe.processors.rebuild.work_folder import CORRECTIONS
+
+        super().check()
+        folder = None if self.report is None else Path(self.report).resolve()
+        for used in (self._project.work, self._project.work / CORRECTIONS):
+            if folder is not None and (folder == used.resolve() or folder in used.resolve().parents):
+                what = f"holds {used.name}, which is read or written too, expected another folder"
+                raise InputError(str(self.report), what)
+
+    def author(self, face: Face, job: Job) -> RebuildReport:
+        from facepipe.core.atomic import apart
+        from facepipe.processors.database import QualityLimits, misses
+        from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+        from facepipe.processors.rebuild.readers import readers
+        from facepipe.processors.rebuild.rebuild import Rebuild, stage_count
+        from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
+        from facepipe.processors.rebuild.template import Template
+
+        template = Template.of(face.parts(), str(self.base))
+        with job.watch("rebuild", stage_count(self._project)) as bar, apart():  # stages stay where a later one fails
+            rebuilt = Rebuild(self._project, template, readers(), _named_steps(bar))()
+        quality, missed = to_json(rebuilt.quality), misses(rebuilt.quality, QualityLimits())
+        authored = AuthorNeutral(shapes=rebuilt.shapes)(face, rebuilt.neutral, recipe=job.recipe(quality=quality))
+        return RebuildReport(
+            stages=rebuilt.reports,
+            quality=quality,
+            reused=rebuilt.reused,
+            corrected=rebuilt.corrected,
+            missed=missed,
+            warnings=(*rebuilt.warnings, *authored.warnings, *missed),
+            pictures=RebuildPictures(project=self._project, template=template, rebuilt=rebuilt),
+            job=job,
+        )
+
+    def missed(self, report: RebuildReport) -> bool:
+        return bool(report.missed)
+
+    def draw(self, face: Face, report: RebuildReport, path: Path) -> None:
+        """The folder of the report, with what `--json` prints."""
+        if report.pictures is not None and report.job is not None:
+            told = {"path": str(report.job.out), **json.loads(report.to_json()), "report": str(self.report)}
+            with report.job.watch("report", report.pictures.count) as bar:
+                report.pictures.write(path, told, bar.update)
+
+    def text(self, report: RebuildReport, out: Path) -> str:
+        from facepipe.processors.rebuild.rebuild_text import rebuild_text
+
+        return f"{out}\n{rebuild_text(report)}"
+
+
+def _named_steps(bar: Any) -> Callable[[str], None]:
+    """Count stages as they begin, with their names where the bar can show them."""
+
+    def began(name: str) -> None:
+        if hasattr(bar, "set_postfix_str"):
+            bar.set_postfix_str(name)
+        bar.update()
+
+    return began
