@@ -1,7 +1,8 @@
 """Actions by their verbs: those in files called ``<verb>_action.py`` among the processors, and those of plug-ins.
 
 A plug-in has entry points in the group ``facepipe.processors``: a verb -> the class that is declared with
-`facepipe.declare.action`. Its commands, recipes and Python functions are as those of facepipe itself.
+`facepipe.kinds.action`. Its commands, recipes and Python functions are as those of facepipe itself; the verbs of
+facepipe's own commands are taken.
 """
 
 from __future__ import annotations
@@ -9,12 +10,13 @@ from __future__ import annotations
 import functools
 import importlib
 import re
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.kinds import StageAction
+from facepipe.registry import loaded
 
 GROUP = "facepipe.processors"
 _DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
@@ -32,21 +34,34 @@ def _own() -> dict[str, tuple[str, str]]:
 
 
 def summaries() -> dict[str, str]:
-    """Verb -> what it does, of all actions."""
+    """Verb -> what it does, of all actions; of a plug-in that can't be used, why."""
     own = {verb: summary for verb, (_, summary) in _own().items()}
-    others = {entry.name: entry.load().summary for entry in entry_points(group=GROUP) if entry.name not in own}
+    others = {entry.name: _summary(entry) for entry in entry_points(group=GROUP)}
     return dict(sorted({**others, **own}.items()))
 
 
+def _summary(entry: EntryPoint) -> str:
+    try:
+        return _of_others(entry).summary
+    except InputError as error:
+        return f"({error})"
+
+
 def find_action(verb: str) -> type[StageAction[Any]] | None:
-    """The action of a verb; None where there is none."""
+    """The action of a verb; None where there is none.
+
+    :raises InputError: it is that of a plug-in that can't be loaded, or that has no action of the verb
+    """
     if verb in _own():
         module = importlib.import_module(_own()[verb][0])
         kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, StageAction))
         return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
-    for entry in entry_points(group=GROUP, name=verb):
-        found = entry.load()
-        if not (isinstance(found, type) and issubclass(found, StageAction) and getattr(found, "verb", None) == verb):
-            raise InputError(f"{GROUP} -> {verb}", f"{entry.value} is no action of that verb, expected one")
+    return next((_of_others(entry) for entry in entry_points(group=GROUP, name=verb)), None)
+
+
+def _of_others(entry: EntryPoint) -> type[StageAction[Any]]:
+    """:raises InputError: it can't be loaded, or is no action of that verb"""
+    found = loaded(entry)
+    if isinstance(found, type) and issubclass(found, StageAction) and getattr(found, "verb", None) == entry.name:
         return found
-    return None
+    raise InputError(f"plug-in {entry.name} ({entry.value})", "is no action of that verb, expected one")

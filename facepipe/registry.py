@@ -72,7 +72,7 @@ def exporter(path: str | Path) -> Exporter:
     """
     suffix = Path(path).suffix.lower().removeprefix(".")
     for entry in entry_points(group=EXPORTERS, name=suffix):
-        found: Exporter = _loaded(entry, "Options", "export", "validate")
+        found: Exporter = loaded(entry, "Options", "export", "validate")
         return found
     expected = " ".join(f".{one}" for one in suffixes())
     raise InputError(path, f"suffix '.{suffix}', expected one of {expected}")
@@ -99,7 +99,7 @@ def importer(kind: str, others: Iterable[str] = ()) -> Importer:
     :raises InputError: no such kind, or an importer that can't be loaded or lacks part of the contract
     """
     for entry in entry_points(group=IMPORTERS, name=kind):
-        found: Importer = _loaded(entry, "Options", "read")
+        found: Importer = loaded(entry, "Options", "read")
         return found
     raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted({*importers(), *others}))}")
 
@@ -118,17 +118,18 @@ def _names(group: str) -> tuple[str, ...]:
     return tuple(sorted({entry.name for entry in entry_points(group=group)}))
 
 
-def _loaded(entry: EntryPoint, *contract: str) -> Any:
-    """The module of an entry point.
+def loaded(entry: EntryPoint, *contract: str) -> Any:
+    """What an entry point names.
 
     :raises InputError: it can't be imported, or lacks part of its contract
     """
     where = f"plug-in {entry.name} ({entry.value})"
     try:
-        module = entry.load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(where, f"can't be loaded: {error}") from None
-    missing = [name for name in contract if name not in dir(module)]  # what is there to be loaded stays so
+        found = entry.load()
+    except Exception as error:  # importing it runs code of others, which may fail in any way
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(where, f"can't be loaded: {why}") from None
+    missing = [name for name in contract if name not in dir(found)]  # what is there to be loaded stays so
     if missing:
         raise InputError(where, f"has no {missing[0]}, expected {', '.join(contract)}")
-    return module
+    return found

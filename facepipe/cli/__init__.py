@@ -153,7 +153,7 @@ def commands_of() -> dict[str, str]:
     """Every command -> what it does."""
     from facepipe.actions import summaries
 
-    return {**COMMANDS, **{verb: summary for verb, summary in summaries().items() if " " not in verb}}
+    return COMMANDS | {verb: text for verb, text in summaries().items() if " " not in verb and verb not in COMMANDS}
 
 
 def _help(words: list[str], command: str | None) -> int:

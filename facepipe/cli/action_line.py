@@ -35,7 +35,7 @@ class ActionLine:
     @property
     def __doc__(self) -> str:  # type: ignore[override]
         """The text of --help: that of the module that declares the action."""
-        return str(sys.modules[self.kind.__module__].__doc__)
+        return sys.modules[self.kind.__module__].__doc__ or self.kind.summary
 
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the arguments."""

@@ -1,19 +1,25 @@
-"""Plug-ins: an importer and an exporter of others, installed in a folder and used by the command line."""
+"""Plug-ins: an importer, an exporter and an action of others, installed in a folder and used as our own are."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 import pytest
+from faces import tiny_face
 from typed_plugins import EXPORTERS, IMPORTERS
 
 import facepipe
 from facepipe import registry
+from facepipe.cli import commands_of
+from facepipe.stage import save_parts
 
 # what the contract in facepipe/registry.py asks for, and nothing else
 EXPORTER = """
@@ -64,6 +70,41 @@ def read(source, options):
     mesh = Mesh(name="Head", points=points, face_vertex_counts=counts, face_vertex_indices=triangles.ravel())
     return Imported(parts=FaceParts(meshes=(mesh,)), warnings=("xyz: has no joints",))
 """
+ACTION = """
+'''Move a face up.
+
+example: facepipe lift head.usda --by-mm 5 -o up.usda
+'''
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from facepipe.core.reports import Report
+from facepipe.declare import option, source
+from facepipe.kinds import StageAction, action
+from facepipe.stage.author_changes import author_changes
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftReport(Report):
+    points: int
+
+
+@action("lift", "move a face up")
+@dataclass(frozen=True, kw_only=True)
+class Lift(StageAction[LiftReport]):
+    face: Path = source("face stage")
+    by_mm: float = option(10.0, "how far", 0.0, 100.0, "mm")
+
+    def author(self, face, job):
+        recipe, parts = job.recipe(), face.parts()
+        step = [0.0, self.by_mm / face.mm_per_unit, 0.0]
+        meshes = tuple(replace(mesh, points=mesh.points + step) for mesh in parts.meshes)
+        author_changes(face, replace(parts, meshes=meshes, recipe=recipe))
+        return LiftReport(points=sum(len(mesh.points) for mesh in meshes))
+
+    def text(self, report, out):
+        return f"{out}: {report.points} points lifted"
+"""
 ENTRY_POINTS = """[facepipe.exporters]
 xyz = xyz_plugin.write
 broken = xyz_plugin.nothing
@@ -71,7 +112,23 @@ part = xyz_plugin.read
 
 [facepipe.importers]
 xyz = xyz_plugin.read
+
+[facepipe.processors]
+lift = xyz_plugin.lift:Lift
+sink = xyz_plugin.nothing:Sink
+drop = xyz_plugin.lift:Lift
+burst = xyz_plugin.burst:Burst
+skin = xyz_plugin.lift:Lift
+demo = xyz_plugin.lift:Lift
 """
+POINTS = sum(len(mesh.points) for mesh in tiny_face().meshes)
+MODULES = {
+    "__init__": "",
+    "write": EXPORTER,
+    "read": IMPORTER,
+    "lift": ACTION,
+    "burst": "raise OSError('no\\nlicence')",
+}
 
 
 @pytest.fixture
@@ -79,7 +136,7 @@ def folder(tmp_path: Path) -> Path:
     """A folder with the plug-in installed as pip does it, and a face of two triangles in an .xyz file."""
     site = tmp_path / "site"
     (site / "xyz_plugin").mkdir(parents=True)
-    for name, text in (("__init__", ""), ("write", EXPORTER), ("read", IMPORTER)):
+    for name, text in MODULES.items():
         (site / "xyz_plugin" / f"{name}.py").write_text(text)
     info = site / "xyz_plugin-1.0.dist-info"
     info.mkdir()
@@ -91,7 +148,11 @@ def folder(tmp_path: Path) -> Path:
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """A command line in a process that finds the plug-in."""
-    program = "import sys; from facepipe.cli import main; sys.exit(main(sys.argv[1:]))"
+    return python(folder, "import sys; from facepipe.cli import main; sys.exit(main(sys.argv[1:]))", *words)
+
+
+def python(folder: Path, program: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """A program in a process that finds the plug-in."""
     path = os.pathsep.join([str(folder / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.run(
         [sys.executable, "-c", program, *words],
@@ -136,6 +197,74 @@ def test_help_lists_the_options_of_plug_ins(folder: Path) -> None:
 def test_a_plug_in_that_breaks_the_contract_is_refused_in_one_line(folder: Path, suffix: str, line: str) -> None:
     done = run(folder, "export", "quad.usda", "-o", f"head.{suffix}")
     assert (done.returncode, done.stdout, done.stderr) == (2, "", f"facepipe: {line}\n")
+
+
+def test_an_action_of_others_is_a_command_with_recipe_edit_and_cook(folder: Path) -> None:
+    save_parts(tiny_face(), folder / "face.usda")
+
+    def lifted() -> list[float]:
+        """How far all points of up.usda are above those of face.usda, in mm."""
+        low, up = (facepipe.open(folder / name) for name in ("face.usda", "up.usda"))
+        moved = (up.evaluate() - low.evaluate()) * low.mm_per_unit
+        np.testing.assert_allclose(moved, np.tile(moved[0], (POINTS, 1)), atol=1e-3)
+        return [round(float(one), 3) for one in moved[0]]
+
+    help = run(folder, "lift", "--help").stdout
+    assert "Move a face up.\n\nexample: facepipe lift head.usda" in help
+    assert "--by-mm BY_MM    how far [mm] (default 10.0)" in re.sub(" {5,}", "    ", help)
+    done = run(folder, "lift", "face.usda", "--by-mm", "5", "-o", "up.usda")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"up.usda: {POINTS} points lifted\n", "")
+    assert lifted() == [0, 5, 0]
+    done = run(folder, "lift", "face.usda", "--by-mm", "101", "-o", "far.usda")
+    line = "facepipe: option by_mm: is 101.0, expected a number from 0 to 100\n"
+    assert (done.returncode, done.stderr) == (2, line)
+
+    done = run(folder, "lift", "--edit", "up.usda", "--by-mm", "7", "--force", "--json")
+    assert json.loads(done.stdout) == {"path": "up.usda", "points": POINTS, "warnings": []}, done.stderr
+    assert lifted() == [0, 7, 0]
+    made = (folder / "up.usda").read_bytes()
+
+    save_parts(replace(tiny_face(), meters_per_unit=0.02), folder / "face.usda")
+    done = run(folder, "cook", "up.usda")
+    assert "up.usda: lift: cooked" in done.stdout, done.stderr
+    assert (folder / "up.usda").read_bytes() != made
+    assert lifted() == [0, 7, 0]
+    assert "1 up to date" in run(folder, "cook", "up.usda").stdout
+
+
+def test_an_action_of_others_is_done_in_python(folder: Path) -> None:
+    save_parts(tiny_face(), folder / "face.usda")
+    program = """if True:
+        from pathlib import Path
+        from facepipe.performing import perform
+        from xyz_plugin.lift import Lift
+        done = perform(Lift(face=Path("face.usda"), by_mm=5.0), Path("up.usda"))
+        print(done.report.points)"""
+    done = python(folder, program)
+    assert done.stdout == f"{POINTS}\n", done.stderr
+    assert run(folder, "lift", "face.usda", "--by-mm", "5", "-o", "same.usda").returncode == 0
+    assert (folder / "up.usda").read_bytes() == (folder / "same.usda").read_bytes()
+
+
+def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_else_breaks(folder: Path) -> None:
+    wrong = {
+        "sink": "(xyz_plugin.nothing:Sink): can't be loaded: No module named 'xyz_plugin.nothing'",
+        "drop": "(xyz_plugin.lift:Lift): is no action of that verb, expected one",
+        "burst": "(xyz_plugin.burst:Burst): can't be loaded: no licence",
+    }
+    listing = run(folder, "--help")
+    assert listing.returncode == 0, listing.stderr
+    commands = listing.stdout.partition("commands:\n")[2].partition("\n\n")[0]
+    listed = dict(line.split(maxsplit=1) for line in commands.splitlines())
+    broken = {verb: f"(plug-in {verb} {line})" for verb, line in wrong.items()}
+    assert listed == {**commands_of(), "lift": "move a face up", **broken}  # skin and demo are ours
+
+    save_parts(tiny_face(), folder / "face.usda")
+    for verb, line in wrong.items():
+        done = run(folder, verb, "face.usda", "-o", "up.usda")
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"facepipe: plug-in {verb} {line}\n")
+    assert "skeleton" in run(folder, "skin", "--help").stdout
+    assert run(folder, "inspect", "face.usda").returncode == 0
 
 
 def test_our_own_plug_ins_are_those_that_types_are_checked_of() -> None:
