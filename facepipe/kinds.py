@@ -17,7 +17,7 @@ that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +78,14 @@ class StageAction(Generic[R]):
     @classmethod
     def add_flags(cls, parser: Any) -> None:
         """Add flags to the command's parser that are not a field each."""
+
+    @classmethod
+    def replaced(cls, arguments: Any) -> Collection[str]:
+        """Fields of the recipe that the line leaves out, beside those that it gives: their files may be lost.
+
+        :param arguments: what was parsed
+        """
+        return ()
 
     @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:

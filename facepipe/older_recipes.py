@@ -87,10 +87,24 @@ def _sliders(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, 
     return {"face": sources[0], **options, **(own if isinstance(own, Mapping) else {})}
 
 
+def _fit_photo(options: dict[str, Any], sources: tuple[str, ...]) -> Mapping[str, Any]:
+    files, own = options.get("files"), options.get("options")
+    fit = own.get("fit") if isinstance(own, Mapping) else None
+    if not (isinstance(files, Mapping) and isinstance(own, Mapping) and isinstance(fit, Mapping) and sources):
+        return options
+    kept = {name: value for name, value in own.items() if name != "fit"}
+    kept |= {("landmark_weight" if name == "landmarks" else name): value for name, value in fit.items()}
+    found = {"face": sources[0], "photos": options.get("photos"), **files, **kept}
+    for name, each in (("landmarks", options.get("landmarks")), ("faces", own.get("faces"))):  # null: of no photo
+        found[name] = [] if isinstance(each, list) and not any(one is not None for one in each) else each
+    return found
+
+
 _STAGES = ("fit-neutral", "refine-neutral", "personal-template", "register-scan", "split-shapes", "rebuild")
 _REWRITES = {
     "blend": _blend,
     "fit-bones": _fit_bones,
+    "fit-photo": _fit_photo,
     "skin": _skin,
     "sliders": _sliders,
     **dict.fromkeys(_STAGES, _stage),

@@ -19,8 +19,8 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoFitOptions:
-    """Steps, weights of the terms of the joint loss ([0166]) and what is likely.
+class PhotoTermOptions:
+    """Steps, weights of the terms of the joint loss ([0166]) but for the landmarks, and what is likely.
 
     A weight of 0 switches a term off; networks whose terms are off are not run.
 
@@ -34,7 +34,6 @@ class PhotoFitOptions:
     )
     rate: float = option(0.04, "size of a step, of a slider's range (adam), or per slope (plain)", 1e-9, 1e3)
     size: int = option(256, "pixels a side that image terms see of the head", 64, 1024)
-    landmarks: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
     color: float = option(60.0, "weight of the colours of the pixels", 0.0, 1e6)
     content: float = option(1.0, "weight of features and semantics", 0.0, 1e6)
     identity: float = option(0.2, "weight of the identity", 0.0, 1e6)
@@ -49,3 +48,10 @@ class PhotoFitOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFitOptions(PhotoTermOptions):
+    """How a face is fitted to photos and their landmarks."""
+
+    landmarks: float = option(1.0, "weight of the landmarks", 0.0, 1e6)

@@ -115,8 +115,9 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
         if arguments.edit is not None and one.several and one.stands_alone and one.name in given:
             what = "given with --edit, expected the sources of its recipe (--replace N=FILE takes another)"
             raise InputError(given[one.name][0], what)
-    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given}, instead)
-    values = dict(kept.values) if kept else {}
+    left = set(kind.replaced(arguments))
+    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given, *left}, instead)
+    values = {name: value for name, value in kept.values.items() if name not in left} if kept else {}
     for one in fields:
         if one.name in given:
             value = one.parse(given[one.name]) if one.is_read and one.parse and given[one.name] else given[one.name]

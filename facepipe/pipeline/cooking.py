@@ -9,16 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from facepipe.actions import find_action
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
+from facepipe.core.reports import Report
 from facepipe.core.trust import trust, trusting
 from facepipe.kinds import Watch, unwatched
+from facepipe.older_recipes import verb_now
+from facepipe.performing import again
 from facepipe.pipeline.freshness import Digests, changes, waiting
 from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.pipeline.options import CookOptions
 from facepipe.pipeline.report import Action, CookReport, NodeReport
-from facepipe.pipeline.verbs import Cooked, cooker
 
 AnyPath = str | os.PathLike[str]
 
@@ -126,25 +129,25 @@ class _Run:
         if not why or node.recipe is None:
             self._wrote(key)
             return _report(node, "up to date", ("another process cooked it",))
-        cooked = self._steady(node, node.recipe.verb, key)
+        report, missed = self._steady(node, node.recipe.verb, key)
         done = _report(node, "cooked", why)
         return replace(
             done,
             seconds=time.perf_counter() - start,
-            missed=cooked.missed,
-            warnings=(*self._old(node), *cooked.report.warnings),
-            report=json.loads(cooked.report.to_json()),
+            missed=missed,
+            warnings=(*self._old(node), *report.warnings),
+            report=json.loads(report.to_json()),
         )
 
-    def _steady(self, node: Node, verb: str, key: Path) -> Cooked:
+    def _steady(self, node: Node, verb: str, key: Path) -> tuple[Report, bool]:
         """Cook; once more where a source has changed meanwhile: of what was read before, the recipe may not tell."""
         for _ in range(_TRIES):
             before = {source: self._digests.of(source) for source in node.sources}
             try:
-                cook_one = cooker(verb)
-                if cook_one is None:
+                kind = find_action(verb_now(verb))
+                if kind is None:
                     raise InputError(node.path, f"a recipe of '{verb[:40]}', expected one that can be cooked")
-                cooked = cook_one(node.path, self._watch)
+                cooked = again(node.path, kind, self._watch)
             except FacepipeError as error:
                 raise error if str(node.path) in error.where else error.under(shown(node.path)) from None
             node = self._wrote(key)

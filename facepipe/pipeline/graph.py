@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.actions import find_action, summaries
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import check_readable, is_writable, roots_of
+from facepipe.older_recipes import verb_now
 from facepipe.parts import Recipe
-from facepipe.pipeline.verbs import cooker, verbs
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
 from facepipe.stage.recipes import check_recipe, check_source, file_recipe
@@ -188,8 +189,8 @@ def read_node(path: Path) -> Node:
         return Node(path=path, recipe=None, layers=links.layers)
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)
-    if cooker(recipe.verb) is None:
-        raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {', '.join(verbs())}")
+    if find_action(verb_now(recipe.verb)) is None:
+        raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {', '.join(summaries())}")
     sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)
     for number, source in enumerate(sources, 1):
         check_source(f"{where} -> source {number}", source)

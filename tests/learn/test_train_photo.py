@@ -36,8 +36,9 @@ from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.pose import FOCAL
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
+from facepipe.performing import read_kept
 from facepipe.photo_options import PhotoFitOptions
-from facepipe.processors.photo_fit import read_photo_recipe
+from facepipe.processors.photo_fit import FitPhoto
 from facepipe.stage import save_parts
 from facepipe.start_options import StartOptions
 
@@ -381,8 +382,8 @@ def test_the_fit_command_takes_the_network(
     words += ["--size", "64"]
     words += ["-o", tmp_path / "person.usda", "--start", network_file]
     assert run(capsys, *words)[0] in (0, 1)
-    recipe = read_photo_recipe(tmp_path / "person.usda")
-    assert recipe.files["start"].samefile(network_file)
+    kept = read_kept(tmp_path / "person.usda", FitPhoto).values
+    assert kept["start"].samefile(network_file)
     err = failed(
         capsys, "fit-photo", "--edit", tmp_path / "person.usda", "--expression", "jawOpen", "--force", folder=tmp_path
     )

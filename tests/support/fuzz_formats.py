@@ -45,9 +45,9 @@ from scan_files import cube
 from small_sources import made
 
 import facepipe
+from facepipe.actions import summaries
 from facepipe.cli import main
 from facepipe.heads import make as make_sample
-from facepipe.pipeline.verbs import VERBS
 from facepipe.processors.database import DatabaseOptions, create_database, save_database
 from facepipe.stage import save_parts
 
@@ -259,7 +259,7 @@ def _damage_attribute(rng: Rng, name: str, spec: Any) -> None:
         text = damage.damaged_json(rng, spec.default.encode())
         spec.default = text.decode("utf-8", "replace").replace("\0", "")
     elif name in ("verb", "version"):
-        spec.default = rng.choice([*VERBS, *damage.NAMES, "0.0", "99.0.0", "0.1.0", "1.x"])
+        spec.default = rng.choice([*summaries(), *damage.NAMES, "0.0", "99.0.0", "0.1.0", "1.x"])
     else:
         items = list(spec.default)
         at = rng.randrange(len(items) + 1)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unsaid
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped
+    from facepipe.processors.photo_fit.fit_face import Fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,8 @@ class PhotoFitReport(Report):
     losses: Mapping[str, Loss] = field(default_factory=dict)  # "total" and each term
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the neutral is beyond the face's limits
     authored: tuple[str, ...] = ()
+    seconds: float = 0.0
+    fitted: Fitted = unsaid()  # of the report of an action
 
     @property
     def missed(self) -> bool:

@@ -27,7 +27,8 @@ from facepipe.core.errors import InputError
 from facepipe.heads import make
 from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
-from facepipe.processors.photo_fit import read_landmarks, read_photo, read_photo_recipe
+from facepipe.performing import read_kept
+from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
@@ -124,6 +125,7 @@ def test_the_report_is_a_folder_of_what_was_found(fitted: Path) -> None:
     assert {one.name for one in folder.iterdir()} == expected
     report = json.loads((folder / "report.json").read_text())
     assert report["photos"]["front.png"]["landmark_error_px"] < 1.5
+    assert not {"seconds", "fitted"} & report.keys()  # no times, no arrays
     photo = read_photo(fitted / "front.png")
     given, kept = (
         read_landmarks(path, photo).points for path in (fitted / "front.json", folder / "front.landmarks.json")
@@ -178,14 +180,15 @@ def test_photos_of_a_person_share_sliders(studio: Path, capsys: pytest.CaptureFi
     assert list(found["photos"]) == ["front.png", "side.png"]
     assert all(one["landmark_error_px"] < 1.5 for one in found["photos"].values())
     assert found["path"] == "person.usdc"
+    assert found["seconds"] > 0
     (studio / "head.usdc").unlink()
     face = facepipe.open("person.usdc")  # flattened: on its own
     assert [one.image for one in face.photos] == ["front.png", "side.png"]
     yaw = [float(np.arctan2(one.transform[0, 2], one.transform[2, 2])) for one in face.photos]
     assert yaw == pytest.approx([0.0, 0.25], abs=0.06)
-    recipe = read_photo_recipe("person.usdc", replaced=("FACE",))
-    assert [one.name for one in recipe.photos] == ["front.png", "side.png"]
-    assert [one and one.name for one in recipe.landmarks] == ["front.json", "side.json"]
+    kept = read_kept("person.usdc", FitPhoto, ["face"]).values
+    assert [one.name for one in kept["photos"]] == ["front.png", "side.png"]
+    assert [one.name for one in kept["landmarks"]] == ["front.json", "side.json"]
 
 
 def test_existing_files_need_force_and_the_same_input_gives_the_same_bytes(person: Path) -> None:
@@ -224,7 +227,7 @@ def test_a_loss_that_is_not_finite_keeps_the_best(person: Path, capsys: pytest.C
     assert json.loads(out)["stopped"] == "not-finite"
     assert "not finite" in err
     assert json.loads(out)["photos"]["front.png"]["landmark_error_px"] < 1.5
-    assert read_photo_recipe("kept.usda").files["identity_model"] == person / "bright.onnx"
+    assert read_kept("kept.usda", FitPhoto).values["identity_model"] == person / "bright.onnx"
 
 
 def brightness_network(path: Path) -> None:
@@ -330,8 +333,8 @@ def _report_of_other_files() -> None:
 
 BAD = "bad.json"
 BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
-    "nothing": (None, (), "PHOTO ... FACE: none given, expected photos and a face stage"),
-    "no photo": (None, ("head.usdc",), "head.usdc alone, expected one photo"),
+    "nothing": (None, (), "FACE: none given, expected face stage, after the photos (or --edit RESULT)"),
+    "no photo": (None, ("head.usdc",), "PHOTO: none given, expected photos of one person"),
     "no such photo": (None, ("lost.png", *ONE[1:]), "lost.png"),
     "no such face": (None, ("front.png", "lost.usda", *ONE[2:]), "lost.usda"),
     "swapped": (None, ("head.usdc", "front.png", *ONE[2:]), "front.png"),
@@ -349,6 +352,7 @@ BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
         "2 faces found, expected one, or an index from 0 to 1",
     ),
     "no such face in it": (None, (*ONE, "--face", "3"), "face 3 of 1"),
+    "no number of a face": (None, (*ONE, "--face", "first"), "--face first: expected whole numbers from 0"),
     "outside": (
         _landmarks(lambda points: [[x + 90, y] for x, y in points]), ("front.png", "head.usdc", "--landmarks", BAD),
         "landmarks outside front.png",
@@ -371,7 +375,7 @@ BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
     "signature": (_wrong_signature, (*ONE, "--identity-model", "bad.onnx"), "bad.onnx"),
     "no model": (_save("bad.onnx", b"no model"), (*ONE, "--content-model", "bad.onnx"), "bad.onnx"),
     "iterations": (None, (*ONE, "--iterations", "-1"), "iterations: is -1, expected a number from 0"),
-    "threshold": (None, (*ONE, "--landmark-threshold", "nan"), "--landmark-threshold: nan, expected"),
+    "threshold": (None, (*ONE, "--landmark-threshold", "nan"), "landmark_threshold: is nan, expected a number"),
     "suffix": (None, (*ONE, "-o", "out.obj"), "out.obj"),
     "input as output": (None, (*ONE, "-o", "head.usdc", "--force"), "head.usdc: is an input"),
     "report in use": (None, (*ONE, "--report", "."), "holds head.usdc, which is read or written too"),

@@ -21,13 +21,17 @@ from with_torch import tensor
 
 import facepipe
 from facepipe.checks import validate
+from facepipe.cli.action_line import action_of, configure
+from facepipe.cli.parser import Parser
 from facepipe.core import tokens
-from facepipe.core.errors import FitError, InputError, SchemaError
+from facepipe.core.errors import FitError, InputError
 from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
-from facepipe.parts import FaceParts, Material, Slider
-from facepipe.processors.photo_fit import AuthorPhotoFit, Photo, photo_recipe, read_photo_recipe
+from facepipe.parts import FaceParts, Material, Recipe, Slider
+from facepipe.performing import read_kept, recipe_to
+from facepipe.photo_options import PhotoFitOptions
+from facepipe.processors.photo_fit import AuthorPhotoFit, FitPhoto, Photo
 from facepipe.processors.sliders import SetSliders
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
@@ -407,79 +411,114 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a face, photos, landmarks and a model."""
     save_parts(tiny("Y", 0.01), tmp_path / "face.usda")
     (tmp_path / "in").mkdir()
-    for name in ("a.png", "b.png", "a.json", "net.onnx"):
+    for name in ("a.png", "b.png", "a.json", "b.json", "net.onnx"):
         (tmp_path / "in" / name).write_bytes(name.encode())
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def recorded(folder: Path, **changes: object) -> Path:
+def recorded(recipe: Recipe) -> Path:
     """A fit with a recipe, in a folder beside."""
-    (folder / "out").mkdir()
-    out = folder / "out" / "person.usda"
-    recipe = photo_recipe(
-        "face.usda",
-        ["in/a.png", "in/b.png"],
-        out,
-        landmarks=["in/a.json", None],
-        files={"identity_model": "in/net.onnx"},
-        options={"iterations": 20, "weights": {"identity": 0.5}, "regions": ("nose",)},
-    )
-    source = facepipe.open("face.usda")
+    Path("out").mkdir(exist_ok=True)
+    out, source = Path("out/person.usda").absolute(), facepipe.open("face.usda")
     with source.deriving(out) as face:
-        changed = replace(recipe, options={**recipe.options, **changes})
-        AuthorPhotoFit()(face, fit_of(source, 2), [photo("a.png"), photo("b.png")], recipe=changed)
+        AuthorPhotoFit()(face, fit_of(source, 2), [photo("a.png"), photo("b.png")], recipe=recipe)
     return out
 
 
+def recipe() -> Recipe:
+    photos, marks = (Path("in/a.png"), Path("in/b.png")), (Path("in/a.json"), Path("in/b.json"))
+    own = {"identity_model": Path("in/net.onnx"), "iterations": 20, "identity": 0.5}
+    return recipe_to(FitPhoto(face=Path("face.usda"), photos=photos, landmarks=marks, **own), "out/person.usda")
+
+
+def files(folder: Path) -> dict[str, object]:
+    photos, marks = ((folder / f"in/a.{kind}", folder / f"in/b.{kind}") for kind in ("png", "json"))
+    return {
+        "face": folder / "face.usda",
+        "photos": photos,
+        "landmarks": marks,
+        "identity_model": folder / "in/net.onnx",
+    }
+
+
 def test_the_recipe_is_read_back(folder: Path) -> None:
-    found = read_photo_recipe(recorded(folder))
-    assert found.face == folder / "face.usda"
-    assert found.photos == (folder / "in/a.png", folder / "in/b.png")
-    assert found.landmarks == (folder / "in/a.json", None)
-    assert found.files == {"identity_model": folder / "in/net.onnx"}
-    assert found.options == {"iterations": 20, "weights": {"identity": 0.5}, "regions": ["nose"]}
-    assert not found.standalone
-    assert found.warnings == ()
+    kept = read_kept(recorded(recipe()), FitPhoto)
+    assert {
+        **files(folder),
+        "iterations": 20,
+        "identity": 0.5,
+        "faces": (),
+        "start": None,
+    }.items() <= kept.values.items()
+    assert not kept.standalone
+    assert kept.warnings == ()
     assert validate(folder / "out" / "person.usda") == ()
 
 
 def test_changed_and_lost_sources_of_a_recipe(folder: Path) -> None:
-    out = recorded(folder)
+    out = recorded(recipe())
     (folder / "in/b.png").write_bytes(b"another")
-    assert read_photo_recipe(out).warnings == ("b.png changed since person.usda was made",)
-    assert read_photo_recipe(out, replaced=("PHOTO",)).warnings == ()
+    assert read_kept(out, FitPhoto).warnings == ("b.png changed since person.usda was made",)
+    assert read_kept(out, FitPhoto, ["photos"]).warnings == ()
     (folder / "in/net.onnx").unlink()
     with pytest.raises(InputError, match=r"net\.onnx: no such file, .*--identity-model"):
-        read_photo_recipe(out)
-    assert read_photo_recipe(out, replaced=("--identity-model",)).photos[1].read_bytes() == b"another"
+        read_kept(out, FitPhoto)
+    kept = read_kept(out, FitPhoto, ["identity_model"]).values
+    assert kept["photos"][1].read_bytes() == b"another"
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"photos": []}, "photos: damaged"),
-        ({"photos": ["../in/a.png", "../in/a.png"]}, "photos: damaged"),
-        ({"photos": ["../in/b.png", "../in/a.png"]}, "expected the face and the files"),
-        ({"landmarks": [None]}, "landmarks: damaged"),
-        ({"files": {"identity_model": 3}}, "files: damaged"),
-        ({"options": []}, "options: damaged"),
-        ({"more": 1}, "expected an object of"),
-    ],
-)
-def test_damaged_recipes(folder: Path, changes: dict[str, object], message: str) -> None:
-    with pytest.raises(SchemaError, match=message):
-        read_photo_recipe(recorded(folder, **changes))
+OLD = {"faces": [None, None], "expressions": ["jawOpen"], "landmark_threshold": 5.0}
 
 
-def test_recipes_that_can_not_be(folder: Path) -> None:
+@pytest.mark.parametrize("given", [True, False])
+def test_recipes_of_the_release_before_are_read(folder: Path, given: bool) -> None:
+    photos = ["../in/a.png", "../in/b.png"]
+    marks = ["../in/a.json", "../in/b.json"] if given else [None, None]
+    named = ["../face.usda", *photos, *(marks if given else ()), "../in/net.onnx"]
+    options = {
+        "photos": photos,
+        "landmarks": marks,
+        "files": {"identity_model": "../in/net.onnx"},
+        "options": {**OLD, "fit": {"iterations": 20, "landmarks": 2.0}},
+    }
+    digests = ("sha256:0",) * len(named)
+    old = Recipe(verb="fit-photo", sources=tuple(named), digests=digests, options=options, version="0.1.0")
+    kept = read_kept(recorded(old), FitPhoto).values
+    own = {"faces": (), "expressions": ("jawOpen",), "landmark_threshold": 5.0}
+    own |= {"iterations": 20, "landmark_weight": 2.0} | ({} if given else {"landmarks": ()})
+    assert kept == {**files(folder), **own}
+    assert FitPhoto(**kept).options == PhotoFitOptions(iterations=20, landmarks=2.0)
+
+
+def edited(*words: str) -> FitPhoto:
+    """The action that a line asks for."""
+    parser = Parser(trust=False)
+    configure(parser, FitPhoto)
+    return action_of(parser.parse_args([*words, "--edit", "out/person.usda"]), FitPhoto)[1]
+
+
+def test_an_edit_leaves_out_what_other_files_take_the_place_of(folder: Path) -> None:
+    recorded(recipe())
+    for name in ("a.png", "b.png", "a.json", "b.json"):
+        (folder / "in" / name).rename(folder / name)
+    changed = edited("a.png", "--landmarks", "a.json", "face.usda", "--face", "1")
+    expected = ((Path("a.png"),), (Path("a.json"),), (1,))
+    assert (changed.photos, changed.landmarks, changed.faces) == expected
+    assert (changed.identity_model, changed.iterations) == (folder / "in/net.onnx", 20)
+    assert edited("a.png", "face.usda").landmarks == ()
+    for name in ("a.png", "b.png"):
+        (folder / name).rename(folder / "in" / name)
+    changed = edited("--landmarker", "a.task", "face.usda")
+    assert (changed.landmarks, changed.landmarker, len(changed.photos)) == ((), Path("a.task"), 2)
+    with pytest.raises(InputError, match=r"a\.json: no such file, expected it there \(or --landmarks\)"):
+        edited("face.usda")
+
+
+def test_photos_that_can_not_be(folder: Path) -> None:
     with pytest.raises(InputError, match="given twice"):
-        photo_recipe("face.usda", ["in/a.png", "./in/a.png"], "out.usda")
-    with pytest.raises(InputError, match="no photos"):
-        photo_recipe("face.usda", [], "out.usda")
-    with pytest.raises(InputError, match="1 files of landmarks of 2 photos"):
-        photo_recipe("face.usda", ["in/a.png", "in/b.png"], "out.usda", landmarks=["in/a.json"])
-    with pytest.raises(InputError, match="rate: NaN"):
-        photo_recipe("face.usda", ["in/a.png"], "out.usda", options={"rate": NAN})
+        FitPhoto(face=Path("face.usda"), photos=(Path("in/a.png"), Path("./in/a.png"))).check()
+    with pytest.raises(InputError, match="PHOTO: none given"):
+        FitPhoto(face=Path("face.usda"), photos=()).check()
     with pytest.raises(InputError, match="can't be read"):
-        photo_recipe("face.usda", ["in/none.png"], "out.usda")
+        recipe_to(FitPhoto(face=Path("face.usda"), photos=(Path("in/none.png"),)), "out.usda")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from with_torch import tensor
 
-from facepipe.cli.fit_photo_sheet import report_sheet
 from facepipe.core.errors import InputError
 from facepipe.heads import make
 from facepipe.learn.camera import Camera
@@ -18,6 +17,7 @@ from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts
 from facepipe.pictures import photo_sheet
 from facepipe.processors.photo_fit import Photo
+from facepipe.processors.photo_fit.report_sheet import report_sheet
 from facepipe.rig import build, slide
 
 SLIDERS = {"noseWidth": 0.8, "chinLength": -0.5, "eyeSpacing": 0.3}

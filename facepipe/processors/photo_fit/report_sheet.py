@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.cli.fit_photo_text import ENDS
 from facepipe.parts import FaceParts, FloatArray, Material, TextureInput
+from facepipe.processors.photo_fit.text import ENDS
 from facepipe.rig import Rig, build, slide
 
 if TYPE_CHECKING:
     from facepipe.learn.face_model import FaceModel
     from facepipe.learn.photo.result import FittedView, PhotoFit
     from facepipe.pictures import PhotoSheet, SheetPhoto
-    from facepipe.processors.photo_fit import Photo
+    from facepipe.processors.photo_fit.photo_file import Photo
 
 
 def report_sheet(

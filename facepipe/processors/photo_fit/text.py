@@ -10,7 +10,7 @@ from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from facepipe.parts import Slider
-    from facepipe.processors.photo_fit import PhotoFitReport
+    from facepipe.processors.photo_fit.report import PhotoFitReport
 
 ENDS = {
     "iterations": "all steps made",
@@ -21,14 +21,14 @@ _SHOWN = 5  # names of a list
 _OFF = 0.01  # of a slider's range, or a weight: what counts as set
 
 
-def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider], seconds: float) -> str:
+def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str:
     """How near each photo is, and what was found."""
     from facepipe.processors.photo_fit.report import percent
 
     count = len(report.photos)
     total = report.losses.get("total")
     loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
-    steps = f"{report.steps} steps in {seconds:.1f} s"
+    steps = f"{report.steps} steps in {report.seconds:.1f} s"
     head = f"{out}: {count} photo{'s' * (count != 1)}, {steps}, {ENDS[report.stopped]}{loss}"
     rows: list[list[object]] = [["landmarks off by", "pixels", "of the outer eye corners' distance", "expression"]]
     for name, photo in report.photos.items():

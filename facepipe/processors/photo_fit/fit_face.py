@@ -1,0 +1,120 @@
+"""A face fitted to photos: what is read for that, and the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from facepipe.core.errors import FacepipeError
+from facepipe.kinds import Watch
+from facepipe.parts import FaceParts
+from facepipe.photo_options import MODELS
+from facepipe.processors.photo_fit.landmark_file import read_landmarks
+from facepipe.processors.photo_fit.landmarker import mediapipe_landmarks, own_landmarks
+from facepipe.processors.photo_fit.landmarks68 import Landmarks68
+from facepipe.processors.photo_fit.photo_file import Photo, read_photo
+
+if TYPE_CHECKING:
+    from facepipe.learn.features.description import Kind
+    from facepipe.learn.features.extractor import Extractor
+    from facepipe.learn.photo.landmark_fit import State
+    from facepipe.learn.photo.result import PhotoFit
+    from facepipe.processors.photo_fit.fit_photo_action import FitPhoto
+
+
+class PhotoInputs(NamedTuple):
+    """What is fitted to."""
+
+    photos: list[Photo]
+    landmarks: list[Landmarks68]
+    extractors: Mapping[Kind, Extractor]  # by kind of features
+    warnings: tuple[str, ...]
+
+
+class Fitted(NamedTuple):
+    """A fit, for what is written of it."""
+
+    parts: FaceParts  # of the face that was fitted
+    fit: PhotoFit
+    inputs: PhotoInputs
+
+
+def read_inputs(action: FitPhoto) -> PhotoInputs:
+    """Photos, where their landmarks are, and the networks that compare them.
+
+    :raises FacepipeError: what can't be read, or landmarks that are not found
+    """
+    photos = [read_photo(path) for path in action.photos]
+    landmarks = [_landmarks(photo, action, number) for number, photo in enumerate(photos)]
+    warnings = [f"{photo.path}: {line}" for photo in photos for line in photo.warnings]
+    warnings += [
+        f"{photo.path}: {line}" for photo, each in zip(photos, landmarks, strict=True) for line in each.warnings
+    ]
+    return PhotoInputs(photos, landmarks, _extractors(action), tuple(warnings))
+
+
+def _landmarks(photo: Photo, action: FitPhoto, number: int) -> Landmarks68:
+    faces = action.faces if len(action.faces) != 1 else action.faces * len(action.photos)
+    index = faces[number] if faces else None
+    if action.landmarks:
+        return read_landmarks(action.landmarks[number], photo, index=index)
+    if action.landmarker is not None:
+        return mediapipe_landmarks(photo, action.landmarker, index=index)
+    return own_landmarks(photo, index=index)
+
+
+def _extractors(action: FitPhoto) -> Mapping[Kind, Extractor]:
+    """The networks that were given, and facepipe's own for the other terms that are on."""
+    from facepipe.learn.features.extractor import load_extractor
+
+    paths = {kind: getattr(action, name) for name, kind in MODELS.items()}
+    given: dict[Kind, Extractor] = {
+        kind: load_extractor(path, kind) for kind, path in paths.items() if path is not None
+    }
+    missing = [kind for kind in MODELS.values() if kind not in given and getattr(action, kind)]
+    if not missing or not action.iterations:
+        return given
+    from facepipe.learn.networks import own_extractors
+
+    return {**own_extractors(missing), **given}
+
+
+def fit_face(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs, watch: Watch) -> PhotoFit:
+    """Fit the face of the action.
+
+    :raises FacepipeError: what can't be fitted
+    """
+    from facepipe.learn.photo.fit import fit_photos
+
+    start = _start(action, parts, inputs)
+    try:
+        with watch("fit", action.iterations) as bar:
+            return fit_photos(
+                parts,
+                [photo.pixels for photo in inputs.photos],
+                [each.points for each in inputs.landmarks],
+                action.options,
+                expressions=action.expressions,
+                extractors=inputs.extractors,
+                start=start,
+                done=bar.update,
+            )
+    except FacepipeError as error:
+        raise error.under(action.face) from None
+
+
+def _start(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs) -> State | None:
+    """Where a network guesses that the fit should start; None: at the defaults."""
+    if action.start is None:
+        return None
+    from facepipe.learn.photo.amortised.guess import load_start
+    from facepipe.learn.photo.fit import pose_space
+    from facepipe.learn.photo.subject import Subject
+
+    try:
+        subject = Subject.of(parts, action.expressions)
+        spaces = [pose_space(subject, photo.pixels.shape[1], photo.pixels.shape[0]) for photo in inputs.photos]
+    except FacepipeError as error:
+        raise error.under(action.face) from None
+    guess = load_start(action.start, subject)
+    return guess.together([photo.pixels for photo in inputs.photos], [each.points for each in inputs.landmarks], spaces)
