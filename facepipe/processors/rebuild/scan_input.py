@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -22,11 +22,10 @@ class ScanAction(StageAction[J]):
     """Base of the actions that put a face on a scan."""
 
     @classmethod
-    def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
-        for scan, landmarks in (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks")):
-            if getattr(arguments, scan, None) and not hasattr(arguments, landmarks):
-                values.pop(landmarks, None)  # of the recipe's scan
-        return values
+    def replaced(cls, arguments: Any) -> Collection[str]:
+        """Landmarks of a scan in whose place the line gives another."""
+        of_scans = (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks"))
+        return [landmarks for scan, landmarks in of_scans if getattr(arguments, scan, None)]
 
     def missed(self, report: J) -> bool:
         return bool(report.missed)

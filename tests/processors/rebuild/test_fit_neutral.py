@@ -99,9 +99,10 @@ def test_a_recipe_of_the_release_before_is_read(files: Files) -> None:
 
 
 def test_edit_changes_what_is_given(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
-    """A scan that is given comes with its own landmarks."""
+    """A scan that is given comes with its own landmarks; those of the other may be lost."""
     done(capsys, *files.words("--unit", "cm", "--weights", "jawOpen=0.1"), quiet=False)
     files.put(*scan_domes.scan(8), "other.ply")
+    files["scan.landmarks.json"].unlink()
     edit = ("fit-neutral", files["other.ply"], "--edit", files["out.usda"], "--no-weights", "--prior", 0.2)
     done(capsys, *edit, "-o", files["edited.usda"], quiet=False)
     kept = read_kept(files["edited.usda"], FitNeutralAction).values
