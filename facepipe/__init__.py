@@ -1,6 +1,11 @@
 """facepipe: face assets from a DCC to a game engine.
 
-``facepipe.open(path)`` gives a `Face`, the typed view of a USD stage.
+    face = facepipe.read("head.glb")                  # a `Face`, the typed view of a USD stage
+    facepipe.fit_bones("head.usda", targets=["smile.usda"], out="fitted.usda")
+    facepipe.export("fitted.usda", "fitted.glb")
+
+Every action of the command line is a function here: `facepipe blend` is `facepipe.blend`, `facepipe fit-bones`
+`facepipe.fit_bones`, with its sources and options as arguments.
 """
 
 from typing import TYPE_CHECKING
@@ -10,11 +15,31 @@ import facepipe_schemas as facepipe_schemas  # registers them: before USD is in 
 from facepipe.core.loading import keep_old_names, lazy
 
 if TYPE_CHECKING:
+    from facepipe.api import export, read, render, sample
+    from facepipe.checks import validate
+    from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
+    from facepipe.pipeline.cooking import cook
+    from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
 else:
-    __getattr__, __dir__ = lazy(__name__)
+    __getattr__, __dir__ = lazy(__name__, "facepipe.api")
 
 keep_old_names()
 
-__all__ = ["open"]
+__all__ = [
+    "ExportError",
+    "Face",
+    "FacepipeError",
+    "FitError",
+    "InputError",
+    "SchemaError",
+    "TopologyError",
+    "cook",
+    "export",
+    "open",
+    "read",
+    "render",
+    "sample",
+    "validate",
+]
 __version__ = "0.1.0"

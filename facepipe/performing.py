@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import os
+import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from facepipe import __version__
-from facepipe.core.atomic import replacing, replacing_folder, together
+from facepipe.core.atomic import apart, replacing, replacing_folder, together
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
+from facepipe.importers import read_face
 from facepipe.kinds import FOUND, Job, StageAction, Watch, unwatched
 from facepipe.older_recipes import as_now, verb_now
 from facepipe.parts import Recipe
-from facepipe.stage import Face, open_face
-from facepipe.stage.files import relative_path
+from facepipe.registry import exporter, outputs, suffixes
+from facepipe.stage import Face, open_face, save_parts
+from facepipe.stage.files import SUFFIXES, relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)
@@ -35,7 +39,8 @@ class Performed:
 def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch: Watch = unwatched) -> Performed:
     """Do an action; the result and what is asked for beside it are written whole, or nothing is.
 
-    :param flatten: write a standalone file
+    :param out: a stage, or a file that an exporter writes, with its defaults
+    :param flatten: write a standalone file; so is one over a file that is imported
     :raises FacepipeError: what can't be read, done or written
     """
     action.check()
@@ -43,14 +48,61 @@ def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch
     said: dict[str, Any] = {}
     with together(out), ExitStack() as files:
         temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
-        with open_face(action.base).deriving(out, flatten=flatten) as face:
+        base, standalone = files.enter_context(_opened(action.base))
+        stage, exported = files.enter_context(_stage_of(out))
+        if exported:
+            files.enter_context(apart())  # the stage is exported before the rest takes its place
+        with base.deriving(stage, flatten=flatten or standalone or exported) as face:
             with _under(action.base):
                 report = action.author(face, job)
             for one, (path, place) in temporary.items():
                 with _called(path, place):
                     written = getattr(action, one.write)(Face(face.stage, face.prim), report, place)
                 said[one.name] = str(path) if written is None else {**written, "path": str(path)}
-    return Performed(report=report, beside=said)
+        warnings = (*base.warnings, *report.warnings)
+        if exported:
+            module = exporter(out)
+            export = module.export(open_face(stage), out, module.Options())
+            said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
+    return Performed(report=replace(report, warnings=warnings), beside=said)
+
+
+def check_result(out: Path, *, overwrite: bool) -> None:
+    """Check that a result can have a name, and what an exporter writes with it.
+
+    :raises InputError: no suffix of a stage or an exporter, or a file that may not be overwritten
+    """
+    suffix, exported = out.suffix.lower(), [f".{one}" for one in suffixes()]
+    if suffix not in (*SUFFIXES, *exported):
+        raise InputError(out, f"suffix '{suffix}', expected one of {' '.join((*SUFFIXES, *exported))}")
+    there = [one for one in outputs(out) if one.exists()] if suffix in exported else []
+    if there and not overwrite:
+        raise InputError(there[0], "exists and would be written too, expected a new file (or --force)")
+
+
+@contextmanager
+def _stage_of(out: Path) -> Iterator[tuple[Path, bool]]:
+    """The stage to write for a result, and whether it is one in between, for an exporter."""
+    if out.suffix.lower() in SUFFIXES:
+        yield out, False
+        return
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        yield Path(folder) / f"{out.stem}.usdc", True
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Face, bool]]:
+    """The face to put a layer over, and whether its file can't be that layer's: it is imported."""
+    if path.suffix.lower() in SUFFIXES:
+        yield open_face(path), False
+        return
+    face = read_face(path)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        with apart():
+            save_parts(face.parts(), Path(folder) / f"{path.stem}.usdc")
+        opened = open_face(Path(folder) / f"{path.stem}.usdc")
+        opened.warnings = face.warnings
+        yield opened, True
 
 
 def job_of(action: StageAction[Any], out: Path, watch: Watch = unwatched) -> Job:

@@ -46,7 +46,10 @@ class Exporter(Protocol):
 
 
 class Importer(Protocol):
-    """Reads one kind of files or folders as faces."""
+    """Reads one kind of files or folders as faces.
+
+    With ``SUFFIXES``, a tuple like ``(".glb",)``, commands that take a face take such files too.
+    """
 
     @property
     def Options(self) -> Any:  # noqa: N802  (as an exporter's)

@@ -53,7 +53,8 @@ def configure(parser: Parser, kind: type[StageAction[Any]]) -> None:
     for one in fields:
         if one.role == "source" and one.name not in kind.own_flags:
             add_field(parser, one)
-    add("-o", "--output", type=Path, metavar="OUT", help="override layer to write: .usda .usdc .usd .usdz")
+    result = "override layer to write: .usda .usdc .usd .usdz; or what `facepipe export` writes of it: .glb .onnx ..."
+    add("-o", "--output", type=Path, metavar="OUT", help=result)
     add("--force", action="store_true", help="overwrite OUT, or with --edit RESULT, and what is written beside it")
     add("--edit", type=Path, metavar="RESULT", help=_EDIT)
     if any(one.several and one.stands_alone for one in fields):
@@ -73,15 +74,14 @@ def configure(parser: Parser, kind: type[StageAction[Any]]) -> None:
 
 def run(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> int:
     """Do the action, print its report; the exit code."""
-    from facepipe.performing import files_of, perform
-    from facepipe.stage.files import check_suffix
+    from facepipe.performing import check_result, files_of, perform
 
     kept, action = action_of(arguments, kind)
     warn(kept.warnings if kept else ())
     read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]  # type: ignore[arg-type]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
     out = output_or_edited(arguments, inputs)
-    check_suffix(out)
+    check_result(out, overwrite=arguments.force)
     _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
     flatten = arguments.flatten or (kept is not None and kept.standalone)
     done = perform(action, out, flatten=flatten, watch=progress)

@@ -53,7 +53,7 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     from facepipe.processors.bone_payload import payload_bytes
 
     out = output_of(arguments, [action.face, action.coefficients])
-    data, face = payload_bytes(action.coefficients), facepipe.open(action.face)
+    data, face = payload_bytes(action.coefficients), facepipe.read(action.face)
     content = decode(data, face.skeleton.joints, action.coefficients)
     check_fits(face, content)
     beyond = beyond_limits(face, content)
@@ -80,7 +80,7 @@ def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
     from facepipe.processors.bone_payload import payload_bytes
 
     where = action.coefficients
-    face, data = facepipe.open(action.face), payload_bytes(where)
+    face, data = facepipe.read(action.face), payload_bytes(where)
     header = read_header(data, where)
     misfit = _misfit(face, header)
     result: dict[str, Any] = {"path": str(where), "bytes": len(data), "fits": not misfit, **header._asdict()}

@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = output_of(arguments, [arguments.face, *arguments.clip])
     check_suffix(out)
     baked = BakeMotion(options=options_from(arguments, SampleMotionOptions), clips=arguments.clip)
-    face = facepipe.open(arguments.face)
+    face = facepipe.read(arguments.face)
     drawn = baked.options.count(len(baked.controls(face.parts(), arguments.face)))
     with progress("bake", drawn) as bar:
         report = baked(face, arguments.face, out, bar.update)

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     if beside and not arguments.force:
         raise InputError(beside[0], "exists and would be written too, expected a new file (or --force)")
     with progress("export", 3 if arguments.distil else 2) as bar:
-        face = facepipe.open(arguments.face)
+        face = facepipe.read(arguments.face)
         bar.update()
         options = neural_options(arguments, options_from(arguments, exporter.Options))
         neural, learned = neural_face(arguments, face, options), distilled(arguments, face)

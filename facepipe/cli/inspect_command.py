@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     import facepipe
     from facepipe.rig import implausible
 
-    face = facepipe.open(arguments.face)
+    face = facepipe.read(arguments.face)
     summary = summarise(face)
     warnings = implausible(face.parts())
     warn(warnings)

@@ -178,24 +178,13 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
 
     :raises InputError: none given, an existing file without --force, a missing folder, or an input
     """
-    from facepipe.core.atomic import collect
+    from facepipe.stage.outputs import check_output
 
     path = arguments.output or getattr(arguments, "out", None)
     if path is None:
         raise InputError("OUT", "no output file, expected one as OUT or -o OUT")
-    output = Path(path)
-    if not output.parent.is_dir():
-        raise InputError(output, "the folder does not exist")
-    collect(output.parent)
-    if output.is_dir():
-        raise InputError(output, "is a folder, expected a file")
-    if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
-        raise InputError(output, "is an input, expected another output file")
-    if output.exists() and not arguments.force:
-        raise InputError(output, "exists, expected a new file (or --force)")
-    if output.exists():
-        _check_not_needed(output, inputs)
-    return output
+    check_output(Path(path), inputs, overwrite=arguments.force)
+    return Path(path)
 
 
 def output_or_edited(arguments: argparse.Namespace, inputs: Sequence[Path]) -> Path:
@@ -224,17 +213,6 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
     if out is not None and picture.absolute() == out.absolute():
         raise InputError(picture, "is the output too, expected another file")
     return picture
-
-
-def _check_not_needed(output: Path, inputs: Sequence[Path]) -> None:
-    """:raises InputError: `output` is a layer or texture of a stage among the inputs"""
-    from facepipe.stage.files import SUFFIXES, dependencies
-
-    for one in inputs:
-        if one.is_file() and one.suffix.lower() in SUFFIXES:
-            for needed in dependencies(one):
-                if needed.exists() and output.samefile(needed):
-                    raise InputError(output, f"is needed by {one}, expected another output file")
 
 
 def add_pose(parser: argparse.ArgumentParser) -> None:

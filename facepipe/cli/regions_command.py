@@ -43,7 +43,7 @@ def _list(arguments: argparse.Namespace, picture: Path | None) -> int:
     from facepipe.parts import all_regions
     from facepipe.processors.regions import count_regions, draw_regions, region_table
 
-    face = facepipe.open(arguments.face)
+    face = facepipe.read(arguments.face)
     whole = count_regions(all_regions(face.meshes))
     if picture is not None:
         draw_regions(face, picture)

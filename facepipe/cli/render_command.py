@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     if out.suffix.lower() != ".png":
         raise InputError(out, f"suffix '{out.suffix}', expected .png")
     with progress("render", 2) as bar:
-        face = facepipe.open(arguments.face)
+        face = facepipe.read(arguments.face)
         points = pose(face, arguments)
         bar.update()
         _draw(face, points, arguments, out)

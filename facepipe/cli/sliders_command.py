@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _list(arguments: argparse.Namespace) -> int:
     import facepipe
 
-    face = facepipe.open(arguments.face)
+    face = facepipe.read(arguments.face)
     sliders = face.sliders
     groups: dict[str, list[Slider]] = {}
     for slider in sliders:

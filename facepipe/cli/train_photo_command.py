@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     if out.suffix.lower() != ".onnx":
         raise InputError(out, f"suffix '{out.suffix}', expected .onnx")
     options: StartOptions = options_from(arguments, StartOptions)
-    parts = facepipe.open(arguments.face).parts()
+    parts = facepipe.read(arguments.face).parts()
     with _under(arguments.face):
         subject = Subject.of(parts, arguments.expressions)
     photos, left_out = _photos(arguments.images, subject)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
+import importlib.util
 import inspect
 import sys
 import warnings
@@ -34,6 +35,11 @@ _TO_CORE += ("names", "placing", "reading", "reports", "threads", "tokens", "tru
 _TO_READ: tuple[str, ...] = ("accessors", "animations", "assemble", "document", "files", "key_times", "landmarks")
 _TO_READ += ("losses", "materials", "meshes", "morphs", "names", "nodes", "placement", "primitives", "record")
 _TO_READ += ("record_joints", "record_materials", "samplers", "skins", "vertices", "weld")
+_CALLED = {  # new name -> the function that has the old one
+    "facepipe.heads": ("facepipe.api", "sample"),
+    "facepipe.checks": ("facepipe.checks", "validate"),
+    "facepipe.pictures": ("facepipe.api", "render"),
+}
 MOVED = {f"facepipe.{old}": f"facepipe.{new}" for old, new in _ROOMS.items()}
 MOVED |= {f"facepipe.{name}": f"facepipe.core.{name}" for name in _TO_CORE}
 MOVED |= {f"facepipe.importers.gltf_{name}": f"facepipe_gltf.read.{name}" for name in _TO_READ}
@@ -49,22 +55,33 @@ MOVED |= {
 }
 
 
-def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package for what its `__init__` imports under ``if TYPE_CHECKING``."""
+def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package for what its `__init__` imports under ``if TYPE_CHECKING``.
+
+    :param others: module that gives what else the package has: ``given(name)``, None for nothing, and ``names()``
+    """
 
     @functools.cache
     def homes() -> dict[str, tuple[str, str]]:
         return _homes(package)
 
     def load(name: str) -> Any:
-        if name.startswith("__") or name not in homes():
+        value = None
+        if not name.startswith("__") and name in homes():
+            module, original = homes()[name]
+            value = getattr(importlib.import_module(module), original)
+        elif others and not name.startswith("_") and importlib.util.find_spec(f"{package}.{name}") is None:
+            value = importlib.import_module(others).given(name)
+        if value is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, original = homes()[name]
-        value = getattr(importlib.import_module(module), original)
         setattr(sys.modules[package], name, value)  # asked for once
         return value
 
-    return load, lambda: sorted({*vars(sys.modules[package]), *homes()})
+    def names() -> list[str]:
+        more = importlib.import_module(others).names() if others else ()
+        return sorted({*vars(sys.modules[package]), *homes(), *more})
+
+    return load, names
 
 
 def _homes(package: str) -> dict[str, tuple[str, str]]:
@@ -87,6 +104,16 @@ class _Alias(Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         module.__spec__ = self._spec  # the import system has put the old name's there
+        if module.__name__ in _CALLED:
+            module.__class__ = _CalledRoom  # it is about to stand in the place of a function of its old name
+
+
+class _CalledRoom(ModuleType):
+    """A room whose old name is a function's now."""
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        home, name = _CALLED[self.__name__]
+        return getattr(importlib.import_module(home), name)(*given, **named)
 
 
 class _Finder(MetaPathFinder):

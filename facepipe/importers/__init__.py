@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from facepipe import registry
+from facepipe.core.errors import InputError
 from facepipe.importers.options import OPTIONS
 
 if TYPE_CHECKING:
     from facepipe.registry import Importer
+    from facepipe.stage import Face
     from facepipe.stage.imported import Imported
 
 
@@ -46,3 +48,37 @@ def load(kind: str, source: str | Path, options: object | None = None) -> Import
     """
     module = importer(kind)
     return module.read(Path(source), module.Options() if options is None else options)
+
+
+def kind_of(path: str | Path) -> str:
+    """The kind of a file, by its suffix.
+
+    :raises InputError: no importer reads such files, or it can't tell which does
+    """
+    suffix = Path(path).suffix.lower()
+    known = {".obj": "obj"}
+    for kind in registry.importers():
+        known |= dict.fromkeys(getattr(importer(kind), "SUFFIXES", ()), kind)
+    if suffix not in known:
+        expected = f"expected .usda .usdc .usd .usdz {' '.join(sorted(known))} (`facepipe import` reads more)"
+        raise InputError(path, f"suffix '{suffix[:20]}', {expected}")
+    return known[suffix]
+
+
+def read_face(path: str | Path, kind: str | None = None, options: object | None = None) -> Face:
+    """The face of any file: opened where it is USD, else imported into memory.
+
+    :param kind: of the importer; None: by the suffix
+    :param options: an instance of the importer's `Options`; None: its defaults
+    :raises InputError: no such file, one that can't be read, or no importer for it
+    :raises SchemaError, TopologyError: a stage without a face, or meshes and shapes that don't fit each other
+    """
+    from facepipe.stage import Face, open_face
+    from facepipe.stage.files import SUFFIXES
+
+    if kind is None and Path(path).suffix.lower() in SUFFIXES:
+        return open_face(path)
+    imported = load(kind_of(path) if kind is None else kind, path, options)
+    face = Face.from_parts(imported.parts)
+    face.warnings = imported.warnings
+    return face

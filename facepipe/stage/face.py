@@ -75,12 +75,16 @@ class Face:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
         self._skeleton_prim = skeletons[0]
 
+    warnings: tuple[str, ...] = ()  # what could not be read of the file that it was imported from
+
     @classmethod
     def from_parts(cls, parts: FaceParts) -> Face:
-        """A face authored on a stage in memory; one with textures needs a file (`save_parts`)."""
+        """A face authored on a stage in memory, which names its textures; `save` needs a file (`save_parts`)."""
         from facepipe.stage.author import author
 
-        return cls(author(parts))
+        face = cls(author(parts))
+        face.__dict__["materials"] = parts.materials  # with the textures' bytes
+        return face
 
     @property
     def where(self) -> str:

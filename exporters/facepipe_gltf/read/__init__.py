@@ -10,4 +10,5 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["Options", "read"]
+SUFFIXES = (".glb", ".gltf")
+__all__ = ["SUFFIXES", "Options", "read"]

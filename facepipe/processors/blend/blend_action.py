@@ -99,16 +99,16 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
                     raise InputError(path, "is a source twice, expected different faces")
 
     def author(self, face: Face, job: Job) -> BlendReport:
+        from facepipe.importers import read_face
         from facepipe.parts import all_regions
         from facepipe.processors.blend.blend import Blend
         from facepipe.processors.blend.matching import match
         from facepipe.processors.blend.session import BlendSession
         from facepipe.processors.blend.weights import Weights
-        from facepipe.stage import open_face
 
-        faces = [open_face(path) for path in self.sources]
+        faces = [read_face(path) for path in self.sources]
         weights = self.weights or Weights()
-        target = None if self.match is None else open_face(self.match)
+        target = None if self.match is None else read_face(self.match)
         if target is None:  # the blend checks this too, after the work that comes first there
             weights.shares(list(all_regions(faces[0].meshes)), len(faces))
         start = time.perf_counter()

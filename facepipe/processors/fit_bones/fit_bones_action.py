@@ -100,13 +100,13 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
             seen.add(key)
 
     def author(self, face: Face, job: Job) -> FitBonesReport:
+        from facepipe.importers import read_face
         from facepipe.processors.fit_bones.fit_bones import FitBones
         from facepipe.processors.fit_bones.initial import initial_coefficients
         from facepipe.processors.fit_bones.limits import LimitRules
         from facepipe.processors.fit_bones.targets import read_targets
-        from facepipe.stage import open_face
 
-        rig = open_face(self.rig)
+        rig = read_face(self.rig)
         targets = tuple(read_targets(rig, self.targets, lambda path: _read(path, rig)))
         if self.coefficients and len(targets) > 1 and any(target.times is not None for target in targets):
             what = "holds one clip or several poses, expected a single --target with times"

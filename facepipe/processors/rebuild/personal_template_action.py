@@ -38,14 +38,14 @@ class PersonalTemplateAction(PersonalTemplateOptions, StageAction["PersonalRepor
     )
 
     def author(self, face: Face, job: Job) -> PersonalReport:
+        from facepipe.importers import read_face
         from facepipe.older_recipes import found_of
         from facepipe.processors.database import load_database
         from facepipe.processors.rebuild.author_personal import AuthorPersonal
         from facepipe.processors.rebuild.personal_template import PersonalTemplate
         from facepipe.processors.rebuild.template import Template
-        from facepipe.stage import open_face
 
-        template = Template.of(open_face(self.template).parts(), str(self.template))
+        template = Template.of(read_face(self.template).parts(), str(self.template))
         database = None if self.database is None else load_database(self.database)
         author = AuthorPersonal(template=template, make=PersonalTemplate(options=self), database=database)
         before = found_of(face.parts().recipe)  # measures for the quality gate of a database stay

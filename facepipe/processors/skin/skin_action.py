@@ -73,13 +73,13 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
             raise InputError("skin", "joints and a source face, or neither, expected one of them (--joints, --from)")
 
     def author(self, face: Face, job: Job) -> SkinReport:
+        from facepipe.importers import read_face
         from facepipe.processors.skin.joints_file import read_joints
         from facepipe.processors.skin.skin_face import SkinFace
-        from facepipe.stage import open_face
 
         skin = SkinFace(
             joints=None if self.joints is None else read_joints(self.joints),
-            source=None if self.source is None else open_face(self.source),
+            source=None if self.source is None else read_face(self.source),
             optimise=self.optimise,
             options=self,
         )

@@ -1,0 +1,173 @@
+"""The public functions: read, sample, export, render, and one for each action, made of its declaration."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from facepipe.core.errors import InputError
+from facepipe.declare import Field, fields_of
+
+if TYPE_CHECKING:
+    from facepipe.core.reports import ExportReport, Report
+    from facepipe.kinds import StageAction
+    from facepipe.stage import Face
+
+AnyPath = str | os.PathLike[str]
+View = Literal["front", "side", "three-quarter"]
+
+
+def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
+    """The face of any file: USD as it stands, else imported into memory; `warnings` of the face say what is lost.
+
+    :param kind: of `facepipe import`, for files that their suffix does not tell apart (ict, makehuman, folders of obj)
+    :param options: of that kind, like ``identity_seed=7``
+    :raises FacepipeError: no such file or importer, or a file that can't be read
+    """
+    from facepipe.stage.face import open_face
+    from facepipe.stage.files import SUFFIXES
+
+    if kind is None and not options and Path(path).suffix.lower() in SUFFIXES:
+        return open_face(path)
+    from facepipe.importers import kind_of, options_of, read_face
+
+    kind = kind or kind_of(Path(path))
+    return read_face(Path(path), kind, options_of(kind)(**options))
+
+
+def sample(out: AnyPath | None = None, *, seed: int = 0, overwrite: bool = False) -> Face:
+    """The built-in head: one topology, a different person for every seed.
+
+    :param out: a stage to save it as; None: it is in memory
+    :raises InputError: a seed below 0, or a file that can't be written
+    """
+    from facepipe.heads import make
+    from facepipe.stage import Face, open_face, save_parts
+
+    parts = make(seed)
+    if out is None:
+        return Face.from_parts(parts)
+    _check(Path(out), (), overwrite=overwrite)
+    save_parts(parts, out)
+    return open_face(out)
+
+
+def export(face: Face | AnyPath, out: AnyPath, *, overwrite: bool = False, **options: Any) -> ExportReport:
+    """Write a face for the engine; the suffix of `out` says the format.
+
+    :param face: or its file
+    :param options: of the format, like ``engine="unity"``: `facepipe export --help` lists them
+    :raises FacepipeError: a face or option that the format can't hold, or a file that can't be written
+    """
+    from facepipe.registry import exporter, outputs
+
+    target, module = Path(out), exporter(Path(out))
+    files = () if not isinstance(face, str | os.PathLike) else (Path(face),)
+    for one in outputs(target):
+        _check(one, files, overwrite=overwrite)
+    held = read(face) if isinstance(face, str | os.PathLike) else face
+    return module.export(held, target, module.Options(**options))
+
+
+def render(
+    face: Face | AnyPath, out: AnyPath, *, view: View = "front", size: int = 800, overwrite: bool = False
+) -> None:
+    """Draw a face as a PNG.
+
+    :param size: width and height, pixels
+    :raises InputError: no such view, or a file that can't be written
+    """
+    from facepipe.pictures import PictureOptions, picture, save_png
+
+    if Path(out).suffix.lower() != ".png":
+        raise InputError(out, f"suffix '{Path(out).suffix}', expected .png")
+    _check(Path(out), (), overwrite=overwrite)
+    held = read(face) if isinstance(face, str | os.PathLike) else face
+    save_png(picture(held.parts(), held.evaluate(), PictureOptions(size=size, view=view)), Path(out))
+
+
+def _check(out: Path, inputs: tuple[Path, ...], *, overwrite: bool) -> None:
+    from facepipe.stage.outputs import check_output
+
+    check_output(out, inputs, overwrite=overwrite)
+
+
+def given(name: str) -> Callable[..., Report] | None:
+    """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action."""
+    from facepipe.actions import find_action
+
+    kind = find_action(name.replace("_", "-"))
+    return None if kind is None else _function(kind)  # type: ignore[arg-type]
+
+
+def names() -> tuple[str, ...]:
+    """The functions of all actions."""
+    from facepipe.actions import summaries
+
+    return tuple(verb.replace("-", "_") for verb in summaries() if " " not in verb)
+
+
+@functools.cache
+def _function(kind: type[StageAction[Any]]) -> Callable[..., Report]:
+    fields = fields_of(kind)  # type: ignore[arg-type]
+    signature = inspect.Signature(_parameters(fields))
+
+    def function(*files: Any, **named: Any) -> Report:
+        from facepipe.performing import check_result, files_of, perform
+
+        values = signature.bind(*files, **named).arguments
+        out, overwrite = Path(values.pop("out")), values.pop("overwrite", False)
+        flatten = values.pop("flatten", False)
+        action = kind(**{one.name: _value(one, values[one.name]) for one in fields if one.name in values})
+        beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
+        for path in (out, *(one for one in beside if one is not None)):
+            _check(path, files_of(action), overwrite=overwrite)
+        check_result(out, overwrite=overwrite)
+        return perform(action, out, flatten=flatten).report
+
+    function.__name__ = function.__qualname__ = kind.verb.replace("-", "_")
+    function.__doc__ = _described(kind, fields)
+    function.__signature__ = signature  # type: ignore[attr-defined]
+    return function
+
+
+def _parameters(fields: tuple[Field, ...]) -> list[inspect.Parameter]:
+    parameters = []
+    for one in sorted(fields, key=lambda one: (not one.stands_alone, not one.needed)):
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD if one.stands_alone else inspect.Parameter.KEYWORD_ONLY
+        default = inspect.Parameter.empty if one.needed else one.default
+        parameters.append(inspect.Parameter(one.name, kind, default=default))
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    own = [inspect.Parameter("out", keyword)]
+    own += [inspect.Parameter(name, keyword, default=False) for name in ("overwrite", "flatten")]
+    alone = [one for one in parameters if one.kind is not keyword]
+    return [*alone, *own, *(one for one in parameters if one.kind is keyword)]
+
+
+def _value(field: Field, value: Any) -> Any:
+    """A value as the action has it: paths of names, and what JSON or a file would say."""
+    if value is None:
+        return None
+    if field.is_read and isinstance(value, str | os.PathLike):
+        return field.parse(Path(value))  # type: ignore[misc]
+    if field.value is not None and isinstance(value, Mapping):
+        return field.value.load(value, field.name)
+    if field.role == "option" or field.split is not None:
+        return tuple(value) if isinstance(value, list) else value
+    return tuple(map(Path, value)) if field.several else Path(value)
+
+
+def _described(kind: type[StageAction[Any]], fields: tuple[Field, ...]) -> str:
+    lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
+    lines += [f":param {one.name}: {one.help}{f' [{one.unit}]' if one.unit else ''}" for one in fields]
+    lines += [
+        ":param out: stage to write, or a file that an exporter writes",
+        ":param overwrite: put it in place of a file that is there",
+        ":param flatten: write a standalone file",
+        ":raises FacepipeError: what can't be read, done or written; then nothing is",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,113 @@
+"""The public functions: what the command line does, from Python, on any file that can be read."""
+
+from __future__ import annotations
+
+import inspect
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facepipe
+from facepipe.api import given, names
+from facepipe.cli import main
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate("ab"):
+        facepipe.sample(f"{name}.usda", seed=seed)
+    return tmp_path
+
+
+def test_functions_write_what_the_commands_write(folder: Path) -> None:
+    facepipe.blend(["a.usda", "b.usda"], weights={"eyes": [0.8, 0.2]}, out="c.usda")
+    facepipe.sliders("c.usda", values={"blink": 0.5}, out="d.usda")
+    facepipe.export("d.usda", "d.glb", engine="unity")
+    blend = ["blend", "a.usda", "b.usda", "--set", "eyes=0.8,0.2", "-o", "c.usda", "--force"]
+    for name in ("c.usda", "d.usda", "d.glb"):
+        Path(name).rename(f"python.{name}")
+    Path("python.c.usda").rename("c.usda")
+    first = Path("c.usda").read_bytes()
+    assert main(blend) == 0
+    assert Path("c.usda").read_bytes() == first
+    assert main(["sliders", "c.usda", "--set", "blink=0.5", "-o", "d.usda"]) == 0
+    assert Path("d.usda").read_bytes() == Path("python.d.usda").read_bytes()
+    assert main(["export", "d.usda", "-o", "d.glb", "--engine", "unity"]) == 0
+    assert Path("d.glb").read_bytes() == Path("python.d.glb").read_bytes()
+
+
+def test_any_file_is_a_face_and_any_result_is_for_the_engine(folder: Path) -> None:
+    """GLB in, GLB and ONNX out: points stay, textures and shapes too."""
+    facepipe.export("a.usda", "a.glb")
+    face = facepipe.read("a.glb")
+    assert face.shapes == facepipe.open("a.usda").shapes
+    facepipe.export(face, "again.glb")
+    assert facepipe.read("again.glb").materials == face.materials
+    report = facepipe.blend(["a.glb", "b.usda"], weights={"default": [1, 0]}, out="whole.usdc")
+    assert len(report.sources) == 2
+    np.testing.assert_allclose(facepipe.open("whole.usdc").evaluate(), face.evaluate(), atol=1e-4)
+    assert main(["blend", "a.glb", "b.usda", "--default", "1,0", "-o", "whole.glb", "--json"]) == 0
+    np.testing.assert_allclose(facepipe.read("whole.glb").evaluate(), face.evaluate(), atol=1e-4)
+    assert facepipe.blend(["a.usda", "b.usda"], out="mix.onnx")
+    assert not [one for one in facepipe.validate("mix.onnx") if one.severity == "error"]
+    assert main(["inspect", "a.glb"]) == 0
+    assert {one.name for one in folder.iterdir()} >= {"whole.glb", "mix.onnx", "mix.onnx.json"}
+    assert main(["cook", "whole.usdc"]) == 0
+
+
+def test_a_result_from_a_file_that_is_imported_is_cooked_again(folder: Path) -> None:
+    facepipe.export("a.usda", "a.glb")
+    facepipe.blend(["a.glb", "b.usda"], weights={"default": [0.5, 0.5]}, out="mix.usda")
+    facepipe.export("b.usda", "a.glb", overwrite=True)
+    assert [node.action for node in facepipe.cook(["mix.usda"]).nodes] == ["cooked"]
+    np.testing.assert_allclose(facepipe.open("mix.usda").evaluate(), facepipe.open("b.usda").evaluate(), atol=1e-3)
+
+
+def test_nothing_is_overwritten_unasked_and_no_input_ever(folder: Path) -> None:
+    for call in (
+        lambda: facepipe.sample("a.usda"),
+        lambda: facepipe.sliders("a.usda", values={"blink": 1}, out="b.usda"),
+        lambda: facepipe.sliders("a.usda", values={"blink": 1}, out="a.usda", overwrite=True),
+        lambda: facepipe.sliders("a.usda", values={"blink": 1}, out="x.txt"),
+        lambda: facepipe.sliders("a.usda", values={"blink": 1}, out=folder / "none" / "x.usda"),
+        lambda: facepipe.sliders("a.ply", values={"blink": 1}, out="x.usda"),
+        lambda: facepipe.read("b.xyz"),
+    ):
+        before = {one.name: one.stat().st_mtime_ns for one in folder.iterdir()}
+        with pytest.raises(facepipe.InputError) as caught:
+            call()  # type: ignore[no-untyped-call]
+        assert "\n" not in str(caught.value)
+        assert {one.name: one.stat().st_mtime_ns for one in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_function_says_what_it_takes(name: str) -> None:
+    function = given(name)
+    assert function is not None
+    assert getattr(facepipe, name) is function
+    parameters = inspect.signature(function).parameters
+    assert parameters["out"].kind is inspect.Parameter.KEYWORD_ONLY
+    assert function.__doc__ is not None
+    assert all(f":param {one}: " in function.__doc__ for one in parameters)
+
+
+def test_no_function_is_called_as_a_room() -> None:
+    rooms = {one.name for one in pkgutil.iter_modules(facepipe.__path__)}
+    assert not rooms & {*facepipe.__all__, *names()}
+    assert {*facepipe.__all__, *names()} <= {*dir(facepipe)}
+
+
+def test_a_room_of_the_release_before_does_not_hide_a_function() -> None:
+    program = (
+        "import warnings; warnings.simplefilter('ignore')\n"
+        "from facepipe.sample import make\n"
+        "import facepipe\n"
+        "assert facepipe.sample(seed=1).shapes and make(1)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
