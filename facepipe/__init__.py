@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
 from facepipe.core.loading import keep_old_names, lazy
+from facepipe.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from facepipe.api import export, read, render, sample
@@ -42,4 +43,3 @@ __all__ = [
     "sample",
     "validate",
 ]
-__version__ = "0.1.0"

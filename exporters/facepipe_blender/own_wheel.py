@@ -9,7 +9,8 @@ import re
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from facepipe import __version__, registry
+from facepipe import registry
+from facepipe.core.version import __version__
 
 from .plain_zip import write_zip
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-import facepipe
+from facepipe.core.version import __version__
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.rig.linear_skinning import linear_skinning_notes
@@ -182,7 +182,7 @@ class _Writer:
         textures = self.materials.textures
         extras = None if self.record is None else {"facepipe": written(self.record, self.buffers)}
         views, binary = self.buffers.finish()
-        asset = {"version": "2.0", "generator": f"facepipe {facepipe.__version__}"}
+        asset = {"version": "2.0", "generator": f"facepipe {__version__}"}
         if self.parts.attribution:
             asset["copyright"] = self.parts.attribution
         required = ["KHR_mesh_quantization"] if self.options.quantize and meshes else []

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-import facepipe
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
 from facepipe.processors.blend import BlendFaces, BlendSession, Weights
 from facepipe.processors.blend.result import result_parts
 from facepipe.processors.blend.weights_json import weights_from_json
+from facepipe.stage import open_face
 
 _DEFAULT = "default"
 
@@ -34,19 +34,19 @@ class LiveBlend:
         :raises InputError: a source of the recipe is gone
         :raises SchemaError: a stage without a face, or a damaged recipe
         """
-        recipe = facepipe.open(path).parts().recipe
+        recipe = open_face(path).parts().recipe
         made = recipe is not None and recipe.verb == BlendFaces.verb
         return cls(BlendFaces(**read_kept(path, BlendFaces).values)) if made else None
 
     @cached_property
     def session(self) -> BlendSession:
         """The warm session; made when it is first needed, which takes seconds for a large face."""
-        return BlendSession([facepipe.open(path) for path in self.sources], self._blend)
+        return BlendSession([open_face(path) for path in self.sources], self._blend)
 
     @cached_property
     def base(self) -> FaceParts:
         """The first source."""
-        return facepipe.open(self.sources[0]).parts()
+        return open_face(self.sources[0]).parts()
 
     @property
     def rows(self) -> dict[str, list[float]]:
