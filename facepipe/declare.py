@@ -215,6 +215,11 @@ class Field:
         return json_value(value) if self.value is None else self.value.dump(value)
 
     @property
+    def said(self) -> str:
+        """Its help, with the unit."""
+        return f"{self.help} [{self.unit}]" if self.unit else self.help
+
+    @property
     def expected(self) -> str:
         """Its type in words."""
         return " or ".join(
@@ -292,6 +297,43 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
     return options
 
 
+def schema_of(kind: type[DataclassInstance]) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of an option dataclass or action: what `Field.dump` gives of its fields.
+
+    Files are strings of the format "path".
+    """
+    fields = fields_of(kind)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "type": "object",
+        "properties": {one.name: _field_schema(one) for one in fields},
+        "required": [one.name for one in fields if one.needed],
+        "additionalProperties": False,
+    }
+
+
+def _field_schema(one: Field) -> dict[str, Any]:
+    ways = [{} if one.value else _kind_schema(kind) for kind in one.kinds]
+    found = dict(ways[0]) if len(ways) == 1 else {} if {} in ways else {"anyOf": ways}
+    found |= {"description": one.said} if one.said else {}
+    found |= {} if one.low is None or one.high is None else {"minimum": one.low, "maximum": one.high}
+    found |= {"enum": [*one.choices, *([None] if one.default is None else [])]} if one.choices else {}
+    return found if one.needed else {**found, "default": one.dump(one.default)}
+
+
+def _kind_schema(kind: Any) -> dict[str, Any]:
+    of = typing.get_args(kind)
+    if typing.get_origin(kind) is tuple:
+        return {"type": "array", "items": _kind_schema(of[0])}
+    if typing.get_origin(kind) is Mapping:
+        return {"type": "object", "additionalProperties": _kind_schema(of[1])}
+    if kind is Path:
+        return {"type": "string", "format": "path"}
+    name = "string" if _is_literal(kind) else _JSON_TYPES.get(kind)
+    return {"type": name} if name else {}
+
+
+_JSON_TYPES = {type(None): "null", float: "number", int: "integer", str: "string", bool: "boolean"}
 _WORDS = {type(None): "null", float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
 
 

@@ -1,0 +1,81 @@
+"""JSON schemas of actions: they admit what recipes hold, and nothing that a recipe's reader refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from facepipe.actions import find_action, summaries
+from facepipe.core.errors import InputError
+from facepipe.declare import Field, fields_of, schema_of
+from facepipe.kinds import FOUND, StageAction
+from facepipe.performing import recipe_to
+
+# a source of any action; `rebuild` alone reads it
+_PROJECT = 'template = "smile.toml"\ndatabase = "smile.toml"\n[neutral]\nscan = "smile.toml"\n'
+# JSON of all types; what a field's range and choices add comes to them
+_ANY = (None, True, False, 0, 1, 5, -1, 0.5, 1e12, "", "auto", [], ["a"], [1.5], {}, {"a": 1.5}, {"a": "b"})
+
+
+def action_of(verb: str) -> type[StageAction[Any]]:
+    kind = find_action(verb)
+    assert kind is not None
+    return kind
+
+
+@pytest.mark.parametrize("verb", summaries())
+def test_what_a_recipe_holds_is_valid(verb: str, tmp_path: Path) -> None:
+    kind = action_of(verb)
+    file = tmp_path / "smile.toml"
+    file.write_text(_PROJECT)
+    needed = {one.name: (str(file),) if one.several else file for one in fields_of(kind) if one.needed}
+    options = dict(recipe_to(kind(**needed), tmp_path / "out.usda").options)
+    options.pop(FOUND, None)
+    schema = schema_of(kind)
+    Draft202012Validator.check_schema(schema)
+    found = json.loads(json.dumps(options))
+    Draft202012Validator(schema).validate(found)
+    defaults = {name: one["default"] for name, one in schema["properties"].items() if "default" in one}
+    Draft202012Validator(schema).validate({**defaults, **found})
+    assert {*defaults} | {*needed} == {*schema["properties"]}
+
+    for name in needed:
+        assert not Draft202012Validator(schema).is_valid({key: found[key] for key in found if key != name})
+    assert not Draft202012Validator(schema).is_valid({**found, "unknown": 1})
+
+
+@pytest.mark.parametrize("verb", summaries())
+def test_values_are_valid_that_a_recipe_can_have(verb: str) -> None:
+    schema, tried = schema_of(action_of(verb)), 0
+    for one in fields_of(action_of(verb)):
+        validator = Draft202012Validator(schema["properties"][one.name])
+        for value in candidates(one):
+            assert validator.is_valid(value) == admits(one, value), (one.name, value)
+            tried += 1
+    assert tried > 20
+
+
+def candidates(one: Field) -> list[Any]:
+    """JSON to try on a field: nothing on those that read their values in a way of their own."""
+    if one.role != "option":
+        return ["head.usda", 5, 0.5, True, {"a": "b"}]
+    if one.value is not None:
+        return []
+    ends = [] if one.low is None or one.high is None else [one.low, one.high, one.low - 1, one.high + 1]
+    whole = int in one.kinds
+    return [*_ANY, *one.choices, *[int(end) if whole else end for end in ends]]
+
+
+def admits(one: Field, value: Any) -> bool:
+    """Whether a recipe can hold it."""
+    if one.role != "option":
+        return isinstance(value, str) and not one.several
+    try:
+        one.check(one.load(value, "recipe"))
+    except InputError:
+        return False
+    return True
