@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
+from facepipe.core import __version__ as __version__
 from facepipe.core.loading import keep_old_names, lazy
-from facepipe.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from facepipe.api import export, read, render, sample
     from facepipe.checks import validate
+    from facepipe.cooking.cooking import cook
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
-    from facepipe.pipeline.cooking import cook
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
 else:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from facepipe.core import __version__
 from facepipe.core.atomic import apart, replacing, replacing_folder, together
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reports import Report
-from facepipe.core.version import __version__
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
 from facepipe.kinds import FOUND, Job, StageAction, Watch, unwatched

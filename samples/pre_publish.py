@@ -15,8 +15,8 @@ from pathlib import Path
 import facepipe
 from facepipe import registry
 from facepipe.checks import validate
+from facepipe.cooking import CookOptions, CookReport, cook
 from facepipe.core.errors import FacepipeError
-from facepipe.pipeline import CookOptions, CookReport, cook
 
 FORMATS = (".glb", ".onnx")
 

@@ -13,9 +13,9 @@ from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from typing import NamedTuple
 
+from facepipe.core import __version__
 from facepipe.core.errors import InputError
 from facepipe.core.reports import ExportReport
-from facepipe.core.version import __version__
 from facepipe.declare import option
 
 from .own_wheel import write_own_wheel

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.core.names import identifier, unique_identifiers
+from facepipe.hosting.edited_face import edited_face, made_face
+from facepipe.hosting.host_face import recipe_from
 from facepipe.parts import FaceParts, FloatArray, Material, Mesh
-from facepipe.pipeline.edited_face import edited_face, made_face
-from facepipe.pipeline.host_face import recipe_from
 
 from .face_objects import FaceObjects
 from .placement import between_stages, inverse, moved_face, moved_mesh, placed_face, snapped

@@ -10,8 +10,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, unique_identifiers
+from facepipe.hosting.host_face import author_neural_rig, face_layer, is_face
 from facepipe.parts import FaceParts
-from facepipe.pipeline.host_face import author_neural_rig, face_layer, is_face
 
 from .build_face import Built, build_face
 from .face_objects import FaceObjects, faces_among

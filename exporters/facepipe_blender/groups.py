@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.core.errors import FacepipeError
+from facepipe.hosting.host_face import check_region_name
 from facepipe.parts import FloatArray, Skin
-from facepipe.pipeline.host_face import check_region_name
 
 REGION = "region:"  # before the name of a region, since bones are called `chin` too
 SUBSET = "subset:"  # before the name of a point subset, of boolean point attributes

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from facepipe.core.names import identifier
-from facepipe.pipeline.host_face import Curve, curves
+from facepipe.hosting.host_face import Curve, curves
 
 _MARK = "@"
 

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.pipeline.deliver import DeliveryReport, deliver, outputs
+from facepipe.hosting.deliver import DeliveryReport, deliver, outputs
 
 from .blend_again import blend_again
 from .face_objects import FaceObjects, face_of

@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from facepipe import registry
-from facepipe.core.version import __version__
+from facepipe.core import __version__
 
 from .plain_zip import write_zip
 

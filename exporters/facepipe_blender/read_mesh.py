@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.errors import InputError
+from facepipe.hosting.host_face import sculpted
 from facepipe.parts import Blendshape, FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
-from facepipe.pipeline.host_face import sculpted
 
 from .groups import SUBSET, helper_groups, read_groups
 from .inbetween_keys import read_key_name

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.errors import SchemaError
+from facepipe.hosting.host_face import face_from_bytes, face_to_bytes
 from facepipe.parts import FaceParts, FloatArray
-from facepipe.pipeline.host_face import face_from_bytes, face_to_bytes
 
 RECORD = "facepipe_record"  # property of objects: the text block
 MESH = "facepipe_mesh"  # property of mesh objects: the name of their mesh in the face

@@ -6,7 +6,7 @@ import atexit
 
 import bpy
 
-from facepipe.pipeline.host_face import register_schemas
+from facepipe.hosting.host_face import register_schemas
 
 from .hook import FaceHook
 from .messages import FACEPIPE_OT_tell

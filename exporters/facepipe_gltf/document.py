@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.version import __version__
+from facepipe.core import __version__
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, exact
 from facepipe.rig.linear_skinning import linear_skinning_notes

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.version import __version__
+from facepipe.core import __version__
 from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe_onnx import describe_sliders

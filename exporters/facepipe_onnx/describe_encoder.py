@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from facepipe.core.version import __version__
+from facepipe.core import __version__
 from facepipe.rig.neural_encoder import NeuralEncoder
 from facepipe_onnx.kinds import ENCODER
 from facepipe_onnx.operators import FURTHER

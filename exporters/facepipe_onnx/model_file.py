@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import Any
 
+from facepipe.core import __version__
 from facepipe.core.atomic import together, write_bytes
 from facepipe.core.errors import ExportError, InputError
-from facepipe.core.version import __version__
 from facepipe.onnx_graph import MAX_BYTES
 from facepipe_onnx import sidecar
 from facepipe_onnx.read import problems

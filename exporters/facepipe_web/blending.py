@@ -13,7 +13,7 @@ from facepipe_web.assets import axes_of, write_assets
 from facepipe_web.server import Answer, Server
 
 if TYPE_CHECKING:
-    from facepipe.pipeline.live_blend import LiveBlend
+    from facepipe.hosting.live_blend import LiveBlend
 
 Json = dict[str, Any]
 _KEPT = 2  # versions of the face that may still be on their way to the page
@@ -73,7 +73,7 @@ def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:
 
     :raises InputError: a source of its recipe is gone
     """
-    from facepipe.pipeline.live_blend import LiveBlend
+    from facepipe.hosting.live_blend import LiveBlend
 
     live = None if path.suffix.lower() == ".glb" else LiveBlend.of(path)
     return None if live is None else Blending(path, live, folder, server)

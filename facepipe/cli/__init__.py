@@ -19,10 +19,10 @@ from typing import Any
 
 from facepipe.cli.parser import Parser
 from facepipe.cli.show import quiet_libraries
+from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import check_input
 from facepipe.core.trust import Trust, trust, trusting
-from facepipe.core.version import __version__
 
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {

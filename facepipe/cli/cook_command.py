@@ -34,12 +34,12 @@ from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import FacepipeError
 
 if TYPE_CHECKING:
-    from facepipe.pipeline import CookReport, NodeReport
+    from facepipe.cooking import CookReport, NodeReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.pipeline.options import CookOptions
+    from facepipe.cooking.options import CookOptions
 
     parser.add_argument("stages", nargs="+", type=Path, metavar="STAGE", help="face stage, or one that stands on some")
     add_options(parser, CookOptions)
@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Cook, telling of each file once it is done."""
-    from facepipe.pipeline import CookOptions, cook
+    from facepipe.cooking import CookOptions, cook
 
     done: list[NodeReport] = []
 
@@ -71,14 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _ended(done: list[NodeReport], error: FacepipeError) -> dict[str, Any]:
     """What is told of a cook that `error` has ended: the files before it are done."""
-    from facepipe.pipeline import CookReport
+    from facepipe.cooking import CookReport
 
     report = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
     return {**json.loads(report.to_json()), "good": False, "error": str(error)}
 
 
 def _line(node: NodeReport) -> str:
-    from facepipe.pipeline.graph import shown
+    from facepipe.cooking.graph import shown
 
     why = f" ({'; '.join(node.why)})" if node.why else ""
     seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""

@@ -29,7 +29,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-_ROOMS = {"sample": "heads", "validate": "checks", "render": "pictures"}  # old -> new
+_ROOMS = {"sample": "heads", "validate": "checks", "render": "pictures", "pipeline": "cooking"}  # old -> new
 _TO_CORE: tuple[str, ...] = ("atomic", "digests", "errors", "finite", "hidden_folders", "images", "loading", "locks")
 _TO_CORE += ("names", "placing", "reading", "reports", "threads", "tokens", "trust")
 _TO_READ: tuple[str, ...] = ("accessors", "animations", "assemble", "document", "files", "key_times", "landmarks")
@@ -40,7 +40,9 @@ _CALLED = {  # new name -> the function that has the old one
     "facepipe.checks": ("facepipe.checks", "validate"),
     "facepipe.pictures": ("facepipe.api", "render"),
 }
-MOVED = {f"facepipe.{old}": f"facepipe.{new}" for old, new in _ROOMS.items()}
+_TO_HOSTING = ("deliver", "edited_face", "edited_mesh", "host_face", "live_blend", "reblended")
+MOVED = {f"facepipe.pipeline.{name}": f"facepipe.hosting.{name}" for name in _TO_HOSTING}
+MOVED |= {f"facepipe.{old}": f"facepipe.{new}" for old, new in _ROOMS.items()}
 MOVED |= {f"facepipe.{name}": f"facepipe.core.{name}" for name in _TO_CORE}
 MOVED |= {f"facepipe.importers.gltf_{name}": f"facepipe_gltf.read.{name}" for name in _TO_READ}
 MOVED |= {
@@ -120,6 +122,8 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
+        if not name.startswith("facepipe"):
+            return None
         old = next((old for old in MOVED if name == old or name.startswith(f"{old}.")), None)
         if old is None:
             return None
@@ -131,4 +135,4 @@ class _Finder(MetaPathFinder):
 def keep_old_names() -> None:
     """Let Python find modules under their old names too."""
     if not any(isinstance(one, _Finder) for one in sys.meta_path):
-        sys.meta_path.append(_Finder())
+        sys.meta_path.insert(0, _Finder())  # before others find a file of the new room under the old name

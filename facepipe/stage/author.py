@@ -8,11 +8,10 @@ from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.core import tokens
+from facepipe.core import __version__, tokens
 from facepipe.core.atomic import together
 from facepipe.core.finite import require_finite
 from facepipe.core.names import identifier, unique_identifiers
-from facepipe.core.version import __version__
 from facepipe.parts import FaceParts
 from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_animations import author_animation, author_source, author_time_range

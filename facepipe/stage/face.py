@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe.core import tokens
+from facepipe.core import __version__, tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.finite import require_finite
 from facepipe.core.names import unknown
-from facepipe.core.version import __version__
 from facepipe.parts import (
     Animation,
     FaceParts,

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
+from facepipe.core import __version__
 from facepipe.core.digests import digest
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reading import is_file, read_json_object
 from facepipe.core.trust import check_model
-from facepipe.core.version import __version__
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage
 from facepipe.stage.read_skeleton import read_recipe

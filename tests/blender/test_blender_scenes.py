@@ -10,7 +10,7 @@ from blender_python import blender, needs_blender
 from pxr import Usd
 
 from facepipe.checks import validate
-from facepipe.pipeline.host_face import Face, faces_on
+from facepipe.hosting.host_face import Face, faces_on
 
 pytestmark = [pytest.mark.slow, needs_blender]
 

@@ -9,8 +9,8 @@ import pytest
 from facepipe_blender.inbetween_keys import expressions, key_name, read_key_name
 from faces import replace_mesh, tiny_face
 
+from facepipe.hosting.edited_face import edited_face
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider
-from facepipe.pipeline.edited_face import edited_face
 from facepipe.rig.activation import curves
 from facepipe.stage.differences import same
 

@@ -114,7 +114,7 @@ def test_a_dry_run_writes_nothing_and_tells_what_a_cook_would_do(chain: Path, ca
 
 _KILLED = """
 import contextlib, os, signal, sys
-from facepipe.pipeline import cook
+from facepipe.cooking import cook
 def kill(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 class Bar:

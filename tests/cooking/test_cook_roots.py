@@ -19,10 +19,10 @@ from small_sources import made
 import facepipe
 from facepipe import pipeline
 from facepipe.cli import main
+from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
 from facepipe.parts import Recipe
-from facepipe.pipeline import CookOptions
 from facepipe.processors.rebuild.work_folder import WorkFolder
 from facepipe.stage import save_parts
 

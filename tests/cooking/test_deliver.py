@@ -14,13 +14,13 @@ from faces import tiny_face
 
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
-from facepipe.pipeline.deliver import deliver, outputs
+from facepipe.hosting.deliver import deliver, outputs
 from facepipe.stage import save_parts
 
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
-from facepipe.pipeline.deliver import deliver
+from facepipe.hosting.deliver import deliver
 def hook(event, arguments):
     if event == "os.rename" and os.fspath(arguments[1]) == os.path.realpath("face.onnx.json"):
         os.kill(os.getpid(), signal.SIGKILL)

@@ -81,7 +81,7 @@ def quicken() -> None:
 
 
 def _deliver() -> None:
-    from facepipe.pipeline.deliver import deliver
+    from facepipe.hosting.deliver import deliver
 
     deliver(Path("a.usda"), Path(), "out", overwrite=True)
 

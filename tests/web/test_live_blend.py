@@ -18,7 +18,7 @@ from small_sources import WORDS
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.pipeline.live_blend import LiveBlend
+from facepipe.hosting.live_blend import LiveBlend
 from facepipe.rig import build
 from facepipe.stage import save_parts
 

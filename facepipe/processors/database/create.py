@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core import __version__
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
-from facepipe.core.version import __version__
 from facepipe.declare import check_ranges
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel

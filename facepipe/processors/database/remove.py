@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core import __version__
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
-from facepipe.core.version import __version__
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import narrowed

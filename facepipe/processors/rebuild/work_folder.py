@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
 from facepipe.core.trust import check_writable
-from facepipe.core.version import __version__
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 
 FloatArray = npt.NDArray[np.floating]

@@ -13,9 +13,9 @@ from command_line import content, done
 from neutral_files import Files
 from rebuild_project import PROJECT, rebuilt
 
+from facepipe.cooking import cook
 from facepipe.core.atomic import apart
 from facepipe.kinds import Bar, unwatched
-from facepipe.pipeline import cook
 
 Capsys = pytest.CaptureFixture[str]
 

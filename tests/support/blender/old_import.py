@@ -13,7 +13,7 @@ same = []
 
 def compared(stage: Any, prim_map: Any) -> tuple[str, ...]:
     """Import by names alone, as for a Blender that says nothing."""
-    from facepipe.pipeline.host_face import faces_on
+    from facepipe.hosting.host_face import faces_on
 
     said, named = {str(path): list(ids) for path, ids in prim_map.items()}, hook.objects_by_name(stage)
     for face in faces_on(stage):

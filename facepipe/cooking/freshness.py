@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
+from facepipe.cooking.graph import Graph, Node
 from facepipe.core.digests import digest
-from facepipe.pipeline.graph import Graph, Node
 from facepipe.stage.recipes import source_files
 
 

@@ -10,8 +10,8 @@ from facepipe_schemas import register as register_schemas
 from pxr import Sdf, Usd
 
 from facepipe.core import tokens
+from facepipe.hosting.edited_mesh import sculpted
 from facepipe.parts import FaceParts, Material, Recipe
-from facepipe.pipeline.edited_mesh import sculpted
 from facepipe.rig.activation import Curve, curves
 from facepipe.stage import Face, open_face
 from facepipe.stage.api_schemas import is_applied

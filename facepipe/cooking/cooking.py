@@ -10,6 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from facepipe.actions import find_action
+from facepipe.cooking.freshness import Digests, changes, waiting
+from facepipe.cooking.graph import Graph, Node, read_graph, read_node, shown
+from facepipe.cooking.options import CookOptions
+from facepipe.cooking.report import Action, CookReport, NodeReport
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
@@ -18,10 +22,6 @@ from facepipe.core.trust import trust, trusting
 from facepipe.kinds import Watch, unwatched
 from facepipe.older_recipes import verb_now
 from facepipe.performing import again
-from facepipe.pipeline.freshness import Digests, changes, waiting
-from facepipe.pipeline.graph import Graph, Node, read_graph, read_node, shown
-from facepipe.pipeline.options import CookOptions
-from facepipe.pipeline.report import Action, CookReport, NodeReport
 
 AnyPath = str | os.PathLike[str]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.hosting.edited_mesh import edited_mesh, same_topology, summed_to_one, with_normal_offsets
 from facepipe.parts import BoneLimits, FaceParts, FloatArray, IntArray, Mesh, Skeleton, Slider, SliderNetwork
-from facepipe.pipeline.edited_mesh import edited_mesh, same_topology, summed_to_one, with_normal_offsets
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.differences import same
