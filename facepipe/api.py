@@ -163,7 +163,7 @@ def _value(field: Field, value: Any) -> Any:
 
 def _described(kind: type[StageAction[Any]], fields: tuple[Field, ...]) -> str:
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
-    lines += [f":param {one.name}: {one.help}{f' [{one.unit}]' if one.unit else ''}" for one in fields]
+    lines += [f":param {one.name}: {one.said}" for one in fields]
     lines += [
         ":param out: stage to write, or a file that an exporter writes",
         ":param overwrite: put it in place of a file that is there",

@@ -234,12 +234,7 @@ def test_an_action_of_others_is_a_command_with_recipe_edit_and_cook(folder: Path
 
 def test_an_action_of_others_is_done_in_python(folder: Path) -> None:
     save_parts(tiny_face(), folder / "face.usda")
-    program = """if True:
-        from pathlib import Path
-        from facepipe.performing import perform
-        from xyz_plugin.lift import Lift
-        done = perform(Lift(face=Path("face.usda"), by_mm=5.0), Path("up.usda"))
-        print(done.report.points)"""
+    program = "import facepipe; print(facepipe.lift('face.usda', by_mm=5.0, out='up.usda').points)"
     done = python(folder, program)
     assert done.stdout == f"{POINTS}\n", done.stderr
     assert run(folder, "lift", "face.usda", "--by-mm", "5", "-o", "same.usda").returncode == 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from facepipe.declare import check_ranges, option
@@ -108,4 +108,4 @@ class SplitExpressionsOptions(SplitOptions):
     :raises InputError: a number out of range
     """
 
-    noise: float = option(0.2, "error expected of the composites' points, in each coordinate", 1e-9, 1e6, "mm")
+    noise: float = field(default=0.2, metadata=SplitOptions.__dataclass_fields__["noise"].metadata)

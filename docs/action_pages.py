@@ -1,0 +1,115 @@
+"""Writes actions.md of what actions declare: `python docs/action_pages.py`."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import types
+import typing
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import facepipe
+from facepipe.actions import find_action, summaries
+from facepipe.declare import Field, fields_of
+from facepipe.kinds import StageAction
+
+PAGE = Path(__file__).resolve().parent / "actions.md"
+INTRO = """# Actions: sources, options, files
+
+What `facepipe VERB` and the function `facepipe.verb` of Python take: `python docs/action_pages.py` makes this page of
+what each action declares (`facepipe/processors/**/*_action.py`). `facepipe VERB --help` has examples.
+
+Every action writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or what `facepipe export` makes of
+that. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report, which the
+function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given changed.
+"""
+_ON = {True: "on", False: "off"}
+_TYPES = {bool: "on or off", float: "number", int: "whole number", str: "text", Path: "file"}
+
+
+def page(verbs: Iterable[str]) -> str:
+    """The page of actions."""
+    return "\n".join([INTRO, *map(section, verbs)])
+
+
+def section(verb: str) -> str:
+    """What one action takes."""
+    kind = find_action(verb)
+    if kind is None:
+        raise SystemExit(f"{verb}: no action")
+    fields = fields_of(kind)
+    of = {role: [one for one in fields if one.role == role] for role in ("source", "option", "beside")}
+    parts = [f"## {verb}", f"{kind.summary[0].upper()}{kind.summary[1:]}.{_call(verb)}"]
+    parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in of["source"])))
+    options = [_option(one) for one in of["option"] if one.name not in kind.own_flags] + list(_own_flags(kind))
+    if options:
+        parts.append(_table(("option", "Python", "type", "default", "range", "what"), options))
+    if of["beside"]:
+        rows = ((_code(one.shown), _code(one.name), one.suffix or "folder", one.help) for one in of["beside"])
+        parts.append(_table(("beside", "Python", "type", "what"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _call(verb: str) -> str:
+    """The Python line with what must be given."""
+    name = verb.replace("-", "_")
+    if not name.isidentifier():
+        return ""
+    function = getattr(facepipe, name)
+    needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    words = [one.name if one.kind is one.POSITIONAL_OR_KEYWORD else f"{one.name}=..." for one in needed]
+    return f" In Python: `facepipe.{name}({', '.join(words)})`."
+
+
+def _source(one: Field) -> tuple[str, ...]:
+    needed = "" if one.needed else " (may be left out)"
+    return _code(one.shown), _code(one.name), type_of(one), f"{one.help}{needed}"
+
+
+def _option(one: Field) -> tuple[str, ...]:
+    span = "" if one.low is None or one.high is None else f"{one.low:g} to {one.high:g}"
+    unsaid = one.default in (None, "", (), {})
+    default = _ON[one.default] if isinstance(one.default, bool) else "" if unsaid else _code(str(one.default))
+    return _code(one.shown), _code(one.name), type_of(one), default, f"{span} {one.unit}".strip(), one.help
+
+
+def _own_flags(kind: type[StageAction[Any]]) -> Iterator[tuple[str, ...]]:
+    """Flags that are not a field each."""
+    parser = argparse.ArgumentParser(add_help=False)
+    kind.add_flags(parser)
+    names = ", ".join(map(_code, kind.own_flags))
+    for one in parser._actions:
+        for flag in one.option_strings:
+            yield _code(flag), names, _code(str(one.metavar)), "", "", str(one.help)
+
+
+def type_of(one: Field) -> str:
+    """In words, as people give it."""
+    if one.choices:
+        return ", ".join(_code(str(choice)) for choice in one.choices)
+    if one.value is not None:
+        return "JSON"
+    return " or ".join(_kind(kind) for kind in one.kinds if kind is not types.NoneType)
+
+
+def _kind(kind: Any) -> str:
+    if typing.get_origin(kind) is tuple:
+        return f"{_kind(typing.get_args(kind)[0])}s"
+    if typing.get_origin(kind) is Mapping:
+        return f"{_kind(typing.get_args(kind)[1])}s by name"
+    return _TYPES[kind]
+
+
+def _code(text: str) -> str:
+    return f"`{text}`"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = (f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows)
+    return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines])
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(summaries()), encoding="utf-8")
