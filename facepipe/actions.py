@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.kinds import StageAction
+from facepipe.kinds import Action, StageAction
 from facepipe.registry import loaded
 
 GROUP = "facepipe.processors"
@@ -47,21 +47,27 @@ def _summary(entry: EntryPoint) -> str:
         return f"({error})"
 
 
-def find_action(verb: str) -> type[StageAction[Any]] | None:
+def find_action(verb: str) -> type[Action[Any]] | None:
     """The action of a verb; None where there is none.
 
     :raises InputError: it is that of a plug-in that can't be loaded, or that has no action of the verb
     """
     if verb in _own():
         module = importlib.import_module(_own()[verb][0])
-        kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, StageAction))
+        kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Action))
         return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
     return next((_of_others(entry) for entry in entry_points(group=GROUP, name=verb)), None)
 
 
-def _of_others(entry: EntryPoint) -> type[StageAction[Any]]:
+def _of_others(entry: EntryPoint) -> type[Action[Any]]:
     """:raises InputError: it can't be loaded, or is no action of that verb"""
     found = loaded(entry)
-    if isinstance(found, type) and issubclass(found, StageAction) and getattr(found, "verb", None) == entry.name:
+    if isinstance(found, type) and issubclass(found, Action) and getattr(found, "verb", None) == entry.name:
         return found
     raise InputError(f"plug-in {entry.name} ({entry.value})", "is no action of that verb, expected one")
+
+
+def cookable(verb: str) -> type[StageAction[Any]] | None:
+    """The action that makes a face of the recipe of a verb again; None where there is none."""
+    kind = find_action(verb)
+    return kind if kind is not None and issubclass(kind, StageAction) else None

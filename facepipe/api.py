@@ -14,7 +14,7 @@ from facepipe.declare import Field, fields_of
 
 if TYPE_CHECKING:
     from facepipe.core.reports import ExportReport, Report
-    from facepipe.kinds import StageAction
+    from facepipe.kinds import Action
     from facepipe.stage import Face
 
 AnyPath = str | os.PathLike[str]
@@ -112,7 +112,7 @@ def names() -> tuple[str, ...]:
 
 
 @functools.cache
-def _function(kind: type[StageAction[Any]]) -> Callable[..., Report]:
+def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     fields = fields_of(kind)  # type: ignore[arg-type]
     signature = inspect.Signature(_parameters(fields))
 
@@ -126,7 +126,7 @@ def _function(kind: type[StageAction[Any]]) -> Callable[..., Report]:
         beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
         for path in (out, *(one for one in beside if one is not None)):
             _check(path, files_of(action), overwrite=overwrite)
-        check_result(out, overwrite=overwrite)
+        check_result(kind, out, overwrite=overwrite)
         return perform(action, out, flatten=flatten).report
 
     function.__name__ = function.__qualname__ = kind.verb.replace("-", "_")
@@ -161,7 +161,7 @@ def _value(field: Field, value: Any) -> Any:
     return tuple(map(Path, value)) if field.several else Path(value)
 
 
-def _described(kind: type[StageAction[Any]], fields: tuple[Field, ...]) -> str:
+def _described(kind: type[Action[Any]], fields: tuple[Field, ...]) -> str:
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
     lines += [f":param {one.name}: {one.said}" for one in fields]
     lines += [

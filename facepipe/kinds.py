@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 FOUND = "found"  # key of a recipe's options for what the action found
 
-A = TypeVar("A", bound="StageAction[Any]")
+A = TypeVar("A", bound="Action[Any]")
 R = TypeVar("R", bound="Report")
 
 
@@ -68,8 +68,8 @@ class Job:
     recipe: Callable[..., Recipe]  # of `out`: job.recipe(quality=...) with what was found; or of a changed action
 
 
-class StageAction(Generic[R]):
-    """Base of the actions that make a face stage of others: a layer over the first source, with a recipe."""
+class Action(Generic[R]):
+    """Base of all actions."""
 
     verb: ClassVar[str]
     summary: ClassVar[str]
@@ -80,14 +80,6 @@ class StageAction(Generic[R]):
         """Add flags to the command's parser that are not a field each."""
 
     @classmethod
-    def replaced(cls, arguments: Any) -> Collection[str]:
-        """Fields of the recipe that the line leaves out, beside those that it gives: their files may be lost.
-
-        :param arguments: what was parsed
-        """
-        return ()
-
-    @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
         """The values of all fields, with those of flags that are not a field each.
 
@@ -96,13 +88,6 @@ class StageAction(Generic[R]):
         :raises InputError: flags that don't go together
         """
         return values
-
-    @property
-    def base(self) -> Path:
-        """The file that the result is a layer over."""
-        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
-        value = getattr(self, first.name)
-        return Path(value[0] if isinstance(value, tuple) else value)
 
     @property
     def further_files(self) -> tuple[Path, ...]:
@@ -116,13 +101,6 @@ class StageAction(Generic[R]):
         """
         check_ranges(self)  # type: ignore[arg-type]
 
-    def author(self, face: Face, job: Job) -> R:
-        """Do the work on `face`, a layer over the base that is saved when this ends well.
-
-        :raises FacepipeError: what can't be read or done; then nothing is written
-        """
-        raise NotImplementedError
-
     def missed(self, report: R) -> bool:
         """Whether a check or threshold was missed, though the result is written."""
         return False
@@ -130,6 +108,46 @@ class StageAction(Generic[R]):
     def text(self, report: R, out: Path) -> str:
         """The report for people."""
         return str(out)
+
+
+class StageAction(Action[R]):
+    """Base of the actions that make a face stage of others: a layer over the first source, with a recipe."""
+
+    @classmethod
+    def replaced(cls, arguments: Any) -> Collection[str]:
+        """Fields of the recipe that the line leaves out, beside those that it gives: their files may be lost.
+
+        :param arguments: what was parsed
+        """
+        return ()
+
+    @property
+    def base(self) -> Path:
+        """The file that the result is a layer over."""
+        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
+        value = getattr(self, first.name)
+        return Path(value[0] if isinstance(value, tuple) else value)
+
+    def author(self, face: Face, job: Job) -> R:
+        """Do the work on `face`, a layer over the base that is saved when this ends well.
+
+        :raises FacepipeError: what can't be read or done; then nothing is written
+        """
+        raise NotImplementedError
+
+
+class FileAction(Action[R]):
+    """Base of the actions that make a file of files; it has no recipe."""
+
+    output: ClassVar[str]  # what it is, for the help
+    suffixes: ClassVar[tuple[str, ...]]  # that it may have
+
+    def write(self, job: Job) -> R:
+        """Do the work, write ``job.out`` whole or not at all.
+
+        :raises FacepipeError: what can't be read, done or written
+        """
+        raise NotImplementedError
 
 
 def action(verb: str, summary: str) -> Callable[[type[A]], type[A]]:

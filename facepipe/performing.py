@@ -17,7 +17,7 @@ from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
-from facepipe.kinds import FOUND, Job, StageAction, Watch, unwatched
+from facepipe.kinds import FOUND, Action, FileAction, Job, StageAction, Watch, unwatched
 from facepipe.older_recipes import as_now, verb_now
 from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
@@ -36,42 +36,65 @@ class Performed:
     beside: Mapping[str, Any]  # field -> its path, or what its writer says
 
 
-def perform(action: StageAction[Any], out: Path, *, flatten: bool = False, watch: Watch = unwatched) -> Performed:
+def perform(action: Action[Any], out: Path, *, flatten: bool = False, watch: Watch = unwatched) -> Performed:
     """Do an action; the result and what is asked for beside it are written whole, or nothing is.
 
-    :param out: a stage, or a file that an exporter writes, with its defaults
-    :param flatten: write a standalone file; so is one over a file that is imported
+    :param out: for a stage one, or a file that an exporter writes, with its defaults
+    :param flatten: write a standalone stage; so is one over a file that is imported
     :raises FacepipeError: what can't be read, done or written
     """
     action.check()
-    job = job_of(action, out, watch)
-    said: dict[str, Any] = {}
     with together(out), ExitStack() as files:
         temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
-        base, standalone = files.enter_context(_opened(action.base))
-        stage, exported = files.enter_context(_stage_of(out))
-        if exported:
-            files.enter_context(apart())  # the stage is exported before the rest takes its place
-        with base.deriving(stage, flatten=flatten or standalone or exported) as face:
-            with _under(action.base):
-                report = action.author(face, job)
-            for one, (path, place) in temporary.items():
-                with _called(path, place):
-                    written = getattr(action, one.write)(Face(face.stage, face.prim), report, place)
-                said[one.name] = str(path) if written is None else {**written, "path": str(path)}
-        warnings = (*base.warnings, *report.warnings)
-        if exported:
-            module = exporter(out)
-            export = module.export(open_face(stage), out, module.Options())
-            said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
+        if isinstance(action, StageAction):
+            return _staged(action, out, files, temporary, flatten=flatten, watch=watch)
+        assert isinstance(action, FileAction)
+        report = action.write(job_of(action, out, watch))
+        return Performed(report=report, beside=_written(action, (report,), temporary))
+
+
+Temporary = Mapping[Field, tuple[Path, Path]]  # what is asked for beside the result: its path, and where it is first
+
+
+def _staged(
+    action: StageAction[Any], out: Path, files: ExitStack, temporary: Temporary, *, flatten: bool, watch: Watch
+) -> Performed:
+    job = job_of(action, out, watch)
+    base, standalone = files.enter_context(_opened(action.base))
+    stage, exported = files.enter_context(_stage_of(out))
+    if exported:
+        files.enter_context(apart())  # the stage is exported before the rest takes its place
+    with base.deriving(stage, flatten=flatten or standalone or exported) as face:
+        with _under(action.base):
+            report = action.author(face, job)
+        said = _written(action, (Face(face.stage, face.prim), report), temporary)
+    warnings = (*base.warnings, *report.warnings)
+    if exported:
+        module = exporter(out)
+        export = module.export(open_face(stage), out, module.Options())
+        said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
     return Performed(report=replace(report, warnings=warnings), beside=said)
 
 
-def check_result(out: Path, *, overwrite: bool) -> None:
+def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -> dict[str, Any]:
+    """Write what is asked for beside a result; what JSON says of it."""
+    said: dict[str, Any] = {}
+    for one, (path, place) in temporary.items():
+        with _called(path, place):
+            written = getattr(action, one.write)(*made, place)
+        said[one.name] = str(path) if written is None else {**written, "path": str(path)}
+    return said
+
+
+def check_result(kind: type[Action[Any]], out: Path, *, overwrite: bool) -> None:
     """Check that a result can have a name, and what an exporter writes with it.
 
-    :raises InputError: no suffix of a stage or an exporter, or a file that may not be overwritten
+    :raises InputError: no suffix that it can have, or a file that may not be overwritten
     """
+    if issubclass(kind, FileAction):
+        if out.suffix.lower() not in kind.suffixes:
+            raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
+        return
     suffix, exported = out.suffix.lower(), [f".{one}" for one in suffixes()]
     if suffix not in (*SUFFIXES, *exported):
         raise InputError(out, f"suffix '{suffix}', expected one of {' '.join((*SUFFIXES, *exported))}")
@@ -105,16 +128,16 @@ def _opened(path: Path) -> Iterator[tuple[Face, bool]]:
         yield opened, True
 
 
-def job_of(action: StageAction[Any], out: Path, watch: Watch = unwatched) -> Job:
+def job_of(action: Action[Any], out: Path, watch: Watch = unwatched) -> Job:
     """What `action` is given to make `out`."""
 
-    def recipe(changed: StageAction[Any] = action, /, **found: Any) -> Recipe:
+    def recipe(changed: Action[Any] = action, /, **found: Any) -> Recipe:
         return recipe_to(changed, out, **found)
 
     return Job(out=out, watch=watch, recipe=recipe)
 
 
-def _beside(action: StageAction[Any]) -> Iterator[tuple[Field, Path]]:
+def _beside(action: Action[Any]) -> Iterator[tuple[Field, Path]]:
     for one in fields_of(type(action)):  # type: ignore[arg-type]
         if one.role == "beside" and getattr(action, one.name) is not None:
             yield one, Path(getattr(action, one.name))
@@ -148,7 +171,7 @@ def _under(path: Path) -> Iterator[None]:
         raise error.under(path) if prim else error from None
 
 
-def files_of(action: StageAction[Any], *, kept: bool = False) -> tuple[Path, ...]:
+def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:
     """The files that an action reads, each once, in the order of its fields.
 
     :param kept: those alone that its recipe names
@@ -158,7 +181,7 @@ def files_of(action: StageAction[Any], *, kept: bool = False) -> tuple[Path, ...
     return tuple(dict.fromkeys((*own, *action.further_files)))
 
 
-def _sources(action: StageAction[Any]) -> Iterator[tuple[Field, Any]]:
+def _sources(action: Action[Any]) -> Iterator[tuple[Field, Any]]:
     for one in fields_of(type(action)):  # type: ignore[arg-type]
         value = getattr(action, one.name)
         if one.role == "source" and value is not None:
@@ -173,7 +196,7 @@ def _named(one: Field, value: Any) -> Iterator[tuple[str, str]]:
             yield file, rest
 
 
-def recipe_to(action: StageAction[Any], out: str | os.PathLike[str], **found: Any) -> Recipe:
+def recipe_to(action: Action[Any], out: str | os.PathLike[str], **found: Any) -> Recipe:
     """The recipe to author on what an action makes as `out`: its fields as JSON, files as seen from that folder.
 
     A digest covers every USD layer that its source stands on.

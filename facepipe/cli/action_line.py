@@ -15,11 +15,12 @@ from facepipe.cli.parser import Parser, add_field, output_of, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
-from facepipe.kinds import A, StageAction
+from facepipe.kinds import A, Action, FileAction, StageAction
 
 if TYPE_CHECKING:
     from facepipe.performing import Kept
 
+_STAGE = "override layer to write: .usda .usdc .usd .usdz; or what `facepipe export` writes of it: .glb .onnx ..."
 _EDIT = (
     "do it again from the recipe of a result, with what else is given changed (--no-FLAG takes a FLAG of the recipe "
     "away); without -o in place (with --force), and anything else authored there is lost"
@@ -30,7 +31,7 @@ _EDIT = (
 class ActionLine:
     """What `facepipe VERB` takes and does."""
 
-    kind: type[StageAction[Any]]
+    kind: type[Action[Any]]
 
     @property
     def __doc__(self) -> str:  # type: ignore[override]
@@ -46,33 +47,39 @@ class ActionLine:
         return run(arguments, self.kind)
 
 
-def configure(parser: Parser, kind: type[StageAction[Any]]) -> None:
+def configure(parser: Parser, kind: type[Action[Any]]) -> None:
     """Add the arguments."""
     parser.intermixed = True
     add, fields = parser.add_argument, fields_of(kind)  # type: ignore[arg-type]
     for one in fields:
         if one.role == "source" and one.name not in kind.own_flags:
             add_field(parser, one)
-    result = "override layer to write: .usda .usdc .usd .usdz; or what `facepipe export` writes of it: .glb .onnx ..."
+    staged = issubclass(kind, StageAction)
+    result = kind.output if issubclass(kind, FileAction) else _STAGE
     add("-o", "--output", type=Path, metavar="OUT", help=result)
-    add("--force", action="store_true", help="overwrite OUT, or with --edit RESULT, and what is written beside it")
-    add("--edit", type=Path, metavar="RESULT", help=_EDIT)
-    if any(one.several and one.stands_alone for one in fields):
+    edited = ", or with --edit RESULT," if staged else ""
+    add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
+    if staged:
+        add("--edit", type=Path, metavar="RESULT", help=_EDIT)
+        add("--flatten", action="store_true", help="write a standalone file")
+    else:
+        parser.set_defaults(edit=None, flatten=False)
+    if staged and any(one.several and one.stands_alone for one in fields):
         text = "with --edit: another file for source N of the recipe"
         add("--replace", action="append", default=[], metavar="N=FILE", help=text)
     for one in fields:
         if one.role == "beside":
             add_field(parser, one)
-    add("--flatten", action="store_true", help="write a standalone file")
     add("--json", action="store_true", help="print the report as JSON")
-    group = parser.add_argument_group("options (in the recipe; with --edit they change it)")
+    kept = " (in the recipe; with --edit they change it)" if staged else ""
+    group = parser.add_argument_group(f"how it is done{kept}")
     kind.add_flags(group)
     for one in fields:
         if one.role == "option" and one.name not in kind.own_flags:
             add_field(group, one)
 
 
-def run(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> int:
+def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     """Do the action, print its report; the exit code."""
     from facepipe.performing import check_result, files_of, perform
 
@@ -81,12 +88,14 @@ def run(arguments: argparse.Namespace, kind: type[StageAction[Any]]) -> int:
     read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]  # type: ignore[arg-type]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
     out = output_or_edited(arguments, inputs)
-    check_result(out, overwrite=arguments.force)
+    check_result(kind, out, overwrite=arguments.force)
     _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
     flatten = arguments.flatten or (kept is not None and kept.standalone)
     done = perform(action, out, flatten=flatten, watch=progress)
     warn(done.report.warnings)
     result = {"path": str(out), **json.loads(done.report.to_json()), **done.beside}
+    if isinstance(action, FileAction):
+        result["bytes"] = out.stat().st_size
     result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
     text = [action.text(done.report, out), *map(_line, done.beside.values())]
     emit(result, "\n".join(text), as_json=arguments.json)
@@ -115,8 +124,10 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
         if arguments.edit is not None and one.several and one.stands_alone and one.name in given:
             what = "given with --edit, expected the sources of its recipe (--replace N=FILE takes another)"
             raise InputError(given[one.name][0], what)
-    left = set(kind.replaced(arguments))
-    kept = None if arguments.edit is None else read_kept(arguments.edit, kind, {*given, *left}, instead)
+    left, kept = set[str](), None
+    if arguments.edit is not None and issubclass(kind, StageAction):
+        left = set(kind.replaced(arguments))
+        kept = read_kept(arguments.edit, kind, {*given, *left}, instead)
     values = {name: value for name, value in kept.values.items() if name not in left} if kept else {}
     for one in fields:
         if one.name in given:
@@ -125,7 +136,8 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     values = kind.line_values(arguments, values)
     for one in fields:
         if one.needed and one.name not in values:
-            raise InputError(one.shown, f"none given, expected {one.help.split(';')[0]} (or --edit RESULT)")
+            edit = " (or --edit RESULT)" if issubclass(kind, StageAction) else ""
+            raise InputError(one.shown, f"none given, expected {one.help.split(';')[0]}{edit}")
     return kept, kind(**values)
 
 
@@ -148,7 +160,7 @@ def _joined(old: Any, given: Any) -> Any:
     return tuple(given) if isinstance(given, list) else given
 
 
-def _check_beside(action: StageAction[Any], arguments: argparse.Namespace, inputs: list[Path], out: Path) -> None:
+def _check_beside(action: Action[Any], arguments: argparse.Namespace, inputs: list[Path], out: Path) -> None:
     """Before any work: what is to be written beside the result can be.
 
     :raises InputError: as `output_of`, another suffix, or `out` itself

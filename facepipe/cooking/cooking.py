@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from facepipe.actions import find_action
+from facepipe.actions import cookable
 from facepipe.cooking.freshness import Digests, changes, waiting
 from facepipe.cooking.graph import Graph, Node, read_graph, read_node, shown
 from facepipe.cooking.options import CookOptions
@@ -144,7 +144,7 @@ class _Run:
         for _ in range(_TRIES):
             before = {source: self._digests.of(source) for source in node.sources}
             try:
-                kind = find_action(verb_now(verb))
+                kind = cookable(verb_now(verb))
                 if kind is None:
                     raise InputError(node.path, f"a recipe of '{verb[:40]}', expected one that can be cooked")
                 cooked = again(node.path, kind, self._watch)

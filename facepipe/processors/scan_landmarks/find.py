@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import FitError
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
@@ -43,6 +44,7 @@ class ScanLandmarksReport(Report):
     presence: float  # 0..1: how much it looks like a face, over all views
     spread: float  # median distance of a landmark's rays from it, over landmarks, share of the distance of the eyes
     searched: int  # views in which the face was searched
+    landmarks: Any = unsaid()  # the `FoundScanLandmarks`, of which pictures are drawn
 
 
 @dataclass(frozen=True, kw_only=True)
