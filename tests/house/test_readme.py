@@ -57,6 +57,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         "head.landmarks.usda",
         "child.glb",
         "live.usda",
+        "mixed.glb",
         "poses.usda",
         "jaw.fpb",
     } <= made
