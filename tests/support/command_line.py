@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 from places import REPOSITORY
 
-from facepipe.cli import main
+from facepipe.actions import find_action, summaries
+from facepipe.cli import COMMANDS, main
+from facepipe.declare import fields_of
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -48,3 +50,9 @@ def failed(capsys: Capsys, *words: object, folder: Path = Path()) -> str:
 def content(folder: Path) -> dict[Path, bytes]:
     """All that is below a folder; folders hold no bytes."""
     return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+def plain_actions() -> set[str]:
+    """Commands that are an action alone and write its result alone: as every action's is written."""
+    kinds = {verb: find_action(verb) for verb in summaries() if " " not in verb and verb not in COMMANDS}
+    return {verb for verb, kind in kinds.items() if kind and all(one.role != "beside" for one in fields_of(kind))}

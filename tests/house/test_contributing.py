@@ -1,0 +1,101 @@
+"""CONTRIBUTING.md's new action, made of its files as they stand there in a copy of the house: all else follows."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+from places import REPOSITORY
+
+PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+ACTION, TEST = "facepipe/processors/scale_shapes_action.py", "tests/processors/test_scale_shapes.py"
+HOUSE = ("test_action_page.py", "test_schemas.py", "test_readme.py")
+FILES = ("README.md", "pyproject.toml", "tests/conftest.py", *(f"tests/house/{name}" for name in HOUSE))
+FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "docs").glob("*.*"))
+FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "tests" / "support").glob("*.py"))
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_checks_are_those_of_continuous_integration() -> None:
+    script = (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    checks = blocks("sh")[1].splitlines()
+    assert len(checks) > 5
+    assert [line for line in checks if line not in script] == []
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the house with the files of the page, and the reference made anew."""
+    root = tmp_path_factory.mktemp("house")
+    shutil.copytree(REPOSITORY / "facepipe", root / "facepipe", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in FILES:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(REPOSITORY / name, root / name)
+    added = dict(re.findall(r"^`(\S+\.py)`:\n\n```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
+    assert added.keys() == {ACTION, TEST}
+    for name, text in added.items():
+        assert not (REPOSITORY / name).exists()
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text, encoding="utf-8")
+    python(root, "docs/action_pages.py")
+    return root
+
+
+def python(root: Path, *words: object, folder: Path | None = None) -> str:
+    """Stdout of a process that finds the copy's package, and must end well."""
+    path = os.pathsep.join([str(root), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, *map(str, words)]
+    environment = os.environ | {"PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder or root, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_its_tests_pass_and_those_of_the_house(house: Path) -> None:
+    assert python(house, "-c", "import facepipe; print(facepipe.__file__)").startswith(str(house))
+    chosen = ("-k", "scale or page or table")
+    said = python(house, "-m", "pytest", "-q", "-rA", TEST, *(f"tests/house/{name}" for name in HOUSE), *chosen)
+    passed = {*re.findall(r"^PASSED \S+::(\S+)", said, re.MULTILINE)}
+    each = {
+        f"{name}[scale-shapes]" for name in ("test_what_a_recipe_holds_is_valid", "test_an_option_is_declared_once")
+    }
+    assert each | {"test_the_page_is_what_its_script_makes", "test_an_unknown_shape_is_refused"} <= passed
+    python(house, "-m", "ruff", "check", ACTION, TEST)
+    python(house, "-m", "ruff", "format", "--check", ACTION, TEST)
+
+
+def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path: Path) -> None:
+    def facepipe(*words: str) -> str:
+        return python(house, "-m", "facepipe", *words, folder=tmp_path)
+
+    for line in blocks("sh")[2].splitlines():
+        said = facepipe(*line.split()[1:])
+    assert "1 up to date" in said
+    facepipe("sample", "-o", "head.usda", "--seed", "1", "--force")
+    assert "soft.usda: scale-shapes: cooked" in facepipe("cook", "soft.usda")
+    assert re.search(r"^  scale-shapes +make blendshapes stronger or weaker$", facepipe("--help"), re.MULTILINE)
+    assert re.search(r"--shape NAME +blendshape to scale \(default all\)", facepipe("scale-shapes", "--help"))
+    words = ("scale-shapes", "head.usda", "--shape", "jawOpen", "--factor", "0.6", "-o", "same.usda", "--json")
+    assert json.loads(facepipe(*words)) == {"path": "same.usda", "shapes": ["jawOpen"], "warnings": []}
+
+    program = """if True:
+        import json, facepipe
+        from facepipe.actions import find_action
+        from facepipe.declare import schema_of
+        facepipe.scale_shapes("head.usda", shapes=["jawOpen"], factor=0.6, out="python.usda")
+        print(json.dumps(schema_of(find_action("scale-shapes"))))"""
+    schema = Draft202012Validator(json.loads(python(house, "-c", program, folder=tmp_path)))
+    assert schema.is_valid({"face": "head.usda", "shapes": ["jawOpen"], "factor": 0.6})
+    assert not schema.is_valid({"face": "head.usda", "factor": 5})
+    made = {(tmp_path / name).read_bytes() for name in ("soft.usda", "same.usda", "python.usda")}
+    assert len(made) == 1
