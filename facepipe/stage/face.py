@@ -80,9 +80,11 @@ class Face:
     def from_parts(cls, parts: FaceParts) -> Face:
         """A face authored on a stage in memory, which names its textures; `save` needs a file (`save_parts`)."""
         from facepipe.stage.author import author
+        from facepipe.stage.author_materials import textures_of
 
         face = cls(author(parts))
-        face.__dict__["materials"] = parts.materials  # with the textures' bytes
+        if textures_of(parts):
+            face.__dict__["materials"] = parts.materials  # with the textures' bytes, which the stage has not
         return face
 
     @property

@@ -424,7 +424,7 @@ def test_the_result_is_a_layer_with_a_recipe_or_standalone(tiny: Path, tmp_path:
         assert (recipe.verb, recipe.sources, recipe.options) == (
             "apply-bones",
             ("./tiny.usda", "./pose.fpb"),
-            {"name": "pose", "clamp": False},
+            {"face": "./tiny.usda", "coefficients": "./pose.fpb", "name": None, "clamp": False},
         )
     assert exit_code("apply-bones", tiny, tmp_path / "pose.fpb", "-o", tmp_path / "twice.usda") == 0
     assert (tmp_path / "twice.usda").read_bytes() == (tmp_path / "over.usda").read_bytes()
@@ -480,7 +480,7 @@ def test_wrong_use_is_one_line_and_writes_nothing(
         ((tiny, good, "-o", out, "--name", "a b"), "expected one like a_b"),
         ((tiny, good), "no output file"),
         ((tiny, good, "-o", good), "is an input"),
-        ((tiny, good, "-o", tmp_path / "out.glb"), "suffix '.glb'"),
+        ((tiny, good, "-o", tmp_path / "out.txt"), "suffix '.txt'"),
         ((tiny, good, "-o", tmp_path / "out.npz", "--name", "x"), "given with -o out.npz"),
         ((tiny, good, "--info", "-o", out), "given with --info"),
     ):

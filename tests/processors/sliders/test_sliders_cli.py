@@ -343,7 +343,7 @@ def test_existing_files_and_inputs_are_safe(folder: Path, capsys: Capsys) -> Non
     assert "is an input" in failed(
         capsys, "sliders", "face.usda", "--from", "table.toml", "-o", "table.toml", "--force"
     )
-    assert "suffix" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.glb")
+    assert "suffix" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.txt")
     done(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.usda")
     assert "--force" in failed(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "out.usda")
     first = (folder / "out.usda").read_bytes()
