@@ -243,10 +243,9 @@ def damage_recipe(rng: Rng, part: str) -> list[Line]:
             _damage_attribute(rng, name, specs[name])
     layer.Save()
     del layer, specs
-    verb = part.split()[0]
     lines = [["cook", "out.usda", "--force"]] * 6 + [["cook", "out.usda", "--dry-run"], ["inspect", "out.usda"]]
-    if verb in ("blend", "fit-bones", "fit-photo"):
-        lines += [[verb, "--edit", "out.usda", "-o", "out2.usda"]] * 6
+    words = cook_cases.CASES[part].command if part in cook_cases.CASES else (part,)
+    lines += [[*words, "--edit", "out.usda", "-o", "out2.usda"]] * 6
     return [rng.choice(lines)]
 
 
