@@ -13,7 +13,7 @@ from typing import Any
 import facepipe
 from facepipe.actions import find_action, summaries
 from facepipe.declare import Field, fields_of
-from facepipe.kinds import StageAction
+from facepipe.kinds import Action, FileAction
 
 PAGE = Path(__file__).resolve().parent / "actions.md"
 INTRO = """# Actions: sources, options, files
@@ -21,9 +21,10 @@ INTRO = """# Actions: sources, options, files
 What `facepipe VERB` and the function `facepipe.verb` of Python take: `python docs/action_pages.py` makes this page of
 what each action declares (`facepipe/processors/**/*_action.py`). `facepipe VERB --help` has examples.
 
-Every action writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or what `facepipe export` makes of
-that. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report, which the
-function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given changed.
+An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or what `facepipe
+export` makes of that. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report,
+which the function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given changed.
+One that makes another file says which; it has no recipe, and so no `--edit` and no `--flatten`.
 """
 _ON = {True: "on", False: "off"}
 _TYPES = {bool: "on or off", float: "number", int: "whole number", str: "text", Path: "file"}
@@ -41,7 +42,8 @@ def section(verb: str) -> str:
         raise SystemExit(f"{verb}: no action")
     fields = fields_of(kind)
     of = {role: [one for one in fields if one.role == role] for role in ("source", "option", "beside")}
-    parts = [f"## {verb}", f"{kind.summary[0].upper()}{kind.summary[1:]}.{_call(verb)}"]
+    result = f" OUT: {kind.output}." if issubclass(kind, FileAction) else ""
+    parts = [f"## {verb}", f"{kind.summary[0].upper()}{kind.summary[1:]}.{_call(verb)}{result}"]
     parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in of["source"])))
     options = [_option(one) for one in of["option"] if one.name not in kind.own_flags] + list(_own_flags(kind))
     if options:
@@ -75,7 +77,7 @@ def _option(one: Field) -> tuple[str, ...]:
     return _code(one.shown), _code(one.name), type_of(one), default, f"{span} {one.unit}".strip(), one.help
 
 
-def _own_flags(kind: type[StageAction[Any]]) -> Iterator[tuple[str, ...]]:
+def _own_flags(kind: type[Action[Any]]) -> Iterator[tuple[str, ...]]:
     """Flags that are not a field each."""
     parser = argparse.ArgumentParser(add_help=False)
     kind.add_flags(parser)

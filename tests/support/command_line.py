@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from places import REPOSITORY
 
-from facepipe.actions import find_action, summaries
+from facepipe.actions import cookable, summaries
 from facepipe.cli import COMMANDS, main
 from facepipe.declare import fields_of
 
@@ -53,6 +53,6 @@ def content(folder: Path) -> dict[Path, bytes]:
 
 
 def plain_actions() -> set[str]:
-    """Commands that are an action alone and write its result alone: as every action's is written."""
-    kinds = {verb: find_action(verb) for verb in summaries() if " " not in verb and verb not in COMMANDS}
+    """Commands that do an action alone, and write its face alone: as that of every action is written."""
+    kinds = {verb: cookable(verb) for verb in summaries() if " " not in verb and verb not in COMMANDS}
     return {verb for verb, kind in kinds.items() if kind and all(one.role != "beside" for one in fields_of(kind))}
