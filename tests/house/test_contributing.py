@@ -33,6 +33,12 @@ def test_the_checks_are_those_of_continuous_integration() -> None:
     assert [line for line in checks if line not in script] == []
 
 
+def test_what_it_names_is_there() -> None:
+    named = {name for name in re.findall(r"`([\w.]+/[\w./]*)`", PAGE) if "scale_shapes" not in name}
+    assert len(named) > 12
+    assert [name for name in sorted(named) if not (REPOSITORY / name).exists()] == []
+
+
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the house with the files of the page, and the reference made anew."""
