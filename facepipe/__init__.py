@@ -8,7 +8,7 @@ Every action of the command line is a function here: `facepipe blend` is `facepi
 `facepipe.fit_bones`, with its sources and options as arguments.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
+
+    def __getattr__(name: str) -> Any: ...  # a function for each action
+
 else:
     __getattr__, __dir__ = lazy(__name__, "facepipe.api")
 

@@ -166,7 +166,10 @@ def _help(words: list[str], command: str | None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"facepipe {__version__}")
     if command is not None:
-        parser.error(f"'{command}' is no command, expected one of {', '.join(commands)}")
+        from facepipe.core.names import did_you_mean
+
+        near = did_you_mean(command, commands) or f", expected one of {', '.join(commands)}"
+        parser.error(f"'{command[:40]}' is no command{near}")
     parser.parse_args(words)
     parser.print_help()
     return 0

@@ -23,7 +23,7 @@ from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
 from facepipe.parts import Recipe
 from facepipe.performing import read_kept, recipe_to
-from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights
+from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights, blend_recipe
 from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
 from facepipe.stage import save_parts
 
@@ -327,3 +327,11 @@ def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
     assert values["sources"] == (folder.resolve() / "a.usda", folder.resolve() / "b.usda")
     assert weights_to_json(values["weights"]) == weights
     assert (values["edges"], values["static_mm"]) == ("cotangent", 0.5)
+
+
+def test_the_function_of_the_release_before_gives_the_same_recipe(folder: Path) -> None:
+    weights, options = Weights(default=(0.5, 0.5)), BlendOptions(edges="cotangent")
+    with pytest.warns(DeprecationWarning, match="recipe_to"):
+        old = blend_recipe(["a.usda", "b.usda"], "c.usda", weights, options)
+    sources = (Path("a.usda"), Path("b.usda"))
+    assert old == recipe_to(BlendFaces(sources=sources, weights=weights, edges="cotangent"), "c.usda")
