@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import facepipe
-from facepipe.actions import find_action, summaries
+from facepipe.actions import find_action, function_name, summaries
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, FileAction
 
@@ -56,9 +56,7 @@ def section(verb: str) -> str:
 
 def _call(verb: str) -> str:
     """The Python line with what must be given."""
-    name = verb.replace("-", "_")
-    if not name.isidentifier():
-        return ""
+    name = function_name(verb)
     function = getattr(facepipe, name)
     needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
     words = [one.name if one.kind is one.POSITIONAL_OR_KEYWORD else f"{one.name}=..." for one in needed]

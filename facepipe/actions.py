@@ -47,6 +47,22 @@ def _summary(entry: EntryPoint) -> str:
         return f"({error})"
 
 
+def groups() -> dict[str, str]:
+    """First word of this package's verbs of two words -> their text of --help: the docstring of their package."""
+    packages = {verb.split()[0]: module.rpartition(".")[0] for verb, (module, _) in _own().items() if " " in verb}
+    return {name: importlib.import_module(one).__doc__ or name for name, one in sorted(packages.items())}
+
+
+def function_name(verb: str) -> str:
+    """Of the Python function of an action."""
+    return re.sub("[- ]", "_", verb)
+
+
+def verb_of(name: str) -> str:
+    """The verb whose function `name` is; what a plug-in would call it, where none of this package has it."""
+    return next((verb for verb in _own() if function_name(verb) == name), name.replace("_", "-"))
+
+
 def find_action(verb: str) -> type[Action[Any]] | None:
     """The action of a verb; None where there is none.
 

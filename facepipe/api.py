@@ -98,21 +98,23 @@ def _check(out: Path, inputs: tuple[Path, ...], *, overwrite: bool) -> None:
 
 def given(name: str) -> Callable[..., Report] | None:
     """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action."""
-    from facepipe.actions import find_action
+    from facepipe.actions import find_action, verb_of
 
-    kind = find_action(name.replace("_", "-"))
+    kind = find_action(verb_of(name))
     return None if kind is None else _function(kind)  # type: ignore[arg-type]
 
 
 def names() -> tuple[str, ...]:
     """The functions of all actions."""
-    from facepipe.actions import summaries
+    from facepipe.actions import function_name, summaries
 
-    return tuple(verb.replace("-", "_") for verb in summaries() if " " not in verb)
+    return tuple(map(function_name, summaries()))
 
 
 @functools.cache
 def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
+    from facepipe.actions import function_name
+
     fields = fields_of(kind)  # type: ignore[arg-type]
     signature = inspect.Signature(_parameters(fields))
 
@@ -129,7 +131,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
         check_result(kind, out, overwrite=overwrite)
         return perform(action, out, flatten=flatten).report
 
-    function.__name__ = function.__qualname__ = kind.verb.replace("-", "_")
+    function.__name__ = function.__qualname__ = function_name(kind.verb)
     function.__doc__ = _described(kind, fields)
     function.__signature__ = signature  # type: ignore[attr-defined]
     return function

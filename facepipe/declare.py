@@ -208,6 +208,8 @@ class Field:
             return self.value.load(value, f"{where} -> {self.name}")
         if not any(_fits(value, kind) for kind in self.kinds):
             raise InputError(f"{where} -> {self.name}", f"{repr(value)[:40]}, expected {self.expected}")
+        if isinstance(value, str) and Path in self.kinds:
+            return Path(value)
         return tuple(value) if isinstance(value, list) else dict(value) if isinstance(value, Mapping) else value
 
     def dump(self, value: Any) -> Any:
@@ -329,12 +331,19 @@ def _kind_schema(kind: Any) -> dict[str, Any]:
         return {"type": "object", "additionalProperties": _kind_schema(of[1])}
     if kind is Path:
         return {"type": "string", "format": "path"}
-    name = "string" if _is_literal(kind) else _JSON_TYPES.get(kind)
+    name = _JSON_TYPES.get(type(of[0]) if _is_literal(kind) else kind)
     return {"type": name} if name else {}
 
 
 _JSON_TYPES = {type(None): "null", float: "number", int: "integer", str: "string", bool: "boolean"}
-_WORDS = {type(None): "null", float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+_WORDS = {
+    type(None): "null",
+    Path: "a file",
+    float: "a finite number",
+    int: "a whole number",
+    str: "a text",
+    bool: "true or false",
+}
 
 
 def _words(kind: Any) -> str:
@@ -351,11 +360,13 @@ def _is_literal(kind: Any) -> bool:
 
 def _fits(value: object, kind: Any) -> bool:
     if _is_literal(kind):
-        return isinstance(value, str) and value in typing.get_args(kind)
+        return any(type(value) is type(one) and value == one for one in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
         return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
     if typing.get_origin(kind) is Mapping:
         return isinstance(value, Mapping) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
+    if kind is Path:
+        return isinstance(value, str)
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         return -1e300 <= value <= 1e300  # NaN and integers beyond any float too
     return type(value) is kind

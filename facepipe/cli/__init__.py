@@ -40,7 +40,6 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "database": "collect faces: models of identity and expressions",
-    "neural-rig": "learn what a rig does, as one small network",
     "sliders": "list, author or set sliders",
     "cook": "bring faces up to date with what they are made of",
     "blender-addon": "build the add-on for Blender",
@@ -120,14 +119,13 @@ def command_module(command: str) -> Any:
     """What configures and runs a command: a module of its own, or its action's declaration; None for no command."""
     if command in COMMANDS:
         return importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
-    from facepipe.actions import find_action
+    from facepipe.actions import find_action, groups
+    from facepipe.cli.action_line import ActionGroup, ActionLine
 
     kind = find_action(command)
-    if kind is None:
-        return None
-    from facepipe.cli.action_line import ActionLine
-
-    return ActionLine(kind)
+    if kind is not None:
+        return ActionLine(kind)
+    return ActionGroup(command) if command in groups() else None
 
 
 def _paths(values: Iterable[object]) -> Iterator[Path]:
@@ -148,9 +146,11 @@ def _trust_of(parsed: argparse.Namespace) -> Trust:
 
 def commands_of() -> dict[str, str]:
     """Every command -> what it does."""
-    from facepipe.actions import summaries
+    from facepipe.actions import groups, summaries
 
-    return COMMANDS | {verb: text for verb, text in summaries().items() if " " not in verb and verb not in COMMANDS}
+    found = {verb: text for verb, text in summaries().items() if " " not in verb}
+    found |= {name: f"{text[0].lower()}{text[1:].splitlines()[0].rstrip('.')}" for name, text in groups().items()}
+    return COMMANDS | {verb: found[verb] for verb in sorted(found) if verb not in COMMANDS}
 
 
 def _help(words: list[str], command: str | None) -> int:

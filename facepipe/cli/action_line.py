@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.actions import find_action, groups, summaries
 from facepipe.cli.parser import Parser, add_field, output_of, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
@@ -45,6 +46,39 @@ class ActionLine:
     def run(self, arguments: argparse.Namespace) -> int:
         """Do the action, print its report; the exit code."""
         return run(arguments, self.kind)
+
+
+@dataclass(frozen=True)
+class ActionGroup:
+    """What `facepipe NAME ACTION` takes and does: the actions whose verbs are NAME and another word."""
+
+    name: str
+
+    @property
+    def __doc__(self) -> str:  # type: ignore[override]
+        """The text of --help."""
+        return groups()[self.name]
+
+    def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
+        """Add the actions, and the arguments of the one that `words` name."""
+        actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser)
+        for verb, summary in summaries().items():
+            group, _, name = verb.partition(" ")
+            if group == self.name and name:
+                line = ActionLine(_kind(verb)) if name in words else None
+                own = actions.add_parser(name, help=summary, description=line.__doc__ if line else None)
+                if line:
+                    line.configure(own)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Do the action, print its report; the exit code."""
+        return run(arguments, _kind(f"{self.name} {arguments.action}"))
+
+
+def _kind(verb: str) -> type[Action[Any]]:
+    kind = find_action(verb)
+    assert kind is not None
+    return kind
 
 
 def configure(parser: Parser, kind: type[Action[Any]]) -> None:

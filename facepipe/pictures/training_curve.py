@@ -19,10 +19,12 @@ NOTE = "error of frames that are learned and of others, RMS, in shares of what i
 def draw_training_curve(curve: FloatArray, path: Path) -> None:
     """Write a PNG.
 
-    :param curve: (checks, 3) step, learned, watched
+    :param curve: (checks, 3) step, learned, watched; without any, the picture says that no steps were made
     :raises InputError: a file that can't be written
     """
-    steps = np.arange(int(curve[-1, 0]) + 1) if len(curve) else np.zeros(0)
-    learned, watched = (np.interp(steps, curve[:, 0], curve[:, column]) for column in (1, 2))
-    history = [{"learned": float(one), "watched": float(other)} for one, other in zip(learned, watched, strict=True)]
+    history = []
+    if len(curve):
+        steps = np.arange(int(curve[-1, 0]) + 1)
+        pairs = zip(*(np.interp(steps, curve[:, 0], curve[:, column]).tolist() for column in (1, 2)), strict=True)
+        history = [{"learned": one, "watched": other} for one, other in pairs]
     save_png(loss_curves(history, WIDTH, note=NOTE), path)

@@ -36,7 +36,7 @@ def save_neural_rig(
     :raises InputError: another suffix than .fpnr, an encoder of other controls, or a file that can't be written
     :raises TopologyError: an encoder of another topology
     """
-    if path.suffix != SUFFIX:
+    if path.suffix.lower() != SUFFIX:
         raise InputError(path, f"suffix '{path.suffix}', expected {SUFFIX}")
     content: dict[str, Any] = {
         "controls": [dataclasses.asdict(control) for control in rig.controls],

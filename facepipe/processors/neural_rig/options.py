@@ -12,7 +12,21 @@ HEADS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleMotionOptions:
+class _Seeded:
+    """What depends on chance, always in the same way."""
+
+    seed: int = option(0, "another number draws other frames, and another split, network and batches", 0, 2**31)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Checked(_Seeded):
+    """What is checked on frames that it isn't learned from."""
+
+    held_out: float = option(0.15, "share of the frames to check on, in whole blocks", 0.01, 0.9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleMotionOptions(_Seeded):
     """How many frames of which kind.
 
     :raises InputError: a number out of range
@@ -24,7 +38,6 @@ class SampleMotionOptions:
     )
     sweep: int = option(8, "frames of each control alone, from one limit to the other", 0, 1000)
     together: int = option(500, "frames of two or three controls at once", 0, 1e6)
-    seed: int = option(0, "another number draws other frames", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -51,7 +64,7 @@ class FrameBlocksOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainNeuralRigOptions:
+class TrainNeuralRigOptions(_Checked):
     """How a neural rig is trained.
 
     :raises InputError: a number out of range
@@ -60,7 +73,6 @@ class TrainNeuralRigOptions:
     width: int = option(256, "units of the hidden layer", 1, 4096)
     shapes: int = option(128, "most shapes that motion is a sum of", 1, 2048)
     tolerance_mm: float = option(0.01, "what those shapes may leave of all frames, RMS", 0.0, 10.0, "mm")
-    held_out: float = option(0.15, "share of the frames to check on, in whole blocks", 0.01, 0.9)
     influences: Literal[4, 8, 0] = option(
         4,
         "largest number of joints that move a point, as engines and `export --influences` have it: shapes "
@@ -72,14 +84,13 @@ class TrainNeuralRigOptions:
     )
     sparsity: float = option(0.2, "how strongly a unit of the hidden layer is held to few controls", 0.0, 10.0)
     patience: int = option(1000, "steps without a better check that end it", 1, 1e7)
-    seed: int = option(0, "of the split, the network and the batches", 0, 2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainEncoderOptions:
+class TrainEncoderOptions(_Checked):
     """How an encoder is trained.
 
     :raises InputError: a number out of range
@@ -91,10 +102,8 @@ class TrainEncoderOptions:
     layers: int = option(2, "layers of the transformer", 1, 24)
     reduced: int = option(64, "numbers that a face is reduced to", 1, 4096)
     noise_mm: float = option(0.02, "noise on the points that it learns from; 0.1 for scans", 0.0, 10.0, "mm")
-    held_out: float = option(0.15, "share of the frames to check on, in whole blocks", 0.01, 0.9)
-    encoder_steps: int = option(2000, "most steps of training", 1, 1e7)
-    encoder_patience: int = option(1000, "steps without a better check that end it", 1, 1e7)
-    seed: int = option(0, "of the split, the network and the batches", 0, 2**31)
+    encoder_steps: int = option(2000, "most steps of the encoder's training", 1, 1e7)
+    encoder_patience: int = option(1000, "steps without a better check that end that", 1, 1e7)
 
     def __post_init__(self) -> None:
         check_ranges(self)

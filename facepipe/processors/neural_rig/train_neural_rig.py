@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
@@ -24,6 +24,7 @@ from facepipe.rig.neural_rig import NeuralRig, from_default
 
 if TYPE_CHECKING:
     from facepipe.learn.network_fit import Samples, Trained
+    from facepipe.processors.neural_rig.train_encoder import EncoderReport
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -50,6 +51,8 @@ class NeuralRigReport(Report):
     ridge_max_mm: float
     left_out: tuple[str, ...]  # controls that no frame moves
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
+    encoder: EncoderReport | None = None  # of the encoder that was trained beside it
+    curve: Any = unsaid()  # that of `TrainedNeuralRig`, to be drawn
 
     @property
     def straight(self) -> bool:

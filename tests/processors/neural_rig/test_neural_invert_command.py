@@ -206,7 +206,10 @@ def test_a_missed_threshold_and_bad_input_are_told(
     for more, told in (
         ((clip, "-o", out), "exists, expected a new file"),
         ((clip, "-o", tmp_path / "controls.json"), "suffix '.json'"),
-        ((clip, "-o", out, "--force", "--threshold-mm", "-1"), "--threshold-mm: -1, expected 0 or more"),
+        (
+            (clip, "-o", out, "--force", "--threshold-mm", "-1"),
+            "option threshold_mm: is -1.0, expected a number",
+        ),
         ((clip, "-o", out, "--force", "--starts", "0"), "option starts: is 0"),
     ):
         assert told in failed(capsys, *words, *more, folder=tmp_path)
