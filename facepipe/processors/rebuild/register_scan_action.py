@@ -72,6 +72,8 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         stem = Path(self.scan).stem
         found: dict[str, Any] = {"landmarks": landmark_file(self.scan, self.landmarks)}
         found["name"] = self.name or identifier(stem)
+        if self.weights and self.composite and self.weights != self._composite(self.composite):
+            raise InputError(f"--composite {self.composite}", "given with --weights, expected one of them")
         if not self.weights:
             found |= {"composite": self.composite or stem, "weights": self._composite(self.composite or stem)}
         if self.neutral_scan is not None:
@@ -90,10 +92,8 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
 
     @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
-        if hasattr(arguments, "composite"):
-            if hasattr(arguments, "weights"):
-                raise InputError("--composite", "given with --weights, expected one of them")
-            values.pop("weights", None)
+        if hasattr(arguments, "composite") and not hasattr(arguments, "weights"):
+            values.pop("weights", None)  # of the recipe
         return super().line_values(arguments, values)
 
     def check(self) -> None:

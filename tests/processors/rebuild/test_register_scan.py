@@ -118,6 +118,7 @@ def test_a_picture_is_drawn_beside_it(files: Files, capsys: pytest.CaptureFixtur
     [
         (("--composite", "grin"), "--composite grin: no composite of that name, expected --weights"),
         ((), "no composite of that name"),
+        (("--composite", "smile", "--weights", "jawOpen=1"), "--composite smile: given with --weights, expected one"),
         (("--composite", "smile"), "composite smile -> mouthSmile_L: no such shape"),
     ],
 )
