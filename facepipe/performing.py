@@ -165,10 +165,9 @@ def _under(path: Path) -> Iterator[None]:
     try:
         yield
     except FacepipeError as error:
-        prim = error.where.startswith("<") or (
-            error.where.startswith("/") and not Path(error.where.split(" -> ")[0]).exists()
-        )
-        raise error.under(path) if prim else error from None
+        first = error.where.partition(" -> ")[0]
+        is_prim = first.startswith("<") or (first.startswith("/") and not Path(first).suffix)
+        raise error.under(path) if is_prim else error from None
 
 
 def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:
