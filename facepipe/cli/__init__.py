@@ -34,7 +34,6 @@ COMMANDS = {
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "eval": "run an exported ONNX file",
-    "train-photo": "train a network that guesses where a photo fit starts",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "view": "look at a face in the browser",

@@ -41,11 +41,11 @@ class Bake(SampleMotionOptions, FileAction["BakeReport"]):
     )
 
     def write(self, job: Job) -> BakeReport:
+        from facepipe.importers import read_face
         from facepipe.processors.neural_rig.bake_motion import BakeMotion
-        from facepipe.stage import open_face
 
         baked = BakeMotion(options=self, clips=self.clips)
-        face = open_face(self.face)
+        face = read_face(self.face)
         with job.watch("bake", self.count(len(baked.controls(face.parts(), self.face)))) as bar:
             return baked(face, self.face, job.out, bar.update)
 

@@ -82,6 +82,7 @@ def test_of_what_is_straight_nothing_is_learned(
     assert (report["steps"], report["shapes"]) == (0, 2)
     assert max(report["error_max_mm"], report["linear_max_mm"]) < 1e-3
     assert report["warnings"] == [err.strip().removeprefix("facepipe: warning: ")]
+    assert (tmp_path / "p.png").exists(), "a picture that says that no steps were made"
     assert "head.usda: nothing to learn: 2 controls move the points straight, within 0.000" in err
     assert "a plain `facepipe export` is smaller, and exact" in err
     rig = load_neural_rig(file)

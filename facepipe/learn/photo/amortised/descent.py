@@ -54,7 +54,7 @@ class NetworkDescent:
         self,
         pictures: Sequence[Picture],
         options: StartOptions,
-        done: Callable[[int], None],
+        done: Callable[[], object],
     ) -> tuple[str, ...]:
         """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
         network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
@@ -67,7 +67,7 @@ class NetworkDescent:
             torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
             optimiser.step()
             schedule.step()
-            done(1)
+            done()
             if (step + 1) % _CHECK == 0 or step + 1 == options.steps:
                 self.judge()
         return ()

@@ -45,7 +45,7 @@ def train_start(
     *,
     photos: Sequence[Picture] = (),
     expressions: Sequence[str] | None = None,
-    done: Callable[[int], None] = lambda count: None,
+    done: Callable[[], object] = lambda: None,
 ) -> Trained:
     """A network for first guesses about photos of people as the face can show them.
 
@@ -55,7 +55,7 @@ def train_start(
 
     :param photos: of people; some are held out
     :param expressions: as for `fit_photos`
-    :param done: called with 1 after each of `options.total`
+    :param done: called after each of `options.total`
     :raises InputError: a face without the landmarks or without sliders, or hardly any picture
     :raises FitError: a loss of renders that is not finite
     """
@@ -88,12 +88,12 @@ def train_start(
     )
 
 
-def _renders(portraits: Portraits, options: StartOptions, done: Callable[[int], None]) -> list[Picture]:
+def _renders(portraits: Portraits, options: StartOptions, done: Callable[[], object]) -> list[Picture]:
     """Each the same however many there are."""
     pictures = []
     for number in range(options.renders):
         pictures.append(portraits.picture(np.random.default_rng([options.seed, 1, number])))
-        done(1)
+        done()
     return pictures
 
 

@@ -35,11 +35,11 @@ class WarmUp:
         self._loss = TaughtLoss(portraits.subject)
         self._rng = np.random.default_rng([options.seed, 2])
 
-    def landmarks(self, done: Callable[[int], None]) -> None:
+    def landmarks(self, done: Callable[[], object]) -> None:
         """From the landmarks of ever new people alone: nothing has to be rendered for it."""
         self._descend(self._options.landmark_batches, self._people, done)
 
-    def renders(self, renders: Sequence[Picture], done: Callable[[int], None]) -> None:
+    def renders(self, renders: Sequence[Picture], done: Callable[[], object]) -> None:
         """From pictures and landmarks together."""
         batches = self._batches(renders)
         self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
@@ -54,7 +54,7 @@ class WarmUp:
             waiting = waiting[BATCH:]
 
     def _descend(
-        self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[int], None]
+        self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[], object]
     ) -> None:
         if not steps:
             return
@@ -71,7 +71,7 @@ class WarmUp:
             torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
             optimiser.step()
             schedule.step()
-            done(1)
+            done()
         network.eval()
 
     def _people(self) -> tuple[None, Tensor, Taught]:
