@@ -24,7 +24,8 @@ what each action declares (`facepipe/processors/**/*_action.py`). `facepipe VERB
 An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or what `facepipe
 export` makes of that. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the
 report, which the function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given
-changed. One that makes another file says which; it has no recipe, and so no `--edit` and no `--flatten`.
+changed. One that makes another file says which; it has no recipe, and so no `--edit` and no `--flatten`. One that works
+in place changes its first file, unless it is given OUT. One that has no OUT shows what there is.
 """
 _ON = {True: "on", False: "off"}
 _TYPES = {bool: "on or off", float: "number", int: "whole number", str: "text", Path: "file"}

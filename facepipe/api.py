@@ -114,38 +114,58 @@ def names() -> tuple[str, ...]:
 @functools.cache
 def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     from facepipe.actions import function_name
+    from facepipe.kinds import InPlaceAction, Inspector, unwatched
 
     fields = fields_of(kind)  # type: ignore[arg-type]
-    signature = inspect.Signature(_parameters(fields))
+    own = _own(kind)
+    signature = inspect.Signature(_parameters(fields, own))
 
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
 
         values = signature.bind(*files, **named).arguments
-        out, overwrite = Path(values.pop("out")), values.pop("overwrite", False)
-        flatten = values.pop("flatten", False)
         action = kind(**{one.name: _value(one, values[one.name]) for one in fields if one.name in values})
+        if isinstance(action, Inspector):
+            action.check()
+            report: Report = action.look(unwatched)
+            return report
+        out, overwrite = values.get("out"), values.get("overwrite", False)
+        if out is None and isinstance(action, InPlaceAction):
+            check_result(kind, action.base, overwrite=True)
+            return perform(action, action.base).report
+        out = Path(out)  # type: ignore[arg-type]
         beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
         for path in (out, *(one for one in beside if one is not None)):
             _check(path, files_of(action), overwrite=overwrite)
         check_result(kind, out, overwrite=overwrite)
-        return perform(action, out, flatten=flatten).report
+        return perform(action, out, flatten=values.get("flatten", False)).report
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)
-    function.__doc__ = _described(kind, fields)
+    function.__doc__ = _described(kind, fields, own)
     function.__signature__ = signature  # type: ignore[attr-defined]
     return function
 
 
-def _parameters(fields: tuple[Field, ...]) -> list[inspect.Parameter]:
+def _own(kind: type[Action[Any]]) -> dict[str, tuple[Any, str]]:
+    """Parameters of its function that are no fields, with their defaults and what they are."""
+    from facepipe.kinds import FileAction, InPlaceAction, Inspector, StageAction
+
+    if issubclass(kind, Inspector):
+        return {}
+    result = kind.output if issubclass(kind, FileAction) else "stage to write, or a file that an exporter writes"
+    default = None if issubclass(kind, InPlaceAction) else inspect.Parameter.empty
+    own = {"out": (default, result), "overwrite": (False, "put it in place of a file that is there")}
+    return {**own, "flatten": (False, "write a standalone file")} if issubclass(kind, StageAction) else own
+
+
+def _parameters(fields: tuple[Field, ...], more: Mapping[str, tuple[Any, str]]) -> list[inspect.Parameter]:
     parameters = []
     for one in sorted(fields, key=lambda one: (not one.stands_alone, not one.needed)):
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD if one.stands_alone else inspect.Parameter.KEYWORD_ONLY
         default = inspect.Parameter.empty if one.needed else one.default
         parameters.append(inspect.Parameter(one.name, kind, default=default))
     keyword = inspect.Parameter.KEYWORD_ONLY
-    own = [inspect.Parameter("out", keyword)]
-    own += [inspect.Parameter(name, keyword, default=False) for name in ("overwrite", "flatten")]
+    own = [inspect.Parameter(name, keyword, default=default) for name, (default, _) in more.items()]
     alone = [one for one in parameters if one.kind is not keyword]
     return [*alone, *own, *(one for one in parameters if one.kind is keyword)]
 
@@ -163,13 +183,8 @@ def _value(field: Field, value: Any) -> Any:
     return tuple(map(Path, value)) if field.several else Path(value)
 
 
-def _described(kind: type[Action[Any]], fields: tuple[Field, ...]) -> str:
+def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[str, tuple[Any, str]]) -> str:
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
     lines += [f":param {one.name}: {one.said}" for one in fields]
-    lines += [
-        ":param out: stage to write, or a file that an exporter writes",
-        ":param overwrite: put it in place of a file that is there",
-        ":param flatten: write a standalone file",
-        ":raises FacepipeError: what can't be read, done or written; then nothing is",
-    ]
-    return "\n".join(lines)
+    lines += [f":param {name}: {said}" for name, (_, said) in own.items()]
+    return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is"])

@@ -90,6 +90,13 @@ class Action(Generic[R]):
         return values
 
     @property
+    def base(self) -> Path:
+        """The first file that it is done to."""
+        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
+        value = getattr(self, first.name)
+        return Path(value[0] if isinstance(value, tuple) else value)
+
+    @property
     def further_files(self) -> tuple[Path, ...]:
         """What the result is made of beside its sources: files that these name."""
         return ()
@@ -111,7 +118,7 @@ class Action(Generic[R]):
 
 
 class StageAction(Action[R]):
-    """Base of the actions that make a face stage of others: a layer over the first source, with a recipe."""
+    """Base of the actions that make a face stage of others: a layer over `base`, with a recipe."""
 
     @classmethod
     def replaced(cls, arguments: Any) -> Collection[str]:
@@ -120,13 +127,6 @@ class StageAction(Action[R]):
         :param arguments: what was parsed
         """
         return ()
-
-    @property
-    def base(self) -> Path:
-        """The file that the result is a layer over."""
-        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
-        value = getattr(self, first.name)
-        return Path(value[0] if isinstance(value, tuple) else value)
 
     def author(self, face: Face, job: Job) -> R:
         """Do the work on `face`, a layer over the base that is saved when this ends well.
@@ -141,11 +141,30 @@ class FileAction(Action[R]):
 
     output: ClassVar[str]  # what it is, for the help
     suffixes: ClassVar[tuple[str, ...]]  # that it may have
+    alone: ClassVar[bool] = False  # others who change the file wait, from before anything is read
 
     def write(self, job: Job) -> R:
         """Do the work, write ``job.out`` whole or not at all.
 
         :raises FacepipeError: what can't be read, done or written
+        """
+        raise NotImplementedError
+
+
+class InPlaceAction(FileAction[R]):
+    """Base of the actions that change `base` itself, unless they are asked for another file."""
+
+    output = "write another file (default: in place)"
+    alone = True
+
+
+class Inspector(Action[R]):
+    """Base of the actions that look at files and write none."""
+
+    def look(self, watch: Watch) -> R:
+        """Do the work; `text` has `base` for its file.
+
+        :raises FacepipeError: what can't be read
         """
         raise NotImplementedError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from facepipe.core import __version__
 from facepipe.core.atomic import apart, replacing, replacing_folder, together
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.locks import locked
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
@@ -36,15 +37,24 @@ class Performed:
     beside: Mapping[str, Any]  # field -> its path, or what its writer says
 
 
-def perform(action: Action[Any], out: Path, *, flatten: bool = False, watch: Watch = unwatched) -> Performed:
+def perform(
+    action: Action[Any],
+    out: Path,
+    *,
+    flatten: bool = False,
+    watch: Watch = unwatched,
+    waiting: Callable[[], object] = lambda: None,
+) -> Performed:
     """Do an action; the result and what is asked for beside it are written whole, or nothing is.
 
     :param out: for a stage one, or a file that an exporter writes, with its defaults
     :param flatten: write a standalone stage; so is one over a file that is imported
+    :param waiting: called once where another process changes the file that the action changes alone
     :raises FacepipeError: what can't be read, done or written
     """
     action.check()
-    with together(out), ExitStack() as files:
+    alone = isinstance(action, FileAction) and action.alone
+    with locked(out, waiting=waiting) if alone else nullcontext(), together(out), ExitStack() as files:
         temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
         if isinstance(action, StageAction):
             return _staged(action, out, files, temporary, flatten=flatten, watch=watch)

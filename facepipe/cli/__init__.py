@@ -38,7 +38,6 @@ COMMANDS = {
     "render": "draw a face",
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
-    "database": "collect faces: models of identity and expressions",
     "sliders": "list, author or set sliders",
     "cook": "bring faces up to date with what they are made of",
     "blender-addon": "build the add-on for Blender",

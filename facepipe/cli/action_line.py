@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import re
 import sys
@@ -16,7 +17,7 @@ from facepipe.cli.parser import Parser, add_field, output_of, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
-from facepipe.kinds import A, Action, FileAction, StageAction
+from facepipe.kinds import A, Action, FileAction, InPlaceAction, Inspector, StageAction
 
 if TYPE_CHECKING:
     from facepipe.performing import Kept
@@ -89,15 +90,9 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
         if one.role == "source" and one.name not in kind.own_flags:
             add_field(parser, one)
     staged = issubclass(kind, StageAction)
-    result = kind.output if issubclass(kind, FileAction) else _STAGE
-    add("-o", "--output", type=Path, metavar="OUT", help=result)
-    edited = ", or with --edit RESULT," if staged else ""
-    add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
-    if staged:
-        add("--edit", type=Path, metavar="RESULT", help=_EDIT)
-        add("--flatten", action="store_true", help="write a standalone file")
-    else:
-        parser.set_defaults(edit=None, flatten=False)
+    parser.set_defaults(edit=None, flatten=False)
+    if not issubclass(kind, Inspector):
+        _add_result(parser, kind)
     if staged and any(one.several and one.stands_alone for one in fields):
         text = "with --edit: another file for source N of the recipe"
         add("--replace", action="append", default=[], metavar="N=FILE", help=text)
@@ -113,19 +108,34 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
             add_field(group, one)
 
 
+def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
+    add, staged = parser.add_argument, issubclass(kind, StageAction)
+    result = kind.output if issubclass(kind, FileAction) else _STAGE
+    add("-o", "--output", type=Path, metavar="OUT", help=result)
+    edited = ", or with --edit RESULT," if staged else ""
+    add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
+    if staged:
+        add("--edit", type=Path, metavar="RESULT", help=_EDIT)
+        add("--flatten", action="store_true", help="write a standalone file")
+
+
 def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     """Do the action, print its report; the exit code."""
     from facepipe.performing import check_result, files_of, perform
 
     kept, action = action_of(arguments, kind)
+    if isinstance(action, Inspector):
+        return _looked(action, arguments)
     warn(kept.warnings if kept else ())
     read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]  # type: ignore[arg-type]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
-    out = output_or_edited(arguments, inputs)
+    in_place = isinstance(action, InPlaceAction) and arguments.output is None
+    out = action.base if in_place else output_or_edited(arguments, inputs)
     check_result(kind, out, overwrite=arguments.force)
     _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
     flatten = arguments.flatten or (kept is not None and kept.standalone)
-    done = perform(action, out, flatten=flatten, watch=progress)
+    waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
+    done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
     warn(done.report.warnings)
     result = {"path": str(out), **json.loads(done.report.to_json()), **done.beside}
     if isinstance(action, FileAction):
@@ -134,6 +144,14 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     text = [action.text(done.report, out), *map(_line, done.beside.values())]
     emit(result, "\n".join(text), as_json=arguments.json)
     return 1 if action.missed(done.report) else 0
+
+
+def _looked(action: Inspector[Any], arguments: argparse.Namespace) -> int:
+    action.check()
+    report = action.look(progress)
+    warn(report.warnings)
+    emit(report, action.text(report, action.base), as_json=arguments.json)
+    return 1 if action.missed(report) else 0
 
 
 def _line(said: Any) -> str:

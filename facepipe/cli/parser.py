@@ -79,7 +79,8 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     absent: dict[str, Any] = {"dest": field.name, "default": argparse.SUPPRESS}
     if field.stands_alone:
         place: dict[str, Any] = {"nargs": "*", "default": ()} if field.several else {"nargs": "?"}
-        parser.add_argument(field.name, type=Path, metavar=field.shown, help=field.help, **place)
+        kind = Path if Path in field.kinds or _paths_of(field) else str
+        parser.add_argument(field.name, type=kind, metavar=field.shown, help=field.help, **place)
         return
     settings = {**_settings(field), **absent}
     if settings.get("action") == "store_true":

@@ -91,7 +91,8 @@ def test_a_function_says_what_it_takes(name: str) -> None:
     assert function is not None
     assert getattr(facepipe, name) is function
     parameters = inspect.signature(function).parameters
-    assert parameters["out"].kind is inspect.Parameter.KEYWORD_ONLY
+    if "out" in parameters:  # else it writes nothing
+        assert parameters["out"].kind is inspect.Parameter.KEYWORD_ONLY
     assert function.__doc__ is not None
     assert all(f":param {one}: " in function.__doc__ for one in parameters)
 

@@ -56,7 +56,7 @@ def test_values_are_valid_that_a_recipe_can_have(verb: str) -> None:
         for value in candidates(one):
             assert validator.is_valid(value) == admits(one, value), (one.name, value)
             tried += 1
-    assert tried >= 10
+    assert tried >= 5
 
 
 def candidates(one: Field) -> list[Any]:

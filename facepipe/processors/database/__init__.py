@@ -1,4 +1,13 @@
-"""Face databases: the identity model and the multilinear model of expressions, of faces of one topology."""
+"""Collect faces of one topology: models of what people's neutrals and expressions differ in.
+
+examples:
+  facepipe database create faces/*.usda -o faces.fpdb
+  facepipe database add faces.fpdb actor.usda
+  facepipe database remove faces.fpdb actor
+  facepipe database info faces.fpdb --json
+
+`facepipe database ACTION --help` shows options.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -25,3 +25,16 @@ class AddOptions(QualityLimits):
     drop_shapes: bool = option(
         False, "shapes of the database that a face lacks leave it; otherwise the face is refused"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceNames:
+    """What faces are called in a database."""
+
+    names: tuple[str, ...] = option(
+        (),
+        "names of the faces (default: those of their files)",
+        parse=lambda words: tuple(name.strip() for word in words if word for name in word.split(",")),
+        metavar="A,B,...",
+        kept=False,
+    )

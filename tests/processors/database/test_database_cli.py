@@ -12,6 +12,7 @@ import pytest
 from command_line import done, failed, run
 from database_faces import person
 
+import facepipe
 from facepipe.parts import Recipe
 from facepipe.processors.database import load_database, quality_from
 from facepipe.stage import save_parts
@@ -71,6 +72,20 @@ def test_add_writes_in_place_or_elsewhere(
     assert run(capsys, "database", "add", database, faces[4], "-o", other)[0] == 2
     done(capsys, "database", "add", database, faces[3], "--names", "anna")
     assert database.read_bytes() == other.read_bytes()
+
+
+def test_python_changes_in_place_or_elsewhere_too(faces: list[Path], database: Path, tmp_path: Path) -> None:
+    before, other = database.read_bytes(), tmp_path / "other.fpdb"
+    added = facepipe.database_add(database, faces[3:], out=other, names=["anna", "bob"])
+    assert [entry.name for entry in added.entries] == ["p0", "p1", "p2", "anna", "bob"]
+    assert database.read_bytes() == before
+    facepipe.database_add(str(database), faces[3:], names=["anna", "bob"])
+    assert database.read_bytes() == other.read_bytes()
+    facepipe.database_remove(database, ["anna"])
+    found = facepipe.database_info(database)
+    assert (found.version, found.bytes) == (3, database.stat().st_size)
+    with pytest.raises(facepipe.InputError, match=r"suffix '\.usda'"):
+        facepipe.database_add(faces[0], faces[1:2])
 
 
 def test_what_is_refused_leaves_the_file_as_it_was(
@@ -133,7 +148,7 @@ def test_remove_takes_faces_out_in_place_or_elsewhere(
     assert database.read_bytes() == other.read_bytes()
     for words in (("p1",), ("p0", "p0"), ("p0",), ()):
         err = failed(capsys, "database", "remove", database, *words, folder=tmp_path)
-        assert err.startswith(f"{database}" if words else "facepipe database remove: ")
+        assert err.startswith(f"{database}" if words else "NAME: none given")
     done(capsys, "database", "add", database, faces[1], faces[3])
     assert [entry.name for entry in load_database(database).entries] == ["p0", "p2", "p1", "p3"]
     _, text, _ = run(capsys, "database", "info", database)
