@@ -131,13 +131,13 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
             return report
         out, overwrite = values.get("out"), values.get("overwrite", False)
         if out is None and isinstance(action, InPlaceAction):
-            check_result(kind, action.base, overwrite=True)
+            check_result(kind, action.base, (), overwrite=True)
             return perform(action, action.base).report
         out = Path(out)  # type: ignore[arg-type]
         beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
         for path in (out, *(one for one in beside if one is not None)):
             _check(path, files_of(action), overwrite=overwrite)
-        check_result(kind, out, overwrite=overwrite)
+        check_result(kind, out, files_of(action), overwrite=overwrite)
         return perform(action, out, flatten=values.get("flatten", False)).report
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)

@@ -44,7 +44,7 @@ def option(
     metavar: str = "",
     value: JsonValue | None = None,
     kept: bool = True,
-    words: bool = False,
+    words: bool | int = False,
     alone: str | None = None,
 ) -> T:
     """A field of an option dataclass.
@@ -58,7 +58,7 @@ def option(
     :param value: how JSON holds it, where it is no plain value
     :param kept: in recipes, and so with ``--edit``
     :param alone: its value where the flag is given without one
-    :param words: a flag of a tuple or mapping takes all words up to the next flag
+    :param words: a flag of a tuple or mapping takes all words up to the next flag, or so many, which `metavar` names
     """
     numbers = {"low": low, "high": high, "unit": unit, "choices": choices}
     words_of = {"parse": parse, "flag": flag, "metavar": metavar, "words": words, "alone": alone}
@@ -151,7 +151,7 @@ class Field:
     metavar: str = ""
     value: JsonValue | None = None
     kept: bool = True
-    words: bool = False
+    words: bool | int = False
     alone: str | None = None
     role: Literal["option", "source", "beside"] = "option"
     split: Callable[[str], tuple[str | None, str]] | None = None

@@ -143,6 +143,11 @@ class FileAction(Action[R]):
     suffixes: ClassVar[tuple[str, ...]]  # that it may have
     alone: ClassVar[bool] = False  # others who change the file wait, from before anything is read
 
+    @classmethod
+    def with_it(cls, out: Path) -> tuple[Path, ...]:
+        """Files that may be written with `out`, named after it."""
+        return ()
+
     def write(self, job: Job) -> R:
         """Do the work, write ``job.out`` whole or not at all.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.files import SUFFIXES, relative_path
+from facepipe.stage.outputs import check_output
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)
@@ -96,14 +97,16 @@ def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -
     return said
 
 
-def check_result(kind: type[Action[Any]], out: Path, *, overwrite: bool) -> None:
-    """Check that a result can have a name, and what an exporter writes with it.
+def check_result(kind: type[Action[Any]], out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Check that a result can have a name, and what is written with it, by an exporter or the action.
 
     :raises InputError: no suffix that it can have, or a file that may not be overwritten
     """
     if issubclass(kind, FileAction):
         if out.suffix.lower() not in kind.suffixes:
             raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
+        for one in kind.with_it(out):
+            check_output(one, inputs, overwrite=overwrite)
         return
     suffix, exported = out.suffix.lower(), [f".{one}" for one in suffixes()]
     if suffix not in (*SUFFIXES, *exported):

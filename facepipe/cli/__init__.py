@@ -30,7 +30,6 @@ COMMANDS = {
     "sample": "make the built-in sample head",
     "import": "make a face stage of a real face",
     "inspect": "show what a face holds",
-    "scan": "make a scan of photos around a face",
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "eval": "run an exported ONNX file",

@@ -131,7 +131,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     inputs = [*files_of(action), *(path for path in read if path is not None)]
     in_place = isinstance(action, InPlaceAction) and arguments.output is None
     out = action.base if in_place else output_or_edited(arguments, inputs)
-    check_result(kind, out, overwrite=arguments.force)
+    check_result(kind, out, inputs, overwrite=arguments.force)
     _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
     flatten = arguments.flatten or (kept is not None and kept.standalone)
     waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])

@@ -89,7 +89,9 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
         settings["type"] = Path
     if field.alone is not None:
         settings |= {"nargs": "?", "const": field.alone}
-    if field.several:
+    if field.words > 1:
+        settings |= {"nargs": field.words, "metavar": tuple(field.metavar.split())}
+    elif field.several:
         settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
         settings["help"] += "; may be given again"
         settings |= {"nargs": "+"} if field.words else {}

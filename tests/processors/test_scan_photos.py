@@ -156,6 +156,11 @@ def test_scans_do_not_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "b.landmarks.json: exists" in failed(capsys, *words, tmp_path / "b.ply", folder=tmp_path)
     err = failed(capsys, *words, tmp_path / "c.ply", "--save-cameras", tmp_path / "rig.json", folder=tmp_path)
     assert "rig.json: exists" in err
+    markers = ("--markers", tmp_path / "b.landmarks.json", "--force")
+    assert "b.landmarks.json: is an input" in failed(capsys, *words, tmp_path / "b.ply", *markers, folder=tmp_path)
+    apart = ("--marker-distance", "chin", "brow", "far")
+    err = failed(capsys, *words, tmp_path / "c.ply", *apart, folder=tmp_path)
+    assert "--marker-distance chin brow far: expected two markers and millimetres" in err
     assert "'.obj', expected .ply" in failed(capsys, *words, tmp_path / "new.obj", folder=tmp_path)
     assert all((tmp_path / name).read_text() == "kept" for name in ("a.ply", "b.landmarks.json", "rig.json"))
 

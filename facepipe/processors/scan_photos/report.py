@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unsaid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +28,4 @@ class ScanPhotosReport(Report):
     landmarks: int = 0  # of 68
     markers: int = 0
     seconds: float = 0.0
+    used: Any = unsaid()  # the `Cameras` of the photos that were used
