@@ -29,7 +29,6 @@ COMMANDS = {
     "demo": "a sample face from USD to validated GLB, ONNX and pictures",
     "sample": "make the built-in sample head",
     "import": "make a face stage of a real face",
-    "inspect": "show what a face holds",
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "eval": "run an exported ONNX file",

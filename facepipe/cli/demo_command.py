@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe import registry
-from facepipe.cli.inspect_command import as_text, summarise
 from facepipe.cli.sample_command import make_sample, seed
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
+from facepipe.processors.inspect_action import report_of, text_of
 
 if TYPE_CHECKING:
     from facepipe.stage import Face
@@ -95,7 +95,7 @@ def _inspected(path: Path) -> Face:
     import facepipe
 
     face = facepipe.open(path)
-    print(as_text(summarise(face)))
+    print(text_of(report_of(face)))
     return face
 
 

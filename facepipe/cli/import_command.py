@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 
 from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.rename import add_rename, convention_of, convention_text, rename_of
+from facepipe.cli.rename import add_rename, rename_of
 from facepipe.cli.show import note, progress, warn
 
 
@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, author, save."""
     from facepipe.importers import load, options_of
-    from facepipe.rig.rename import shapes_of
+    from facepipe.rig.rename import convention_of, convention_text, shapes_of
     from facepipe.stage import save_parts
     from facepipe.stage.files import check_suffix
 

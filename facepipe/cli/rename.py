@@ -1,16 +1,16 @@
-"""`--rename`: a convention's names, or those of a table, on import and export; and what conventions a face has."""
+"""`--rename`: a convention's names, or those of a table, on import and export."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe.cli.show import note, warn
 from facepipe.core.errors import InputError
-from facepipe.rig.conventions import CONVENTIONS, recognised
+from facepipe.rig.conventions import CONVENTIONS
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
@@ -76,32 +76,3 @@ def rename_of(arguments: argparse.Namespace) -> Rename | None:
             f"--rename {given}", f"no convention{near or f', expected one of {chr(32).join(CONVENTIONS)}'}"
         )
     return Rename(given, read_rename_table(Path(given)))
-
-
-def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
-    """The convention that a face's shapes are called as, as JSON values; None where they are called as in none."""
-    from facepipe.rig.rename import convention_names
-
-    found = recognised(shapes)
-    if found is None:
-        return None
-    kind, count = found
-    written = {*CONVENTIONS[kind].written.values()}
-    return {
-        "convention": kind,
-        "title": CONVENTIONS[kind].title,
-        "names": count,
-        "of": len(written),
-        "exact": len(written.intersection(shapes)) == count,
-        "arkit": len(convention_names("arkit", shapes)),
-    }
-
-
-def convention_text(found: Mapping[str, Any] | None) -> str:
-    """The convention for people, with what gives its names where the face spells them otherwise."""
-    if found is None:
-        return "of no known convention"
-    text = f"{found['title']}, {found['names']} of {found['of']}"
-    if not found["exact"]:
-        return f"{text} in another spelling (--rename {found['convention']} gives its own)"
-    return f"{text} (--rename arkit gives {found['arkit']} of them ARKit's names)" if found["arkit"] else text

@@ -1,15 +1,15 @@
-"""Shapes and joints under other names, wherever a face speaks of them."""
+"""Shapes and joints under other names, wherever a face speaks of them; and what conventions a face has."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
-from facepipe.rig.conventions import CONVENTIONS, meaning
+from facepipe.rig.conventions import CONVENTIONS, meaning, recognised
 
 if TYPE_CHECKING:
     from facepipe.parts import Animation, FaceParts, Mesh, Slider
@@ -97,3 +97,30 @@ def _slider(slider: Slider, names: Mapping[str, str]) -> Slider:
 
 def _all(shapes: Sequence[str], names: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(names.get(shape, shape) for shape in shapes)
+
+
+def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
+    """The convention that a face's shapes are called as, as JSON values; None where they are called as in none."""
+    found = recognised(shapes)
+    if found is None:
+        return None
+    kind, count = found
+    written = {*CONVENTIONS[kind].written.values()}
+    return {
+        "convention": kind,
+        "title": CONVENTIONS[kind].title,
+        "names": count,
+        "of": len(written),
+        "exact": len(written.intersection(shapes)) == count,
+        "arkit": len(convention_names("arkit", shapes)),
+    }
+
+
+def convention_text(found: Mapping[str, Any] | None) -> str:
+    """The convention for people, with what gives its names where the face spells them otherwise."""
+    if found is None:
+        return "of no known convention"
+    text = f"{found['title']}, {found['names']} of {found['of']}"
+    if not found["exact"]:
+        return f"{text} in another spelling (--rename {found['convention']} gives its own)"
+    return f"{text} (--rename arkit gives {found['arkit']} of them ARKit's names)" if found["arkit"] else text

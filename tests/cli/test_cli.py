@@ -42,7 +42,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "message"),
     [
         (["nope"], "'nope' is no command"),
-        (["inspect"], "required: FACE"),
+        (["inspect"], "FACE: none given"),
         (["inspect", "gone.usda"], "gone.usda: no such file"),
         (["export", "gone.usda", "-o", "x.fbx"], "suffix '.fbx', expected one of .glb .gltf .onnx"),
         (["sample", "x.obj"], "suffix '.obj', expected one of .usd .usda .usdc .usdz"),

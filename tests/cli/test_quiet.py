@@ -28,7 +28,7 @@ def run(arguments):
     print("a warning of ours", file=sys.stderr)
     raise InputError("face.usda", "bad")
 
-sys.modules["facepipe.cli.inspect_command"] = types.SimpleNamespace(run=run, configure=lambda parser, words: None)
+sys.modules["facepipe.cli.view_command"] = types.SimpleNamespace(run=run, configure=lambda parser, words: None)
 """
 
 
@@ -38,20 +38,20 @@ def noisy(*flags: str, end: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_only_our_lines_are_on_stderr() -> None:
-    done = noisy(end="sys.exit(cli.main(['inspect']))")
+    done = noisy(end="sys.exit(cli.main(['view']))")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.splitlines() == ["a warning of ours", "facepipe: face.usda: bad"]
 
 
 def test_stderr_is_as_it_was_after_the_command() -> None:
-    done = noisy(end="cli.main(['inspect'])\nos.write(2, b'raw\\n')\nwarnings.warn('mine')\nprint(sys.stderr.fileno())")
+    done = noisy(end="cli.main(['view'])\nos.write(2, b'raw\\n')\nwarnings.warn('mine')\nprint(sys.stderr.fileno())")
     assert done.stderr.splitlines()[2] == "raw"
     assert "UserWarning: mine" in done.stderr
     assert done.stdout == "2\n"
 
 
 def test_warnings_that_python_was_asked_for_stay() -> None:
-    done = noisy("-W", "default", end="sys.exit(cli.main(['inspect']))")
+    done = noisy("-W", "default", end="sys.exit(cli.main(['view']))")
     assert "UserWarning: of Python" in done.stderr
     assert "RuntimeWarning: overflow" in done.stderr
     assert "of USD" not in done.stderr

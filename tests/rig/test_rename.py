@@ -15,11 +15,10 @@ from gltf_builder import build, make_model
 from places import SHARED
 
 import facepipe
-from facepipe.cli.rename import convention_of, convention_text
 from facepipe.importers import ict, load
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import CONVENTIONS
-from facepipe.rig.rename import convention_names, renamed, shapes_of
+from facepipe.rig.rename import convention_names, convention_of, convention_text, renamed, shapes_of
 from facepipe.stage import Face, save_parts
 
 ICT = SHARED / "ict_facekit" / "ict_facekit.npz"

@@ -1,0 +1,154 @@
+"""Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, neural rig.
+
+example: facepipe inspect head.usda
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.core.reports import Report
+from facepipe.core.texts import table
+from facepipe.declare import source
+from facepipe.kinds import Inspector, Watch, action
+
+if TYPE_CHECKING:
+    from facepipe.stage import Face
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectReport(Report):
+    """Counts and names of everything on a face."""
+
+    face: str
+    meters_per_unit: float
+    up_axis: str
+    head_height_mm: float
+    meshes: tuple[Mapping[str, Any], ...]  # name, points, faces, shapes, influences, uv_sets, regions (counts)
+    joints: tuple[str, ...]  # paths
+    joint_names: tuple[str, ...]  # the source's
+    shapes: tuple[str, ...]
+    shape_names: Mapping[str, Any] | None  # of which convention they are
+    inbetweens: int
+    regions: tuple[str, ...]
+    landmarks: Mapping[str, int]  # scheme -> how many
+    animations: tuple[str, ...]
+    sliders: tuple[str, ...]
+    materials: tuple[str, ...]
+    photos: tuple[str, ...]
+    person: str
+    attach_joint: str | None
+    attribution: str
+    recipe: str | None  # its verb
+    neural_rig: Mapping[str, str] | None  # file, state
+
+
+@action("inspect", "show what a face holds")
+@dataclass(frozen=True, kw_only=True)
+class Inspect(Inspector[InspectReport]):
+    """The action."""
+
+    face: Path = source("face stage")
+
+    def look(self, watch: Watch) -> InspectReport:
+        from facepipe.importers import read_face
+
+        return report_of(read_face(self.face))
+
+    def text(self, report: InspectReport, out: Path) -> str:
+        return text_of(report)
+
+
+def report_of(face: Face) -> InspectReport:
+    """What a face holds, with what is implausible about it as warnings."""
+    from facepipe.rig import implausible
+    from facepipe.rig.rename import convention_of
+
+    parts = face.parts()
+    return InspectReport(
+        face=face.where,
+        meters_per_unit=face.meters_per_unit,
+        up_axis=face.up_axis,
+        head_height_mm=round(face.head_height * face.mm_per_unit, 3),
+        meshes=tuple(
+            {
+                "name": mesh.name,
+                "points": len(mesh.points),
+                "faces": len(mesh.face_vertex_counts),
+                "shapes": len(mesh.blendshapes),
+                "influences": mesh.skin.joint_indices.shape[1] if mesh.skin else 0,
+                "uv_sets": len(mesh.uv_sets),
+                "regions": len(mesh.regions),
+            }
+            for mesh in parts.meshes
+        ),
+        joints=tuple(parts.skeleton.joints),
+        joint_names=tuple(parts.skeleton.names),
+        shapes=tuple(face.shapes),
+        shape_names=convention_of(face.shapes),
+        inbetweens=sum(len(shape.inbetweens) for mesh in parts.meshes for shape in mesh.blendshapes),
+        regions=tuple(sorted({name for mesh in parts.meshes for name in mesh.regions})),
+        landmarks={
+            scheme: len(landmarks.indices) for mesh in parts.meshes for scheme, landmarks in mesh.landmarks.items()
+        },
+        animations=tuple(animation.name for animation in parts.animations),
+        sliders=tuple(slider.name for slider in parts.sliders),
+        materials=tuple(material.name for material in parts.materials),
+        photos=tuple(photo.name for photo in parts.photos),
+        person=face.person().description,
+        attach_joint=parts.attach_joint,
+        attribution=parts.attribution,
+        recipe=parts.recipe.verb if parts.recipe else None,
+        neural_rig=_neural_rig(face),
+        warnings=tuple(implausible(parts)),
+    )
+
+
+def _neural_rig(face: Face) -> dict[str, str] | None:
+    """The file that a face links, and whether it is still what was applied."""
+    from facepipe.core.digests import digest
+    from facepipe.stage.neural_rig_link import read_neural_rig_link
+
+    link = read_neural_rig_link(face.prim)
+    if link is None:
+        return None
+    state = "lost" if link.path is None else "as applied" if digest([link.path]) == link.digest else "changed since"
+    return {"file": link.file, "state": state}
+
+
+def text_of(report: InspectReport) -> str:
+    """The report as tables for people."""
+    from facepipe.rig.rename import convention_text
+
+    meshes = report.meshes
+    columns = ("name", "points", "faces", "shapes", "influences", "uv_sets", "regions")
+    total = ["in all", *(sum(mesh[column] for mesh in meshes) for column in ("points", "faces"))]
+    rows: list[Any] = [["mesh", *columns[1:]], *[[mesh[column] for column in columns] for mesh in meshes], total]
+    facts = [
+        ("units", f"{report.meters_per_unit:g} m, {report.up_axis} up"),
+        ("head height", f"{report.head_height_mm:.1f} mm"),
+        *[
+            (key, _listing(getattr(report, "joint_names" if key == "joints" else key)))
+            for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
+        ],
+        *[("photos", _listing(report.photos)) for _ in report.photos[:1]],
+        *[("shapes' names", convention_text(report.shape_names)) for _ in report.shapes[:1]],
+        ("person", report.person),
+        ("inbetweens", report.inbetweens or "none"),
+        ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in report.landmarks.items()) or "none"),
+        ("attach joint", report.attach_joint or "none"),
+        ("made by", report.recipe or "unknown"),
+        *[("neural rig", f"{link['file']}, {link['state']}") for link in [report.neural_rig] if link],
+        ("attribution", report.attribution or "none"),
+    ]
+    width = max(len(name) for name, _ in facts)
+    lines = [f"{name:{width}}  {text}" for name, text in facts]
+    return "\n".join([report.face, "", table(rows), "", *lines])
+
+
+def _listing(names: tuple[str, ...]) -> str:
+    shown = ", ".join(names[:8])
+    return f"{len(names)}: {shown}{', ...' if len(names) > 8 else ''}" if names else "none"
