@@ -158,13 +158,8 @@ def _reader(kind: Any) -> Any:
 
 def options_from(arguments: argparse.Namespace, options: type) -> Any:
     """An instance of the option dataclass from parsed flags; of flags that are not there the default."""
-    return options(**given_options(arguments, options))
-
-
-def given_options(arguments: argparse.Namespace, options: type) -> dict[str, Any]:
-    """Field -> value of the option dataclass for the flags that are there."""
     names = [field.name for field in dataclasses.fields(options)]
-    return {name: getattr(arguments, name) for name in names if hasattr(arguments, name)}
+    return options(**{name: getattr(arguments, name) for name in names if hasattr(arguments, name)})
 
 
 def add_output(parser: argparse.ArgumentParser, what: str, *, positional: bool = False) -> None:

@@ -12,6 +12,7 @@ import scan_domes
 from command_line import done, failed, run
 from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 
+import facepipe
 from facepipe.core.errors import InputError
 from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
@@ -164,6 +165,10 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     assert told["error_mean_mm"] < told["linear_mean_mm"]
     rig = load_neural_rig(tmp_path / "head.fpnr")
     assert {one.name for one in rig.controls} == {"open", "look", "jawOpen", "smile"}
+    values = {"spread": 60, "sweep": 5, "together": 20, "width": 8, "steps": 200, "encoder_steps": 50}
+    report = facepipe.neural_rig_train(face, out=tmp_path / "python.fpnr", **values)
+    assert (tmp_path / "python.fpnr").read_bytes() == (tmp_path / "head.fpnr").read_bytes()
+    assert report.encoder.error_mean == told["encoder"]["error_mean"]
     err = failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.onnx", *few, folder=tmp_path)
     assert "suffix '.onnx', expected .fpnr" in err
     failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few, folder=tmp_path)
