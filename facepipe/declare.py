@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Options = TypeVar("Options", bound="DataclassInstance")
 
+BONE_HELP = (  # of --bone, wherever a face is posed
+    "bone coefficient, channels tx ty tz (stage units) rx ry rz (radians) sx sy sz (factor); JOINT is a path, its last "
+    "part, or the source's name"
+)
 POSE_HELP = (  # of --pose, wherever a face is delivered
     "the person that becomes the rest: set (slider values, applied bone coefficients), set-joints (the same in joint "
     "transforms alone: exact, for engines that keep scaled joints), rest (the template), or an animation of the face"

@@ -31,7 +31,6 @@ COMMANDS = {
     "import": "make a face stage of a real face",
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
-    "eval": "run an exported ONNX file",
     "apply-bones": "rebuild a face from bone coefficients",
     "render": "draw a face",
     "view": "look at a face in the browser",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.core.errors import InputError
-from facepipe.declare import Field, fields_of, named_numbers
+from facepipe.declare import BONE_HELP, Field, fields_of, named_numbers
 
 
 class Parser(argparse.ArgumentParser):
@@ -222,8 +222,7 @@ def add_pose(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="JOINT:CHANNEL=VALUE",
-        help="bone coefficient, channels tx ty tz (stage units) rx ry rz (radians) sx sy sz (factor); JOINT is a path, "
-        "its last part, or the source's name",
+        help=BONE_HELP,
     )
 
 
@@ -236,24 +235,3 @@ def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
         return named_numbers(words)
     except InputError as error:
         raise InputError(f"{flag} {error.where}", error.what) from None
-
-
-def coefficients_of(words: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> Any:
-    """(j, 9) bone coefficients of ``--bone`` words; None where there are none.
-
-    :param joints: paths, and the source's `names` of each
-    :raises InputError: an unknown or ambiguous joint, or an unknown channel
-    """
-    from facepipe.core.names import find_joint
-    from facepipe.rig import CHANNELS, rest_coefficients
-
-    if not words:
-        return None
-    coefficients = rest_coefficients(len(joints))
-    for name, value in pairs(words, "--bone").items():
-        joint, _, channel = name.rpartition(":")
-        place = find_joint(joint, joints, names, f"--bone {name}")
-        if channel not in CHANNELS:
-            raise InputError(f"--bone {name}", f"channel '{channel}', expected one of {' '.join(CHANNELS)}")
-        coefficients[place, CHANNELS.index(channel)] = value
-    return coefficients

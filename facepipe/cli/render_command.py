@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.cli.parser import add_output, add_pose, coefficients_of, output_of, pairs
+from facepipe.cli.parser import add_output, add_pose, output_of, pairs
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
 from facepipe.core.names import named
@@ -79,8 +79,10 @@ def _draw(face: Face, points: FloatArray, arguments: argparse.Namespace, out: Pa
 
 def pose(face: Face, arguments: argparse.Namespace) -> FloatArray:
     """(n, 3) points that `--set`, `--bone`, `--slider` and `--pose` ask for."""
+    from facepipe.rig.bone_coefficients import coefficients_of
+
     weights = named(pairs(arguments.set, "--set"), face.shapes, "--set", "shape")
-    coefficients = coefficients_of(arguments.bone, face.skeleton.joints, face.skeleton.names)
+    coefficients = coefficients_of(pairs(arguments.bone, "--bone"), face.skeleton.joints, face.skeleton.names)
     if not arguments.slider:
         return face.evaluate(weights, coefficients=coefficients, pose=arguments.pose or "set")
     if arguments.pose is not None:

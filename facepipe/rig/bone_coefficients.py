@@ -5,8 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import numpy.typing as npt
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import find_joint
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -114,3 +119,21 @@ def _turn(angle: FloatArray, axis: int, order: int) -> FloatArray:
     matrices[..., other, one] = np.sin(ahead)
     matrices[..., one, other] = -matrices[..., other, one]
     return matrices
+
+
+def coefficients_of(values: Mapping[str, float], joints: Sequence[str], names: Sequence[str]) -> FloatArray | None:
+    """(j, 9) bone coefficients of ``joint:channel`` -> value; None where there are none.
+
+    :param joints: paths, and the source's `names` of each
+    :raises InputError: an unknown or ambiguous joint, or an unknown channel
+    """
+    if not values:
+        return None
+    coefficients = rest_coefficients(len(joints))
+    for name, value in values.items():
+        joint, _, channel = name.rpartition(":")
+        place = find_joint(joint, joints, names, f"--bone {name}")
+        if channel not in CHANNELS:
+            raise InputError(f"--bone {name}", f"channel '{channel}', expected one of {' '.join(CHANNELS)}")
+        coefficients[place, CHANNELS.index(channel)] = value
+    return coefficients
