@@ -190,7 +190,8 @@ def read_node(path: Path) -> Node:
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)
     if cookable(verb_now(recipe.verb)) is None:
-        raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {', '.join(summaries())}")
+        verbs = ", ".join(filter(cookable, summaries()))
+        raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {verbs}")
     sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)
     for number, source in enumerate(sources, 1):
         check_source(f"{where} -> source {number}", source)
