@@ -31,14 +31,6 @@ class ClosestPlaces:
     features: IntArray  # (m,) CORNER + 0..2, EDGE + 0..2 or INSIDE
 
 
-def surface_distances(points: FloatArray, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(m,) unsigned distances of `points` (m, 3) from the surface `surface_points` (n, 3), `triangles` (t, 3).
-
-    :raises InputError: no triangle, or one at a point that is not there
-    """
-    return closest_places(points, surface_points, triangles).distances
-
-
 def closest_places(points: FloatArray, surface_points: FloatArray, triangles: IntArray) -> ClosestPlaces:
     """The nearest place of the surface `surface_points` (n, 3), `triangles` (t, 3), to each of `points` (m, 3).
 

@@ -81,10 +81,6 @@ class ExpressionModel:
         size = len(self.identity.deviations)
         return np.asarray(self.mean[1:, size:] + np.tensordot(self.vectors, self._maps[:, 1:, size:], axes=1))
 
-    def identity_from_neutral(self, neutral: FloatArray) -> FloatArray:
-        """(r,) vector of the person whose neutral is (n, 3): document S14, from the neutral row and the core."""
-        return self.identity_from({}, neutral)
-
     def identity_from(
         self, shapes: Mapping[str, FloatArray], neutral: FloatArray, start: FloatArray | None = None
     ) -> FloatArray:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from solids import ball
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places, surface_distances
+from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places
 
 
 def _one_by_one(points: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -45,15 +45,15 @@ def test_one_large_triangle_among_many_small_ones_is_found() -> None:
     points, triangles = ball(20)
     surface = np.concatenate([points, [[-1e4, -1e4, 1.5], [1e4, -1e4, 1.5], [0, 2e4, 1.5]]])
     triangles = np.concatenate([triangles, [[len(points), len(points) + 1, len(points) + 2]]])
-    assert surface_distances(np.array([[0.3, 0.2, 1.4], [50, 60, 2.0]]), surface, triangles) == pytest.approx(
-        [0.1, 0.5]
-    )
+    found = closest_places(np.array([[0.3, 0.2, 1.4], [50, 60, 2.0]]), surface, triangles)
+    assert found.distances == pytest.approx([0.1, 0.5])
 
 
 def test_distances_from_a_ball_are_distance_less_radius() -> None:
     surface, triangles = ball(60, 2.0)
     points = np.random.default_rng(1).uniform(-3, 3, (1000, 3))
-    error = surface_distances(points + 5.0, surface + 5.0, triangles) - np.abs(2.0 - np.linalg.norm(points, axis=1))
+    found = closest_places(points + 5.0, surface + 5.0, triangles).distances
+    error = found - np.abs(2.0 - np.linalg.norm(points, axis=1))
     sagitta = 2.0 * (1 - np.cos(np.pi / 120 * np.sqrt(2)))  # how far the flat triangles lie inside the sphere
     assert np.abs(error).max() < 1.01 * sagitta
 
@@ -74,12 +74,13 @@ def test_points_of_the_surface_lie_at_distance_0() -> None:
     surface, triangles = ball(6)
     surface = surface * np.random.default_rng(3).uniform(0.25, 1.75, (len(surface), 1))
     middles = surface[triangles].mean(axis=1)
-    np.testing.assert_allclose(surface_distances(np.concatenate([surface, middles]), surface, triangles), 0, atol=1e-15)
+    found = closest_places(np.concatenate([surface, middles]), surface, triangles)
+    np.testing.assert_allclose(found.distances, 0, atol=1e-15)
 
 
 def test_a_surface_without_triangles_or_with_wrong_ones_is_refused() -> None:
     points = np.zeros((2, 3))
     for triangles in (np.zeros((0, 3), int), np.array([[0, 1, 2]]), np.array([[-1, 0, 1]])):
         with pytest.raises(InputError, match="triangles"):
-            surface_distances(points, points, triangles)
-    assert surface_distances(np.zeros((0, 3)), *ball(4)).shape == (0,)
+            closest_places(points, points, triangles)
+    assert closest_places(np.zeros((0, 3)), *ball(4)).distances.shape == (0,)

@@ -119,7 +119,7 @@ def test_seen_expressions_predict_others_better_than_the_mean_and_than_the_neutr
     errors = []
     for neutral, shapes in zip(strangers, own, strict=True):
         seen = model.identity_from({"open": neutral + shapes[0], "smile": neutral + shapes[1]}, neutral)
-        vectors = (np.zeros(len(seen)), model.identity_from_neutral(neutral), seen)
+        vectors = (np.zeros(len(seen)), model.identity_from({}, neutral), seen)
         errors.append([off(model.shapes(vector)[2:], shapes[2:]) for vector in vectors])
     mean, alone, seen_error = np.mean(errors, axis=0)
     assert seen_error < 0.35 * mean
@@ -132,7 +132,7 @@ def test_a_neutral_that_tells_is_trusted_and_one_that_doesn_t_is_not() -> None:
         neutrals, deltas, _ = people(14, told=told)
         model = model_of(neutrals, deltas)
         strangers, own, _ = people(10, seed=1, told=told)
-        pairs = [(model.identity_from_neutral(neutral), shapes) for neutral, shapes in zip(strangers, own, strict=True)]
+        pairs = [(model.identity_from({}, neutral), shapes) for neutral, shapes in zip(strangers, own, strict=True)]
         found = np.mean([off(model.shapes(vector), shapes) for vector, shapes in pairs])
         assert low <= found / np.mean([off(model.shapes(0 * vector), shapes) for vector, shapes in pairs]) < high
 
@@ -171,7 +171,7 @@ def test_the_mean_person_is_what_nothing_seen_gives() -> None:
         np.zeros((0, POINTS, 3), np.float32),
         np.zeros((1, len(NAMES), 0)),
     )
-    assert single.identity_from_neutral(neutrals[0]).shape == (0,)
+    assert single.identity_from({}, neutrals[0]).shape == (0,)
     assert single.shapes(np.zeros(0)).shape == deltas[0].shape
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from blend_faces import EYES, REGION_WEIGHTS, TEETH, by_region, head, kinds, mesh_points, misaligned, only_shapes
 
-from facepipe.geometry.closest_points import surface_distances
+from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
 from facepipe.processors.blend import BlendSession
 from facepipe.stage import Face
@@ -41,7 +41,8 @@ def distances_mm(blend: BlendSession, kind: str, points: np.ndarray) -> tuple[np
             own[name][point_triangles(meshes[name].face_vertex_counts, meshes[name].face_vertex_indices)]
             for name in names
         ]
-        return surface_distances(points[marks[part]], points, np.concatenate(corners)) * blend.sources.mm_per_unit
+        found = closest_places(points[marks[part]], points, np.concatenate(corners))
+        return found.distances * blend.sources.mm_per_unit
 
     return to(EYES[kind], LIDS), to(TEETH[kind], LIPS)
 

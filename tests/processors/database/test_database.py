@@ -456,7 +456,7 @@ def test_seen_expressions_tell_how_an_actor_makes_others() -> None:
     for seed in range(130, 136):
         one, mean = actor(seed), database.expressions.shapes(np.zeros(23))
         known = {name: one.points + one.deltas[name] for name in SEEN}
-        alone = database.expressions.shapes(database.expressions.identity_from_neutral(one.points))
+        alone = database.expressions.shapes(database.expressions.identity_from({}, one.points))
         plain = database.expressions.shapes(database.expressions.identity_from(known, one.points))
         carried = dict(zip(names, carried_mean(database, one.points), strict=True))
         generic = {name: people(seed).transferred(name) for name in hidden}
