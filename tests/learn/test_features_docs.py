@@ -16,6 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import ARCFACE_TEMPLATE, TEMPLATE
 from facepipe.learn.features.description import DEFAULT_SIZES, DEFAULTS, KINDS, describe
 from facepipe.learn.features.extractor import load_extractor
+from facepipe.learn.features.operators import OPERATORS
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 
 TEXT = (REPOSITORY / "docs/features.md").read_text(encoding="utf-8")
@@ -80,6 +81,11 @@ def test_networks_of_whole_numbers_as_described(tmp_path: Path) -> None:
     torch.testing.assert_close(
         load_extractor(path, "identity")(image / 255 * 2 - 1 / 255), plain(image), atol=1e-4, rtol=1e-4
     )
+
+
+def test_operators_as_described() -> None:
+    table = TEXT[TEXT.index("| | operators |") : TEXT.index("Windows are of two axes")]
+    assert sorted(re.findall(r"`(\w+)`", table)) == sorted(["Constant", *OPERATORS])
 
 
 def test_operator_sets_as_described(tmp_path: Path) -> None:

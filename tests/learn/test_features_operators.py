@@ -45,27 +45,17 @@ X4 = data(2, 3, 6, 7)
 ROW = data(4, 5)
 
 UNARY = [
-    *(case(name, ROW) for name in ("Abs", "Neg", "Exp", "Sin", "Cos", "Tan", "Tanh", "Atan", "Erf", "Sigmoid")),
-    *(case(name, ROW) for name in ("Relu", "Softplus", "Softsign", "Floor", "Ceil", "Round", "Sign", "Identity")),
-    *(case(name, data(3, 4, least=0.1)) for name in ("Log", "Sqrt", "Reciprocal")),
-    case("Mish", ROW, opset=18),
+    *(case(name, ROW) for name in ("Relu", "Sigmoid", "Tanh", "Identity")),
+    case("Sqrt", data(3, 4, least=0.1)),
     case("LeakyRelu", ROW),
     case("LeakyRelu", ROW, alpha=0.3),
-    case("Elu", ROW, alpha=0.7),
-    case("Celu", ROW, alpha=0.7),
-    case("Selu", ROW),
-    case("ThresholdedRelu", ROW, alpha=0.4),
     case("HardSigmoid", ROW, alpha=0.3, beta=0.4),
     case("HardSwish", 3 * ROW),
-    case("Gelu", ROW, opset=20),
-    case("Gelu", ROW, opset=20, approximate="tanh"),
     case("Dropout", ROW, opset=9),
     case("Dropout", ROW, floats(0.4)[0]),
     *(case("Softmax", X4, opset=opset, axis=axis) for opset in (9, 13) for axis in (1, 2)),
     case("Softmax", X4, opset=9),
     case("Softmax", X4),
-    case("LogSoftmax", X4, axis=1),
-    case("LogSoftmax", X4, opset=11, axis=1),
     case("Clip", ROW, opset=9, min=-0.5, max=0.7),
     case("Clip", ROW, floats(-0.5)[0], floats(0.7)[0]),
     case("Clip", ROW, None, floats(0.7)[0]),
@@ -80,8 +70,6 @@ BINARY = [
     *(case(name, X4, data(3, 1, 7, least=0.2)) for name in ("Add", "Sub", "Mul", "Div")),
     case("Pow", data(3, 4, least=0.2), data(4)),
     case("Pow", ROW, floats(2)[0]),
-    *(case(name, ROW, data(5), data(4, 1)) for name in ("Sum", "Mean", "Max", "Min")),
-    case("Mod", data(3, 4, least=0.2), data(4, least=0.3), fmod=1),
     case("MatMul", data(2, 3, 4), data(4, 5)),
     case("MatMul", data(3, 4), data(2, 4, 5)),
     *(
@@ -90,26 +78,21 @@ BINARY = [
     ),
     case("Gemm", data(4, 3), data(5, 3), data(4, 1), transB=1),
     case("Gemm", data(4, 3), data(3, 5)),
-    case("Einsum", data(2, 3, 4), data(2, 4, 5), equation="bij,bjk->bik"),
 ]
 
 REDUCTIONS = [
     *(
         case(f"Reduce{name}", data(2, 3, 4, least=0.1), axes=axes, keepdims=keep, opset=11)
-        for name in ("Mean", "Sum", "Max", "Min", "Prod", "L1", "L2", "SumSquare", "LogSum", "LogSumExp")
+        for name in ("Mean", "Sum", "L2")
         for axes, keep in (([1, -1], 1), ([0], 0))
     ),
     *(
         case(f"Reduce{name}", data(2, 3, 4, least=0.1), ints(1, 2), opset=18, keepdims=0)
-        for name in ("Mean", "Sum", "Max", "Min", "Prod", "L1", "L2", "SumSquare", "LogSum", "LogSumExp")
+        for name in ("Mean", "Sum", "L2")
     ),
     case("ReduceMean", X4),
     case("ReduceSum", X4, None, noop_with_empty_axes=1),
-    case("LpNormalization", X4, axis=1),
-    case("LpNormalization", ROW, p=1),
     case("GlobalAveragePool", X4),
-    case("GlobalMaxPool", X4),
-    case("GlobalLpPool", X4, p=3),
 ]
 
 SHAPES = [
@@ -130,53 +113,37 @@ SHAPES = [
     case("Split", X4, ints(5, 1), outputs=2, axis=2),
     case("Split", X4, outputs=4, opset=18, axis=3, num_outputs=4),
     case("Expand", data(3, 1), ints(2, 1, 4)),
-    case("Tile", ROW, ints(2, 3)),
-    *(case("DepthToSpace", data(1, 8, 2, 3), blocksize=2, mode=mode) for mode in ("DCR", "CRD")),
-    case("SpaceToDepth", data(1, 2, 4, 6), blocksize=2),
     case("Gather", X4, ints(2, 0, -1), axis=1),
     case("Gather", X4, np.int64(1), axis=2),
     case("Gather", X4, np.array([[0, 1], [1, 1]]), axis=0),
-    case("GatherElements", ROW, np.array([[0, -1, 2]]), axis=1),
     case("Slice", X4, opset=9, starts=[1, -3], ends=[3, 100], axes=[1, 3]),
     case("Slice", X4, ints(1, -1), ints(3, -100), ints(1, 3), ints(1, -2)),
     case("Slice", X4, ints(0, 1), ints(2, -1)),
-    *(case("Pad", X4, ints(0, 0, 1, 2, 0, 0, 3, 1), mode=mode) for mode in ("constant", "edge", "reflect")),
+    case("Pad", X4, ints(0, 0, 1, 2, 0, 0, 3, 1), mode="constant"),
     case("Pad", X4, ints(0, 1, 1, -2, 0, 0, -1, 1), floats(0.7)[0]),
     case("Pad", X4, opset=9, pads=[0, 0, 1, 2, 0, 0, 3, 1], value=0.5),
-    case("Pad", X4, ints(2, 1, 3, 4), None, ints(3, -2), opset=18, mode="reflect"),
-    case("Pad", X4, ints(0, 0, 2, 3, 0, 0, 1, 4), opset=19, mode="wrap"),
 ]
 
 WINDOWS = [
     case("Conv", X4, data(4, 3, 3, 3), data(4), pads=[1, 1, 1, 1]),
     case("Conv", X4, data(4, 3, 3, 2), strides=[2, 1], pads=[1, 0, 2, 1]),
     case("Conv", X4, data(6, 1, 3, 3), group=3, dilations=[2, 1], pads=[2, 1, 2, 1]),
+    *(case("Conv", X4, data(4, 3, 3, 4), auto_pad=pad, strides=[2, 2]) for pad in ("SAME_UPPER", "VALID")),
     *(
-        case("Conv", X4, data(4, 3, 3, 4), auto_pad=pad, strides=[2, 2])
-        for pad in ("SAME_UPPER", "SAME_LOWER", "VALID")
-    ),
-    case("Conv", data(2, 3, 9), data(4, 3, 3), data(4), strides=[2], pads=[1, 1]),
-    case("Conv", data(1, 2, 4, 4, 4), data(3, 2, 2, 2, 2)),
-    case("ConvTranspose", X4, data(3, 4, 3, 3), data(4), strides=[2, 2], pads=[1, 1, 1, 1], output_padding=[1, 1]),
-    case("ConvTranspose", X4, data(3, 4, 3, 2), strides=[2, 3], pads=[0, 1, 1, 0]),
-    case("ConvTranspose", X4, data(3, 2, 3, 3), data(6), group=3, dilations=[2, 1]),
-    case("ConvTranspose", X4, data(3, 4, 3, 3), strides=[2, 2], output_shape=[12, 14]),
-    *(
-        case("ConvTranspose", X4, data(3, 2, 4, 3), strides=[2, 2], auto_pad=pad)
-        for pad in ("SAME_UPPER", "SAME_LOWER")
-    ),
-    case("ConvTranspose", data(2, 3, 5), data(3, 2, 4), data(2), strides=[2], pads=[1, 1]),
-    *(
-        case(name, X4, kernel_shape=[3, 2], strides=[2, 2], pads=[1, 0, 1, 1], ceil_mode=ceil)
+        case(name, X4, kernel_shape=[3, 2], strides=[2, 2], pads=[1, 0, 1, 0], ceil_mode=ceil)
         for name in ("MaxPool", "AveragePool")
         for ceil in (0, 1)
     ),
+    *(
+        case(name, X4, kernel_shape=[3, 2], strides=[2, 2], pads=pads)
+        for name in ("MaxPool", "AveragePool")
+        for pads in ([1, 0, 0, 1], [0, 0, 1, 0])
+    ),
     case("MaxPool", X4, kernel_shape=[2, 2], dilations=[2, 3]),
     case("MaxPool", X4, kernel_shape=[3, 3], strides=[3, 3], ceil_mode=1),
-    case("MaxPool", data(2, 3, 9), kernel_shape=[3], strides=[2]),
     case("AveragePool", X4, kernel_shape=[3, 3], pads=[1, 1, 1, 1], count_include_pad=1, strides=[2, 2]),
     case("AveragePool", X4, kernel_shape=[2, 3], strides=[2, 2], ceil_mode=1, count_include_pad=1, opset=19),
-    case("AveragePool", X4, kernel_shape=[2, 2], dilations=[2, 2], opset=19),
+    case("AveragePool", X4, kernel_shape=[3, 3], pads=[1, 1, 0, 0], count_include_pad=1),
     *(
         case(name, X4, kernel_shape=[3, 3], strides=[2, 2], auto_pad="SAME_UPPER")
         for name in ("MaxPool", "AveragePool")
@@ -185,53 +152,26 @@ WINDOWS = [
     case("BatchNormalization", X4, data(3), data(3), data(3), data(3, least=0.1), opset=9),
     case("BatchNormalization", data(4, 5), data(5), data(5), data(5), data(5, least=0.1)),
     case("InstanceNormalization", X4, data(3), data(3), epsilon=1e-2),
-    case("LayerNormalization", X4, data(7), data(7), opset=17),
-    case("LayerNormalization", X4, data(6, 7), opset=17, axis=2),
-    case("GroupNormalization", data(2, 6, 3, 4), data(6), data(6), opset=21, num_groups=3),
 ]
 
 COORDINATES = ("half_pixel", "pytorch_half_pixel", "align_corners", "asymmetric")
-ROUNDINGS = ("round_prefer_floor", "round_prefer_ceil", "floor", "ceil")
 SIZES, SHRUNK = ints(2, 3, 9, 15), ints(2, 3, 4, 3)
 RESIZE = [
     *(
         case("Resize", X4, None, None, sizes, mode=mode, coordinate_transformation_mode=how)
-        for mode in ("linear", "cubic", "nearest")
+        for mode in ("linear", "nearest")
         for how in COORDINATES
         for sizes in (SIZES, SHRUNK)
     ),
-    *(case("Resize", X4, None, floats(1, 1, 2, 1.5), nearest_mode=rounding) for rounding in ROUNDINGS),
-    *(case("Resize", X4, None, floats(1, 1, 1.7, 0.6), mode=mode) for mode in ("linear", "cubic")),
+    *(
+        case("Resize", X4, None, floats(1, 1, 2, 1.5), nearest_mode=rounding)
+        for rounding in ("round_prefer_floor", "floor")
+    ),
+    case("Resize", X4, None, floats(1, 1, 1.7, 0.6), mode="linear"),
+    case("Resize", X4, None, floats(1, 1, 1.7, 0.6), mode="linear", nearest_mode="ceil"),
     case("Resize", X4, floats(), floats(1, 1, 2, 2), opset=11, mode="linear"),
     case("Resize", X4, floats(1, 1, 2, 2), opset=10, mode="nearest"),
     case("Resize", X4, floats(1, 1, 2, 3), opset=10, mode="linear"),
-    case("Resize", X4, None, None, SIZES, mode="cubic", exclude_outside=1, cubic_coeff_a=-0.5),
-    *(case("Resize", X4, None, None, SHRUNK, mode=mode, antialias=1, opset=18) for mode in ("linear", "cubic")),
-    case("Resize", X4, None, None, SHRUNK, mode="linear", antialias=1, exclude_outside=1, opset=18),
-    case("Resize", X4, None, None, ints(9, 11), mode="linear", axes=[2, 3], opset=18),
-    *(
-        case(
-            "Resize",
-            X4,
-            None,
-            None,
-            ints(12, 20),
-            axes=[2, 3],
-            opset=18,
-            keep_aspect_ratio_policy=policy,
-            mode="linear",
-        )
-        for policy in ("not_larger", "not_smaller")
-    ),
-    case(
-        "Resize",
-        X4,
-        None,
-        floats(1, 1, 1.7, 0.6),
-        opset=19,
-        coordinate_transformation_mode="half_pixel_symmetric",
-        mode="linear",
-    ),
     *(case("Upsample", X4, floats(1, 1, 2, 3), opset=9, mode=mode) for mode in ("nearest", "linear")),
     case("Upsample", X4, opset=7, mode="nearest", scales=[1.0, 1.0, 2.0, 2.0]),
 ]
@@ -240,15 +180,8 @@ DIFFERENTIABLE = [*UNARY, *BINARY, *REDUCTIONS, *SHAPES, *WINDOWS, *RESIZE]
 
 INT, BOOL = TensorProto.INT64, TensorProto.BOOL
 OTHERS = [
-    *(
-        (case(name, ROW, ROW[::-1].copy()), BOOL)
-        for name in ("Equal", "Less", "Greater", "LessOrEqual", "GreaterOrEqual")
-    ),
-    *((case(name, X4, axis=2, keepdims=0), INT) for name in ("ArgMax", "ArgMin")),
-    (case("ArgMax", np.round(X4), axis=-1, select_last_index=1), INT),
     (case("Shape", X4), INT),
     (case("Shape", X4, start=1, end=-1), INT),
-    (case("Size", X4), INT),
     (case("Cast", 3 * ROW, to=INT), INT),
     (case("Cast", 3 * ROW, to=BOOL), BOOL),
 ]
@@ -293,7 +226,7 @@ def test_operator_without_gradient_as_onnxruntime(parameters: Any, kind: int) ->
 
 
 def test_arithmetic_of_shapes_as_onnxruntime() -> None:
-    """Whole numbers as exporters work with them: divided, counted, chosen, made to shapes."""
+    """Whole numbers as exporters work with them: divided, chosen, made to shapes."""
     node = helper.make_node
     nodes = [
         node("Shape", ["x"], ["shape"]),
@@ -302,24 +235,13 @@ def test_arithmetic_of_shapes_as_onnxruntime() -> None:
         node("Constant", [], ["part"], value_floats=[0.5, 0.25]),
         node("Constant", [], ["minus"], value_ints=[-7]),
         node("Div", ["minus", "three"], ["quotient"]),
-        node("Mod", ["minus", "three"], ["rest"]),
-        node("Range", ["zero", "height", "two"], ["steps"]),
         node("ConstantOfShape", ["shape"], ["ones"], value=helper.make_tensor("one", TensorProto.FLOAT, [1], [1.5])),
         node("ConstantOfShape", ["shape"], ["zeros"]),
-        node("Greater", ["x", "zeros"], ["above"]),
-        node("Not", ["above"], ["below"]),
-        node("And", ["above", "below"], ["never"]),
-        node("Or", ["above", "below"], ["always"]),
-        node("Xor", ["above", "always"], ["beneath"]),
-        node("Where", ["above", "x", "ones"], ["chosen"]),
-        node("CastLike", ["steps", "x"], ["floats"]),
         node("Cast", ["height"], ["number"], to=TensorProto.FLOAT),
     ]
-    ints_out = dict.fromkeys(("quotient", "rest", "steps", "height"), INT)
-    outputs = {**ints_out, **dict.fromkeys(("never", "beneath"), BOOL)}
-    outputs |= dict.fromkeys(("chosen", "floats", "number", "part"), TensorProto.FLOAT)
-    weights = {"two": np.int64(2), "zero": np.int64(0)}
-    model = make_model(nodes, {"x": X4.shape}, outputs, weights)
+    outputs = dict.fromkeys(("quotient", "three", "height"), INT)
+    outputs |= dict.fromkeys(("ones", "zeros", "number", "part"), TensorProto.FLOAT)
+    model = make_model(nodes, {"x": X4.shape}, outputs, {"two": np.int64(2)})
     for found, expected in zip(OnnxModule(model)(torch.from_numpy(X4)), reference(model, {"x": X4}), strict=True):
         assert str(found.dtype).removeprefix("torch.") == str(expected.dtype)
         np.testing.assert_array_equal(found.numpy(), expected)
@@ -327,5 +249,4 @@ def test_arithmetic_of_shapes_as_onnxruntime() -> None:
 
 def test_every_operator_is_compared() -> None:
     compared = {one.values[0] for one in DIFFERENTIABLE} | {one.values[0] for one, _ in OTHERS}
-    compared |= {"Gather", "Range", "ConstantOfShape", "Not", "And", "Or", "Xor", "Where", "CastLike"}
-    assert set(OPERATORS) <= compared
+    assert set(OPERATORS) - compared == {"ConstantOfShape"}

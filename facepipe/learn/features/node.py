@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from facepipe.core.errors import InputError
@@ -28,28 +28,25 @@ class Node:
     outputs: tuple[str, ...]
     attributes: Mapping[str, Any] = field(default_factory=dict)  # numbers, texts, lists and arrays
 
-    def integer(self, name: str, default: int = 0) -> int:
-        """A whole number, or its default."""
-        return int(self.attributes.get(name, default))
+    def get(self, name: str, default: Any) -> Any:
+        """An attribute, or its default."""
+        return self.attributes.get(name, default)
 
-    def number(self, name: str, default: float = 0.0) -> float:
-        """A number, or its default."""
-        return float(self.attributes.get(name, default))
+    def choice(self, name: str, default: str, known: Collection[str]) -> str:
+        """A text that is one of those known.
 
-    def text(self, name: str, default: str = "") -> str:
-        """A text, or its default."""
-        value = self.attributes.get(name, default)
-        return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-    def integers(self, name: str, default: Sequence[int] = ()) -> tuple[int, ...]:
-        """Whole numbers, or their default."""
-        return tuple(int(one) for one in self.attributes.get(name, default))
+        :raises InputError: another one
+        """
+        value = str(self.get(name, default))
+        if value not in known:
+            raise self.refuse(f"{name} {value}, expected {', '.join(known)}")
+        return value
 
     def given(self, name: str, value: Tensor | None) -> tuple[int, ...] | None:
         """Whole numbers that newer operator sets give as an input and older ones as an attribute; None: neither."""
         if value is not None:
             return whole(value)
-        return self.integers(name) if name in self.attributes else None
+        return tuple(self.attributes[name]) if name in self.attributes else None
 
     def refuse(self, what: str) -> InputError:
         """The error that this node has `what`."""
@@ -57,9 +54,7 @@ class Node:
 
     def room(self, *shape: int) -> None:
         """Refuse a shape that no feature has, before memory is taken for it."""
-        count = 1
-        for size in shape:
-            count *= max(int(size), 0)
+        count = math.prod(max(int(size), 0) for size in shape)
         if count > _MOST_ELEMENTS:
             raise self.refuse(f"a value of {count} numbers, expected at most {_MOST_ELEMENTS}")
 
@@ -67,20 +62,3 @@ class Node:
 def whole(value: Tensor) -> tuple[int, ...]:
     """The whole numbers in a tensor of any shape."""
     return tuple(int(one) for one in value.reshape(-1).tolist())
-
-
-def positive(axis: int, dimensions: int) -> int:
-    """An axis counted from the front.
-
-    :raises IndexError: no such axis
-    """
-    if not -dimensions <= axis < max(dimensions, 1):
-        raise IndexError(f"axis {axis} of a value with {dimensions} dimensions")
-    return axis % max(dimensions, 1)
-
-
-def along(values: Sequence[float] | Tensor, axis: int, like: Tensor) -> Tensor:
-    """(n,) values shaped to broadcast along `axis` of `like`."""
-    shape = [1] * like.ndim
-    shape[axis] = -1
-    return torch.as_tensor(values, device=like.device).reshape(shape)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from facepipe.core.errors import InputError
 from facepipe.learn.features.node import Node, Operator
-from facepipe.learn.features.onnx_file import array, opset, read_model
+from facepipe.learn.features.onnx_file import array, opset
 from facepipe.learn.features.onnx_sizes import check_sizes
 from facepipe.learn.features.operators import OPERATORS
 
@@ -52,14 +50,6 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         self._checked: tuple[torch.Size, ...] = ()  # shapes of the inputs last checked
         self.eval()
 
-    @classmethod
-    def load(cls, path: Path, outputs: Sequence[str] | None = None) -> OnnxModule:
-        """The graph in a file.
-
-        :raises InputError: as `read_model` and the constructor
-        """
-        return cls(read_model(path), outputs, path)
-
     def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
         """`outputs` of `inputs`, in their order.
 
@@ -82,15 +72,10 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
             except _RUN_ERRORS as error:
                 what = f"can't work on its inputs ({str(error).splitlines()[0] if str(error) else error!r})"
                 raise node.refuse(what).under(self._where) from error
-            known.update(zip(node.outputs, found if isinstance(found, tuple) else (found,), strict=False))
+            known.update(zip(node.outputs, found if isinstance(found, tuple) else (found,), strict=True))
             for name in done:
                 known.pop(name, None)
-        return tuple(self._given(known, name) for name in self.outputs)
-
-    def _given(self, known: Mapping[str, Tensor], name: str) -> Tensor:
-        if name not in known:
-            raise InputError(f"{self._where} -> output {name!r}", "its node does not make it")
-        return known[name]
+        return tuple(known[name] for name in self.outputs)
 
     def _keep(self, name: str, value: Tensor) -> None:
         buffer = f"value_{len(self._buffer_of)}"
@@ -105,7 +90,7 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         if node.op_type == "Constant":
             self._keep(node.outputs[0], _constant(node))
         elif node.op_type not in OPERATORS:
-            raise node.refuse("is not supported in feature networks")
+            raise node.refuse(f"is not read, expected one of {', '.join(sorted({'Constant', *OPERATORS}))}")
         else:
             yield node, OPERATORS[node.op_type]
 
@@ -114,31 +99,26 @@ def _constant(node: Node) -> Tensor:
     """The only attribute of a node without inputs."""
     for name in ("value", "value_float", "value_int", "value_floats", "value_ints"):
         if name in node.attributes:
-            kind = np.float32 if "float" in name else np.int64
-            value = node.attributes[name]
-            return torch.as_tensor(value if name == "value" else np.asarray(value, dtype=kind))
+            return torch.as_tensor(node.attributes[name])
     raise node.refuse("no dense value of numbers, expected one")
 
 
 def _node(proto: Any, version: int) -> Node:
-    attributes = {}
-    plain = Node(
-        name=proto.name, op_type=proto.op_type, opset=version, inputs=tuple(proto.input), outputs=tuple(proto.output)
-    )
+    from onnx import helper
+
+    attributes: dict[str, Any] = {}
+    outputs = proto.output if proto.op_type == "Split" else proto.output[:1]  # others are of training
+    of_file = {"name": proto.name, "op_type": proto.op_type, "opset": version, "inputs": tuple(proto.input)}
+    node = Node(**of_file, outputs=tuple(outputs), attributes=attributes)
     for one in proto.attribute:
         if one.type == _TENSOR:
             attributes[one.name] = array(one.t)
         elif one.type in _PLAIN and not one.ref_attr_name:
-            attributes[one.name] = _plain(one)
+            value = helper.get_attribute_value(one)
+            attributes[one.name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         else:
-            raise plain.refuse(f"attribute {one.name!r} is a graph or of another kind, expected numbers")
-    return Node(**{**plain.__dict__, "attributes": attributes})
-
-
-def _plain(attribute: Any) -> Any:
-    from onnx import helper
-
-    return helper.get_attribute_value(attribute)
+            raise node.refuse(f"attribute {one.name!r} is a graph or of another kind, expected numbers")
+    return node
 
 
 def _needed(nodes: Sequence[Any], outputs: Sequence[str]) -> Iterator[Any]:

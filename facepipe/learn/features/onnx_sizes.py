@@ -39,10 +39,10 @@ def _shapes(node: Node, operator: Operator, inputs: Sequence[Tensor | None]) -> 
     first, *rest = inputs or (None,)
     if node.op_type == "ConstantOfShape" and first is not None and not first.is_meta:
         return (torch.empty(whole(first), device="meta"),)
-    if node.op_type in ("Shape", "Size") and first is not None:
+    if node.op_type == "Shape" and first is not None:
         first = torch.zeros(()).expand(first.shape)  # takes no memory
         rest = []
-    small = all(one is None or not one.is_meta for one in inputs) or node.op_type in ("Shape", "Size")
+    small = all(one is None or not one.is_meta for one in inputs) or node.op_type == "Shape"
     tries = [[first, *rest]] if small else []
     for one in (*tries, [_meta(first), *rest], [_meta(each) for each in (first, *rest)]):
         try:

@@ -1,22 +1,15 @@
 """What each ONNX operator does to tensors of torch, one small function an operator.
 
-Source: the ONNX operator specification (onnx.ai/onnx/operators); tests compare each with onnxruntime.
+They are those that exports of face recognition (ArcFace, MobileFaceNet), face parsing (BiSeNet) and heads of
+attributes or landmarks use. Source: the ONNX operator specification (onnx.ai/onnx/operators); tests compare each with
+onnxruntime.
 """
 
 from __future__ import annotations
 
 from facepipe.learn.features.node import Operator
-from facepipe.learn.features.operators import (
-    elementwise,
-    indexing,
-    normalizations,
-    pools,
-    products,
-    reductions,
-    resize,
-    shapes,
-)
+from facepipe.learn.features.operators import elementwise, layers, resize, shapes
 
-_PARTS = (elementwise, indexing, normalizations, pools, products, reductions, resize, shapes)
+_PARTS = (elementwise, layers, resize, shapes)
 
 OPERATORS: dict[str, Operator] = {name: operator for part in _PARTS for name, operator in part.TABLE.items()}
