@@ -148,6 +148,7 @@ FAULTS = {
     "other domain": (faulty(node("Relu", ["x"], ["y"], name="n", domain="com.a")), "node 'n': .*domain 'com.a'"),
     "subgraph": (faulty(subgraph(), c=np.bool_(True)), "node 'choice': operator If"),
     "unknown input": (faulty(node("Add", ["x", "z"], ["y"])), "operator Add: input 'z'"),
+    "no input": (faulty(node("Identity", [""], ["y"])), "operator Identity: input '', which"),
     "wrong order": (faulty(node("Relu", ["z"], ["y"]), node("Relu", ["x"], ["z"])), "operator Relu: input 'z'"),
     "made twice": (faulty(node("Relu", ["x"], ["y"]), node("Tanh", ["x"], ["y"])), "operator Tanh: output 'y'"),
     "no output": (faulty(node("Relu", ["x"], ["z"])), "output 'y'"),

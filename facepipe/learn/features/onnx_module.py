@@ -134,8 +134,8 @@ def _needed(nodes: Sequence[Any], outputs: Sequence[str]) -> Iterator[Any]:
 def _check_order(steps: Sequence[tuple[Node, Operator]], given: set[str], outputs: Sequence[str]) -> None:
     known = set(given)
     for node, _ in steps:
-        for name in node.inputs:
-            if name and name not in known:
+        for place, name in enumerate(node.inputs):
+            if name not in known and (name or place == 0):
                 raise node.refuse(f"input {name!r}, which nothing before it makes")
         for name in node.outputs:
             if name in known:
