@@ -161,6 +161,7 @@ FAULTS = {
     "few inputs": (faulty(node("Conv", ["x"], ["y"], name="c")), "node 'c': operator Conv: can't work"),
     "bad axis": (faulty(node("Softmax", ["x"], ["y"], name="s", axis=9)), "node 's': operator Softmax"),
     "huge": (faulty(node("Expand", ["x", "w"], ["y"]), w=np.array([2**40, 1, 1, 1])), "operator Expand: a value of"),
+    "negative": (faulty(node("ConstantOfShape", ["w"], ["y"]), w=np.array([-1, 2])), "ConstantOfShape: can't work"),
     "training": (
         faulty(node("BatchNormalization", list("xwwww"), ["y"], training_mode=1), w=np.ones(2, "f")),
         "training_mode",

@@ -37,8 +37,8 @@ def check_sizes(steps: Sequence[tuple[Node, Operator]], values: Mapping[str, Ten
 def _shapes(node: Node, operator: Operator, inputs: Sequence[Tensor | None]) -> tuple[Tensor, ...]:
     """What a node makes, as shapes where that suffices; nothing where it takes numbers that are not there."""
     first, *rest = inputs or (None,)
-    if node.op_type == "ConstantOfShape" and first is not None and not first.is_meta:
-        return (torch.empty(whole(first), device="meta"),)
+    if node.op_type == "ConstantOfShape":
+        operator = _empty
     if node.op_type == "Shape" and first is not None:
         first = torch.zeros(()).expand(first.shape)  # takes no memory
         rest = []
@@ -51,6 +51,10 @@ def _shapes(node: Node, operator: Operator, inputs: Sequence[Tensor | None]) -> 
             continue
         return tuple(found) if isinstance(found, tuple) else (found,)
     return ()
+
+
+def _empty(node: Node, shape: Tensor) -> Tensor:
+    return torch.empty(whole(shape), device="meta")
 
 
 def _kept(value: Tensor) -> Tensor:
