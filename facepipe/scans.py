@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
 
 LANDMARK_SCHEME = "multipie68"
 LANDMARK_COUNT = 68

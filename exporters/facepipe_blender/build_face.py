@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.hosting.edited_face import edited_face, made_face
 from facepipe.hosting.host_face import recipe_from
-from facepipe.parts import FaceParts, FloatArray, Material, Mesh
+from facepipe.parts import FaceParts, Material, Mesh
 
 from .face_objects import FaceObjects
 from .placement import between_stages, inverse, moved_face, moved_mesh, placed_face, snapped

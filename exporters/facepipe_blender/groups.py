@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError
 from facepipe.hosting.host_face import check_region_name
-from facepipe.parts import FloatArray, Skin
+from facepipe.parts import Skin
 
 REGION = "region:"  # before the name of a region, since bones are called `chin` too
 SUBSET = "subset:"  # before the name of a point subset, of boolean point attributes

@@ -11,8 +11,9 @@ import bpy
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
+from facepipe.core.arrays import FloatArray
 from facepipe.hosting.host_face import Face, faces_on, neural_rig_of
-from facepipe.parts import FloatArray, Mesh
+from facepipe.parts import Mesh
 
 from .read_armature import bone_matrices
 from .record import MESH, RECORD, Kept, keep, record_of

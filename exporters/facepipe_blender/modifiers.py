@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 
 
 @contextlib.contextmanager

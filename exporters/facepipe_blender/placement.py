@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import Blendshape, FaceParts, FloatArray, Inbetween, Mesh
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 
 from .read_armature import skeleton_at_rest
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import identifier, unique_identifiers
-from facepipe.parts import FloatArray, Skeleton
+from facepipe.parts import Skeleton
 
 
 def joint_paths(armature: Any) -> dict[str, str]:

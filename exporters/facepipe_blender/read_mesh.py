@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.hosting.host_face import sculpted
-from facepipe.parts import Blendshape, FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.parts import Blendshape, MaterialFaces, Mesh, Skin, UvSet
 
 from .groups import SUBSET, helper_groups, read_groups
 from .inbetween_keys import read_key_name

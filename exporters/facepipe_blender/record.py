@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import SchemaError
 from facepipe.hosting.host_face import face_from_bytes, face_to_bytes
-from facepipe.parts import FaceParts, FloatArray
+from facepipe.parts import FaceParts
 
 RECORD = "facepipe_record"  # property of objects: the text block
 MESH = "facepipe_mesh"  # property of mesh objects: the name of their mesh in the face

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 
 _UV_TYPES = ("texCoord2f[]", "float2[]")
 _OBJECT, _DATA = "blender:object_name", "blender:data_name"

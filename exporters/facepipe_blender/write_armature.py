@@ -8,7 +8,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from facepipe.parts import FloatArray, Skeleton
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Skeleton
 
 from .read_armature import joint_paths
 

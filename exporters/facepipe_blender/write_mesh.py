@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import Blendshape, FloatArray, IntArray, Mesh
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import Blendshape, Mesh
 
 from .groups import SUBSET, write_regions
 from .inbetween_keys import expressions, key_name

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import Animation, FloatArray, IntArray, Skeleton, exact
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import Animation, Skeleton, exact
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.resample import TICK
 from facepipe.rig.trs import Trs, decompose

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Mesh
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Mesh
 from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
 from facepipe_gltf.morphs import Morphs, blocks, without_small

@@ -8,18 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import ExportError
-from facepipe.parts import (
-    Animation,
-    Blendshape,
-    FaceParts,
-    FloatArray,
-    Inbetween,
-    Material,
-    Mesh,
-    Skeleton,
-    TextureInput,
-)
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, TextureInput
 
 _LARGEST = float(np.finfo(np.float32).max)
 

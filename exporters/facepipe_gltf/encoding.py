@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe_gltf.influences import float_weights, integer_weights
 
 _SHORT = 32767

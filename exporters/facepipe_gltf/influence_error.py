@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Animation, FaceParts, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.influences import LOST, merge

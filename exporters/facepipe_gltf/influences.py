@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
-from facepipe.parts import FloatArray, IntArray, Skin
+from facepipe.parts import Skin
 
 _EVERY = slice(None)
 _ROUNDING = 2e-7  # that a sum of float32 weights may be off

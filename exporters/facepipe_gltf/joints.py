@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import FloatArray, Skeleton
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Skeleton
 from facepipe.rig.trs import Trs, decompose
 from facepipe_gltf.placement import Space, accumulate, numbers
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals
-from facepipe.parts import FloatArray, IntArray
 from facepipe_gltf.sculpts import Sculpt
 
 _SAME = 1e-6  # smaller changes of a unit normal don't show

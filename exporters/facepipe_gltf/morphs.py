@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.buffers import Extent, Rows, require_finite
 from facepipe_gltf.encoding import Encoded
 from facepipe_gltf.placement import Placement

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals
-from facepipe.parts import FaceParts, FloatArray, IntArray, Mesh, Skeleton
+from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe_gltf.influences import merge
 
 _UNIT = 2e-7

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FloatArray
 from facepipe_gltf.read.accessors import Accessor, accessor, numbers
 from facepipe_gltf.read.document import Document, read_document
 from facepipe_gltf.read.values import Value

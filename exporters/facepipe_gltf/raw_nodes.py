@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.trs import rotation_matrices
 from facepipe_gltf.raw import Json, RawDocument, is_index
 

@@ -9,19 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import (
-    Animation,
-    Blendshape,
-    FaceParts,
-    FloatArray,
-    IntArray,
-    Material,
-    Mesh,
-    Recipe,
-    Skeleton,
-    TextureInput,
-    UvSet,
-)
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, TextureInput, UvSet
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe_gltf.baking import Baked

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FaceParts, FloatArray, IntArray, Mesh
+from facepipe.parts import FaceParts, Mesh
 from facepipe.records.fields import ArrayReader, ArrayWriter, from_json, to_json
 
 Json = dict[str, Any]

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
-from facepipe.parts import Blendshape, FaceParts, FloatArray, IntArray, Mesh, exact
+from facepipe.parts import Blendshape, FaceParts, Mesh, exact
 
 Json = dict[str, Any]
 Knots = tuple[tuple[float, float], ...]

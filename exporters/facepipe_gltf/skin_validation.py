@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe_gltf.raw import Json, RawDocument, is_index
 from facepipe_gltf.raw_nodes import local_matrix, parents, world_matrix
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.parts import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 
 
 def orientation(uvs: FloatArray) -> IntArray:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import triangulate
-from facepipe.parts import FloatArray, IntArray, Mesh
+from facepipe.parts import Mesh
 
 
 @dataclass(frozen=True)

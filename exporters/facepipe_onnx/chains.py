@@ -7,13 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx.joints import level_nodes, tree_order
 from facepipe_onnx.transforms import local_nodes
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 class Chains(NamedTuple):

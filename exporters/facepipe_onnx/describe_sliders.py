@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Mesh, Slider, SliderNetwork
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Mesh, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.activation import curves
 

@@ -12,9 +12,9 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.onnx_graph import Nodes
@@ -24,9 +24,6 @@ from facepipe_onnx.joints import tree_order, world_nodes
 from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
 from facepipe_onnx.partition import Partition, block_size, partition
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def select_shapes(rig: Rig, names: tuple[str, ...]) -> Rig:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx.transforms import local_nodes
-
-IntArray = npt.NDArray[np.integer]
 
 
 def tree_order(parents: IntArray) -> tuple[IntArray, IntArray]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import FloatArray
 from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx.partition import Group, Partition
-
-FloatArray = npt.NDArray[np.floating]
 
 ENTRY_BYTES = 12  # one offset
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.onnx_graph import Nodes
 from facepipe.parts import Slider, SliderNetwork
@@ -14,9 +14,6 @@ from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.slider_network import ACTIVATIONS
 from facepipe_onnx.packed_weights import PackedNodes, follow, product_nodes
 from facepipe_onnx.ramps import Ramps
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _OPERATORS = {"tanh": "Tanh", "relu": "Relu", "silu": "Sigmoid"}
 

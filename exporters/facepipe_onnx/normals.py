@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.onnx_graph import Nodes
-
-IntArray = npt.NDArray[np.integer]
 
 _SMALLEST = 1e-18  # of a squared length: shorter sums stay as they are, and give (near) zero normals
 

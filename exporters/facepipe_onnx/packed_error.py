@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Slider
 from facepipe.rig import Rig
 from facepipe_onnx.slider_samples import slider_samples
-
-FloatArray = npt.NDArray[np.floating]
 
 _VECTORS = 256
 

@@ -12,11 +12,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.onnx_graph import Nodes
-
-FloatArray = npt.NDArray[np.floating]
 
 _FLOAT = 1  # TensorProto.FLOAT
 _LEVELS = 127

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
+
 Mask = npt.NDArray[np.bool_]
 
 # Costs in bytes of stored tensors that could be read meanwhile, at 25 GB/s.

@@ -11,16 +11,13 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.onnx_graph import Nodes
 from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 class Ramps(NamedTuple):

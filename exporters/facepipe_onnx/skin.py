@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
 from facepipe_onnx.joints import tree_order
 from facepipe_onnx.partition import Partition
-
-FloatArray = npt.NDArray[np.floating]
 
 ENTRY_BYTES = 4  # one skin weight
 

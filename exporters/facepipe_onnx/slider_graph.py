@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
-from facepipe.parts import FloatArray, IntArray, Slider, SliderNetwork
+from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import Rig, rest_coefficients, slide
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept

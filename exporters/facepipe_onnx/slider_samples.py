@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Slider
 from facepipe_onnx.ramps import Ramps
-
-FloatArray = npt.NDArray[np.floating]
 
 _BUSY = (0.05, 0.2, 0.5, 1.0)  # shares of the sliders that are off their defaults
 

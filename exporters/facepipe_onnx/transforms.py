@@ -5,11 +5,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.onnx_graph import Nodes
-
-FloatArray = npt.NDArray[np.floating]
 
 _ORDER = (2, 0, 1)  # axes of Rz Rx Ry
 

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.finite import require_finite
 from facepipe.core.names import select
 from facepipe.core.reports import ExportReport
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import FaceParts, HasParts, IntArray, Slider
+from facepipe.parts import FaceParts, HasParts, Slider
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe.rig.linear_skinning import linear_skinning_notes

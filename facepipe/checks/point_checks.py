@@ -8,8 +8,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from facepipe.checks.problem import Problem, at, outside
-from facepipe.checks.views import FaceView, FloatArray, MeshView, array, numbers, value, words
+from facepipe.checks.views import FaceView, MeshView, array, numbers, value, words
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 
 REGION_SUM_TOLERANCE = 1e-3
 

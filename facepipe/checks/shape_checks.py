@@ -9,7 +9,8 @@ import numpy as np
 from pxr import Usd, UsdSkel
 
 from facepipe.checks.problem import Problem, at, outside, some
-from facepipe.checks.views import FaceView, FloatArray, MeshView, numbers
+from facepipe.checks.views import FaceView, MeshView, numbers
+from facepipe.core.arrays import FloatArray
 from facepipe.stage.read_blendshapes import MOST_INBETWEENS
 
 

@@ -11,8 +11,9 @@ from pxr import Sdf, Usd
 
 from facepipe.checks.problem import Problem, at, some
 from facepipe.checks.skin_checks import is_singular
-from facepipe.checks.views import FaceView, FloatArray, SkeletonView, array, numbers, times, value, words
+from facepipe.checks.views import FaceView, SkeletonView, array, numbers, times, value, words
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 
 _Transforms = tuple[tuple[str, FloatArray | None], ...]
 

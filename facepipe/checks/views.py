@@ -7,17 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.traversal import check_kinds, prims_below
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> Any:

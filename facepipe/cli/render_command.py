@@ -19,7 +19,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import named
 
 if TYPE_CHECKING:
-    from facepipe.parts import FloatArray
+    from facepipe.core.arrays import FloatArray
     from facepipe.pictures import HeatMap
     from facepipe.stage import Face
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
-
-FloatArray = npt.NDArray[np.floating]
 
 _STEPS = 100
 _SETTLED = 1e-12  # of the radius

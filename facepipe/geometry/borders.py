@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import edges
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def back_of_border(points: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> int | None:

@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
 
 JOINT_REACH = 1.5  # a joint's bridges go to the points up to this many times as far as the nearest one
 JOINT_BRIDGES = 256  # at most, the nearest ones

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.block_system import BlockSystem, Groups, pairs_within
 from facepipe.geometry.elimination import Elimination
 from facepipe.geometry.point_factor import PointFactor
 from facepipe.geometry.triangle_changes import Neighbours, TriangleChanges
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)

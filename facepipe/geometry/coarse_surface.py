@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.small_holes import small_holes
 from facepipe.geometry.vectors import unit_vectors
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _DISC = 6  # corners
 

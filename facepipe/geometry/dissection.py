@@ -8,11 +8,8 @@ sides are vertex covers of the links across (Koenig's theorem).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 _CUTS = (0.4, 0.5, 0.6)  # shares of a part's points on the lower side that are tried
 _AXES = 2  # of a part's principal axes, the longest ones, that are tried

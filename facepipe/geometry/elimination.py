@@ -13,12 +13,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.dissection import dissect, principal
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _MOST = 48  # points of a front that is not cut further: larger ones cost arithmetic, smaller ones calls
 

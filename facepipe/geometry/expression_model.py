@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import coefficients_in
 from facepipe.geometry.trust import Block, trust
 from facepipe.geometry.tucker import hosvd
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-
-FloatArray = npt.NDArray[np.floating]
 
 Solver = Literal["auto", "cholespy", "splu"]
 

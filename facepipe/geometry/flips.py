@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 # Twice the area, relative to the square of the longest side, below which the normal is float32 rounding.
 _FLAT = 1e-6

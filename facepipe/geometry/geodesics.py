@@ -16,12 +16,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import triangulate
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _TINY = 1e-12  # shortest edge of the graph, of the largest coordinate: csgraph takes 0 for no edge
 

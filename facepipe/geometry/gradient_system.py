@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.bridges import Bridges
 from facepipe.geometry.differences import incidence
 from facepipe.geometry.factor import Factor, Solver, factorise
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 Mask = npt.NDArray[np.bool_]
 
 

@@ -16,14 +16,11 @@ quadratic program a joint over all points instead of one factorisation for all j
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 SMALLEST_SHARE = 1e-3  # weights below are left out: they cost an influence and move nothing
 _COLUMNS = 64  # right hand sides at a time: a bound on memory

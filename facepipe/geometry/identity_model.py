@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-
-FloatArray = npt.NDArray[np.floating]
 
 _NOTHING = 1e-10  # of the largest deviation: rounding, no component
 

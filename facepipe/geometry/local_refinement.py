@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.change_smoothness import ChangeSmoothness
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
@@ -21,9 +21,6 @@ from facepipe.geometry.registration.membrane import pairs_of
 from facepipe.geometry.registration.robust import means_around
 from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 
 class _Stage(NamedTuple):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import fit_similarity
-
-FloatArray = npt.NDArray[np.floating]
 
 _FEWEST = 4  # fewer points lie in a plane, which has no mirror image of its own
 

@@ -11,10 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
 
 _PARTS = 5  # of the examples, each left out once
 _MOST = 400  # points that the noise is chosen at

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 _MIXED = 3  # points nearest in direction
 _NEAREST = 1e-6  # angles below this count as this: at a point itself its own radius is all that counts

@@ -7,13 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
 from facepipe.geometry.region_texels import Image8, Palette, texel_shares
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _TAPS = 8  # lookups a side of a footprint, at most
 _SLACK = 1e-6  # in UV: what exporters leave of an exact 0 or 1

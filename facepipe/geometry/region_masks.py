@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import components
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _ROUNDING = 1e-5  # sums of masks closer to 1 than this were 1 before they were stored
 _SHORTEST = 1e-6  # of the mean edge: shorter edges count as this long

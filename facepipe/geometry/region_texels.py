@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+
 Image8 = npt.NDArray[np.uint8]
 
 UNKNOWN = -1

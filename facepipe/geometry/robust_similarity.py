@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import Similarity, fit_similarity
-
-FloatArray = npt.NDArray[np.floating]
 
 _TRIALS = 300  # of four pairs: with a third of them wrong one in five is clean
 _SAMPLE = 4

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.surface_sheets import Sheets, cut_sheets, outwardness
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
 _TELLING = 0.02  # outwardness below which a sheet says nothing about its outside; a sphere's is 0.28

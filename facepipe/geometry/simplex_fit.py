@@ -15,12 +15,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _PULL = 1e-8  # towards the step before, relative to the largest curvature
 _SETTLED = 1e-11  # gap at which steps end

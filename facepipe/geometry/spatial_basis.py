@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 _NOTHING = 1e-12  # of the largest squared length: rounding, no direction
 _ROUNDING = 1e-6  # of the largest coefficients: float32, no direction

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 _STEPS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a block's mean square
 

@@ -17,12 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import Similarity, fit_similarity
-
-FloatArray = npt.NDArray[np.floating]
 
 _PAIRS = 1 << 22  # point-landmark pairs at a time: a bound on memory
 

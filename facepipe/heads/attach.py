@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
 from facepipe.heads import topology
-from facepipe.parts import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads.rig import HEAD, JAW, Rig
-from facepipe.parts import Animation, FloatArray
+from facepipe.parts import Animation
 
 TALK = "talk"
 _RATE = 24

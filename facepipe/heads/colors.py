@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads import eyes, features, layout, mouth, scalp
 from facepipe.heads.identity import Identity
-from facepipe.parts import FloatArray
 
 
 def head(points: FloatArray, who: Identity) -> FloatArray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads.identity import Identity
-from facepipe.parts import FloatArray
 
 RINGS = 8
 _CENTER = np.array([1.35, 0.15])  # of the outline, in the ear's plane: backwards, upwards

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads.fields import HINGE, Fields
-from facepipe.parts import FloatArray
 
 Expression = Callable[[Fields], FloatArray]
 JAW_OPEN = np.radians(14.0)

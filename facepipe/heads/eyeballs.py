@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads import texture as baking
 from facepipe.heads.identity import Identity
 from facepipe.heads.solids import Solid, sphere
-from facepipe.parts import FloatArray, IntArray, Texture, TextureInput
+from facepipe.parts import Texture, TextureInput
 
 PUPIL = 9.5  # degrees from the eye's axis
 IRIS = 25.5

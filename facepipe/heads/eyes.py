@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads.identity import Identity
-from facepipe.parts import FloatArray
 
 RIM = 6  # ring of the lid rim's front edge
 RINGS = 10

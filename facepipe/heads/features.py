@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads.identity import Identity
-from facepipe.parts import FloatArray
 
 
 def displace(base: FloatArray, who: Identity) -> FloatArray:

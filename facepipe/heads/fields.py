@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.heads import layout, mouth, topology
 from facepipe.heads.identity import Identity
 from facepipe.heads.layout import smoothstep
-from facepipe.parts import FloatArray
 
 _TAIL = 0.004  # cut off Gaussians, so that shapes stay sparse
 HINGE = np.array([0.0, -2.2, 0.6])  # axis of the jaw
@@ -70,7 +70,7 @@ def _jaw() -> FloatArray:
     return np.asarray(smoothstep(0.0, 1.0, solved) * 0.5 + np.clip(solved, 0, 1) * 0.5)
 
 
-def _jaw_bounds(labels: layout.Layout) -> tuple[topology.BoolArray, FloatArray]:
+def _jaw_bounds(labels: layout.Layout) -> tuple[BoolArray, FloatArray]:
     """(n,) bool where the jaw's share is known, and (n,) that share."""
     level = topology.row_levels()[labels.row]
     column = np.abs(labels.column)

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads import ears, eyes, features, mouth, topology
 from facepipe.heads.identity import Identity
 from facepipe.heads.skull import Skull, build
-from facepipe.parts import FloatArray
 
 _STEPS = np.concatenate([np.full(8, 1.4), np.full(11, 2.0), [2.6, 3.4, 4.2, 5.0, 5.8]])
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads import eyeballs, strands, teeth, texture
 from facepipe.heads.identity import Color, Identity
-from facepipe.parts import FloatArray, Material
+from facepipe.parts import Material
 
 
 def build(who: Identity, skin: FloatArray) -> tuple[Material, ...]:

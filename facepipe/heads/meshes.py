@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import colors, eyeballs, eyes, head, scalp, skull, strands, teeth, topology, uv
 from facepipe.heads.identity import Identity
 from facepipe.heads.solids import Solid
-from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh
+from facepipe.parts import MaterialFaces, Mesh
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads import features
 from facepipe.heads.identity import Identity
 from facepipe.heads.skull import Skull
-from facepipe.parts import FloatArray
 
 OUTLINE = 5  # ring of the border between skin and lip red
 CONTACT = 9  # ring where the closed lips touch

@@ -6,9 +6,8 @@ from functools import cache
 
 import numpy as np
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.heads import layout, topology
-from facepipe.heads.topology import BoolArray
-from facepipe.parts import FloatArray, IntArray
 
 NAMES = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")
 _SOFTENING = 6  # steps of averaging over neighbours

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.heads import eyes, mouth, topology
 from facepipe.heads.fields import HINGE
 from facepipe.heads.identity import Identity
-from facepipe.parts import FloatArray, Skeleton
+from facepipe.parts import Skeleton
 
 HEAD = "root/neck/head"
 JAW = "root/neck/head/jaw"

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FloatArray, IntArray, UvSet
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import UvSet
 
 
 @dataclass(frozen=True)

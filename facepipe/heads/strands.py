@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import eyes, layout, topology
 from facepipe.heads.attach import Attachment, frontal
 from facepipe.heads.identity import Identity
 from facepipe.heads.solids import Solid, joined, strip
-from facepipe.parts import FloatArray, IntArray
 
 _ACROSS = 15
 _ALONG = 4

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads import mouth
 from facepipe.heads.identity import Identity
 from facepipe.heads.solids import Solid, sphere, strip
-from facepipe.parts import FloatArray, IntArray
 
 _TEETH = 14
 _SAMPLES = 3  # per tooth

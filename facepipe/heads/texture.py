@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads import topology, uv
-from facepipe.parts import FloatArray, IntArray, Texture, TextureInput
+from facepipe.parts import Texture, TextureInput
 
 SIZE = 512
 

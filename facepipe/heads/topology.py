@@ -15,13 +15,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import edges
-from facepipe.parts import FloatArray, IntArray
 
 COLUMNS = 80
-BoolArray = npt.NDArray[np.bool_]
 CAP = COLUMNS // 4  # cells along one side of the crown cap
 
 

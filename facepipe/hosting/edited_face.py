@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.hosting.edited_mesh import edited_mesh, same_topology, summed_to_one, with_normal_offsets
-from facepipe.parts import BoneLimits, FaceParts, FloatArray, IntArray, Mesh, Skeleton, Slider, SliderNetwork
+from facepipe.parts import BoneLimits, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.differences import same

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray, Mesh, Skin, UvSet
+from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, UvSet
 from facepipe.processors.blend.normals import normal_offsets
 
 _SHARE = 1e-6  # weights and masks, UVs and colours nearer than this are the same

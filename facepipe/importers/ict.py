@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reading import read_json
 from facepipe.declare import check_ranges
@@ -33,8 +33,6 @@ from facepipe.stage.imported import Imported, import_recipe
 
 Options = IctOptions
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _MOST_BYTES = 1 << 20  # of a file of weights
 _LARGEST_WEIGHT = 1e3  # standard deviations; far beyond any face, small enough for sums

@@ -8,14 +8,11 @@ become a clear Cornea and the innermost faces of the iris a Pupil.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.importers.ict_model import IctModel
 from facepipe.importers.ict_topology import MATERIALS, PARTS
 from facepipe.importers.mesh_pieces import face_corners
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 IRIS_RADIUS = 0.6  # cm, across the axis of the eye, which looks along +Z
 PUPIL_RADIUS = 0.22  # cm

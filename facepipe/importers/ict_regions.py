@@ -13,11 +13,9 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.importers.ict_topology import LANDMARKS, PARTS
-
-FloatArray = npt.NDArray[np.floating]
 
 BLEND = 0.35  # cm
 

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier
 from facepipe.declare import check_ranges
@@ -31,8 +31,6 @@ from facepipe.stage.imported import Imported, import_recipe
 
 Options = MakeHumanOptions
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 ATTRIBUTION = (
     "MakeHuman base mesh, targets, rig and pose units, CC0 1.0. MakeHuman team; Data Collection AB, Joel Palmius, "

@@ -6,12 +6,10 @@ Picture: docs/makehuman_landmarks.png. The jaw line follows the silhouette seen 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError
 from facepipe.importers.makehuman_data import MakeHumanData
-
-IntArray = npt.NDArray[np.integer]
 
 # fmt: off
 BASE_VERTICES = (  # vertex numbers of base.obj, 0-based

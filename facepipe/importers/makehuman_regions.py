@@ -8,12 +8,10 @@ their strength. The cranium, which hardly any target shapes, goes to forehead; t
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.importers.makehuman_data import MakeHumanData
-
-FloatArray = npt.NDArray[np.floating]
 
 REGIONS = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")
 

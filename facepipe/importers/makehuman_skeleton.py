@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles, unique_identifiers
 from facepipe.importers.makehuman_data import MakeHumanData
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import matrix_coefficients
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _SAME_PLACE = 1e-5  # decimetres: a plane point is the joint that it coincides with on the base mesh
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import unique_identifiers
 from facepipe.importers.makehuman_data import MakeHumanData
 from facepipe.parts import Curve, Skeleton, Slider
 from facepipe.rig import CHANNELS, matrix_coefficients
 from facepipe.rig.sliders import with_mutual_mirrors
-
-FloatArray = npt.NDArray[np.floating]
 
 _ANGLE = 2e-4  # radians that an angle may be off between two knots
 _STILL = 1e-5  # radians that are rounding in the data: bones turned by less stay

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.declare import check_ranges
@@ -27,9 +27,6 @@ from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 
 Options = ObjOptions
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def read(source: Path, options: Options) -> Imported:

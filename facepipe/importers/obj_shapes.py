@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.importers.wavefront import Obj, read_obj
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def read_offsets(path: Path, neutral: Obj) -> FloatArray:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.merged_points import merge_points
@@ -23,7 +24,7 @@ from facepipe.importers.scan_ply import read_ply
 from facepipe.importers.scan_texture import point_colors
 from facepipe.importers.scan_trimesh import read_off, read_stl
 from facepipe.importers.wavefront import Obj, read_obj
-from facepipe.parts import FloatArray, Material, Mesh, UvSet
+from facepipe.parts import Material, Mesh, UvSet
 from facepipe.scans import Scan
 from facepipe.stage.imported import Imported
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
@@ -19,7 +20,7 @@ from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import point_triangles
 from facepipe.importers.ply_elements import Columns, Element, Lists, read_elements
 from facepipe.importers.wavefront import LARGEST
-from facepipe.scans import FloatArray, IntArray, Scan, no_triangles
+from facepipe.scans import Scan, no_triangles
 
 MOST_BYTES = 1 << 31
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
-from facepipe.parts import FloatArray, IntArray, Material, Mesh, Texture, TextureInput, UvSet
+from facepipe.parts import Material, Mesh, Texture, TextureInput, UvSet
 
 _TEXELS = 8  # a point: beyond, a texture holds pores that points can only make noise of
 

@@ -8,23 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
 from facepipe.importers.options import UsdOptions
-from facepipe.parts import (
-    Animation,
-    FaceParts,
-    FloatArray,
-    IntArray,
-    Material,
-    Mesh,
-    Skeleton,
-    Slider,
-    SliderNetwork,
-    Texture,
-    TextureInput,
-)
+from facepipe.parts import Animation, FaceParts, Material, Mesh, Skeleton, Slider, SliderNetwork, Texture, TextureInput
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.imported import Imported, as_told, import_recipe

@@ -15,13 +15,10 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 MAX_BYTES = 1 << 30
 LARGEST = 1e30  # of a number: it stays finite in float32, its square in float64

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 NEAR = 1e-6  # smallest depth, in stage units, that counts as in front of the camera
 _SMALL = 1e-4  # squared angle below which series stand for sines

@@ -13,13 +13,11 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.one_thread import one_thread
-
-FloatArray = npt.NDArray[np.floating]
 
 LEVELS = 8  # from the strength to nothing
 RATE = 2e-3

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.network_fit import Samples, Trained, train
 from facepipe.learn.sliders import DifferentiableSliders
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import channel_entries, shape_entries, with_entries
-
-FloatArray = npt.NDArray[np.floating]
 
 SAMPLES, CHECKED = 8192, 2048
 LEAST_MM = 1e-6  # straight entries that move no point further over their slider's range are left out

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.encoder_descent import EncoderDescent, EncoderLimits
 from facepipe.learn.encoder_last import last_layer
 from facepipe.learn.encoder_network import EncoderNetwork, EncoderSize, as_tensor, first_weights
@@ -17,7 +18,6 @@ from facepipe.learn.one_thread import one_thread
 from facepipe.learn.training_state import restoring
 
 Array = npt.NDArray[Any]
-FloatArray = npt.NDArray[np.floating]
 
 LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 can tell
 

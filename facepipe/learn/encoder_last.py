@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.ridge import ridge
-
-FloatArray = npt.NDArray[np.floating]
 
 _DOUBTS = (0.003, 0.01, 0.03, 0.1, 0.3, 10.0)  # noise of reduced features, within -1..1: with the last, none counts
 

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.encoder import Weights, evaluate, reduced
-
-FloatArray = npt.NDArray[np.floating]
 
 _POINT_UNITS, _FEATURES = 32, 8
 _FIXED = ("scale", "straight", "offset")

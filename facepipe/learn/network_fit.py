@@ -11,12 +11,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.network_descent import Descent, Network, Schedule
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.training_state import restoring
 
 Array = npt.NDArray[Any]
-FloatArray = npt.NDArray[np.floating]
 
 RIDGE = 1e-9  # of the mean square of the features
 

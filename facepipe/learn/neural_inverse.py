@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.control_shares import share_limits
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
 
 LAST_RATE = 0.01  # of the first
 

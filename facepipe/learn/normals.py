@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy import sparse
 from torch import Tensor
 
+from facepipe.core.arrays import IntArray
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.rows import take
-
-IntArray = npt.NDArray[np.integer]
 
 
 class PointNormals:

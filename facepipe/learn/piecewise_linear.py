@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

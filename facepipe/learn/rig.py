@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
 from facepipe.learn.sliders import DifferentiableSliders
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
 
 
 class DifferentiableRig:

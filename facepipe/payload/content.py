@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 Precision = Literal["float16", "float32"]
 

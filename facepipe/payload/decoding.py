@@ -6,8 +6,8 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.payload.content import PayloadContent
 from facepipe.payload.layout import (
@@ -29,9 +29,6 @@ from facepipe.payload.layout import (
     joints_hash,
     most_values,
 )
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def read_header(data: bytes, where: object) -> Header:

@@ -8,6 +8,7 @@ import zlib
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.payload.content import Encoded, PayloadContent
 from facepipe.payload.layout import (
@@ -29,9 +30,6 @@ from facepipe.payload.layout import (
     joints_hash,
     most_values,
 )
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _CHANNELS = ("translation", "rotation", "scale")
 

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.payload.content import Precision
-
-FloatArray = npt.NDArray[np.floating]
 
 MAGIC = b"FPBC"
 VERSION = 1

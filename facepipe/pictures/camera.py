@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 
-FloatArray = npt.NDArray[np.floating]
 View = Literal["front", "side", "three-quarter"] | tuple[float, float]
 
 # Yaw turns the camera towards the subject's left, pitch raises it; radians.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.pictures.heatmap import ticks
 from facepipe.pictures.overlay import INK
 from facepipe.pictures.typesetting import (
@@ -28,7 +28,6 @@ from facepipe.pictures.typesetting import (
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 TOTAL = "total"
 HEIGHT = 620  # pixels of the plot

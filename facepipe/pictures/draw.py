@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
 from facepipe.pictures.shade import Shader
 from facepipe.pictures.textures import linear_to_srgb
 
-FloatArray = npt.NDArray[np.floating]
 Image8 = npt.NDArray[np.uint8]
 
 SAMPLES_PER_BAND = 1_500_000

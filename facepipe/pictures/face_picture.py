@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
@@ -28,7 +29,6 @@ from facepipe.pictures.textures import TextureCache, srgb_to_linear
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 Color = tuple[float, float, float]
 
 SMALLEST, LARGEST = 16, 4096  # pixels a side

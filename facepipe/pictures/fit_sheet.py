@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
@@ -21,7 +21,6 @@ from facepipe.scans import Scan
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 _VIEWS: tuple[View, ...] = ("front", (-0.66, 0.07))  # the face looks to the colour bar's side, the neck away from it
 _MARGIN = np.array([0.62, 0.62, 0.5])  # of the landmarks' size, to either side: what is looked at

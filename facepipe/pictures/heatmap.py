@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.pictures.textures import srgb_to_linear
-
-FloatArray = npt.NDArray[np.floating]
 
 # Eleven sRGB stations of viridis (CC0), a perceptually even map that colour-blind readers can tell apart.
 STATIONS = (

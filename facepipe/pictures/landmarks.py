@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import FaceParts
@@ -18,8 +19,6 @@ from facepipe.pictures.scene import Scene
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 DOT = (226, 40, 52)
 HIDDEN = 0.35  # opacity of landmarks behind the surface

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.pictures.rasterise import rasterise, screen_triangles
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 AMBIENT_DIRECTIONS = 24
 AMBIENT_RESOLUTION = 256

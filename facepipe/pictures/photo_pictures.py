@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
 from facepipe.pictures.textures import linear_to_srgb, srgb_to_linear
 from facepipe.pictures.typesetting import Color, Shapes
@@ -16,7 +16,6 @@ from facepipe.pictures.wireframe import wireframe
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 GROUND: Color = (236, 237, 240)  # where there is no photo
 GIVEN: Color = (255, 255, 255)  # rings

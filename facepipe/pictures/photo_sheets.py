@@ -8,8 +8,8 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.finite import require_finite
 from facepipe.parts import FaceParts
@@ -24,7 +24,6 @@ from facepipe.pictures.typesetting import BODY, MUTED, SMALL, TITLE, below, besi
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 WIDTH, BORDER, GAP = 2400, 84, 36  # pixels
 INNER = WIDTH - 2 * BORDER

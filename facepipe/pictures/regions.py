@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, all_regions
 from facepipe.pictures.heatmap import NO_VALUE
@@ -17,7 +17,6 @@ from facepipe.pictures.textures import srgb_to_linear
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 # sRGB: the colours of Okabe and Ito but black, made for colour-blind readers; then each time the one that, in OKLab, is
 # farthest from those before and from NO_VALUE as full, deutan and protan sight see them.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.pictures.landmarks import DOT
@@ -17,7 +17,6 @@ from facepipe.pictures.surface_view import draw_surface
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 _FINE = 2  # pixels drawn for one of the sheet, so that dots have smooth edges
 _HIDDEN = (240, 170, 170)

@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.parts import FaceParts, Material, Mesh, UvSet
 from facepipe.pictures.camera import y_up
 from facepipe.pictures.occlusion import ambient_occlusion
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
 

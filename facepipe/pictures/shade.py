@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.heatmap import HeatMap
@@ -16,9 +17,6 @@ from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
 from facepipe.pictures.rasterise import barycentrics
 from facepipe.pictures.scene import Scene, Surface
 from facepipe.pictures.textures import TextureCache
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import Frame, portrait
@@ -21,7 +22,6 @@ from facepipe.pictures.typesetting import MUTED, SMALL, below, beside, block, he
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 MOST = 12  # shapes that are drawn
 _COLUMNS, _SAMPLES, _GAP, _BORDER = 4, 2, 10, 28

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
-
-FloatArray = npt.NDArray[np.floating]
 
 _CLAY = (0.50, 0.40, 0.345)  # linear; of surfaces without colours
 _BEHIND = 0.5  # linear grey

@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.images import open_image, pixels
 from facepipe.parts import Texture, TextureInput
 
-FloatArray = npt.NDArray[np.floating]
 Pixels = npt.NDArray[np.float32]
 
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.pictures.curves import loss_curves
 from facepipe.pictures.face_picture import save_png
-
-FloatArray = npt.NDArray[np.floating]
 
 WIDTH = 1600
 NOTE = "error of frames that are learned and of others, RMS, in shares of what is not straight, by step"

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import Frame, View, portrait
 from facepipe.pictures.color_scale import color_scale
@@ -21,7 +19,6 @@ from facepipe.scans import Scan
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
 
 # The face's left shows from the right of the sheet: a face that turns its head from left to right.
 _VIEWS: tuple[View, ...] = ((-0.66, 0.05), (0.0, 0.0), (0.66, 0.05))

@@ -7,8 +7,8 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.pictures.overlay import INK, font
 from facepipe.pictures.sheet import PAPER
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-FloatArray = npt.NDArray[np.floating]
 Color = tuple[int, int, int]
 
 BODY, SMALL, HEADING, TITLE = 25.0, 21.0, 32.0, 56.0  # heights of letters, pixels

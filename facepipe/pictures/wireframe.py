@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import edges
 from facepipe.parts import FaceParts
 from facepipe.pictures.rasterise import NEAR, rasterise, screen_triangles
@@ -15,8 +16,6 @@ from facepipe.pictures.scene import build_scene
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 FINE = 3  # samples per pixel and direction: lines are three samples, one pixel, wide
 SLACK = 2e-4  # of the depth: a point is hidden by what is nearer by more than that

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
-from facepipe.parts import Animation, FloatArray, Recipe
+from facepipe.parts import Animation, Recipe
 from facepipe.payload import PayloadContent
 from facepipe.processors.bone_limits import beyond_limits, within_limits
 from facepipe.stage import Face

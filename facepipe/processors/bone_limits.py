@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits
 from facepipe.payload import PayloadContent, as_stored
 from facepipe.rig import CHANNELS
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def check_limits(joints: Sequence[str], limits: BoneLimits) -> None:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Mesh
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import open_face
 from facepipe.stage.point_cache import CachedMesh, PointCache
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

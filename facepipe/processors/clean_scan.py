@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
 from facepipe.declare import check_ranges, option
@@ -14,7 +15,7 @@ from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.scan_surface import SurfaceReport, clean_surface
-from facepipe.scans import IntArray, Scan
+from facepipe.scans import Scan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, select
 from facepipe.core.reports import Report
@@ -17,13 +17,12 @@ from facepipe.core.texts import table
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.geometry.region_texels import Image8
-from facepipe.parts import FloatArray, IntArray, Mesh, UvSet
+from facepipe.parts import Mesh, UvSet
 from facepipe.processors.landmarks import mesh_of
 from facepipe.processors.region_legend import RegionLegend
 from facepipe.stage import Face
 from facepipe.stage.author_regions import author_region_subsets, author_regions, check_region_name
 
-BoolArray = npt.NDArray[np.bool_]
 Masks = Mapping[str, FloatArray]
 
 

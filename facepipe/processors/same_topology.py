@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import mesh_spaces
-
-FloatArray = npt.NDArray[np.floating]
 
 MILLIMETRES = FaceParts(name="millimetres", meters_per_unit=0.001, up_axis="Y")  # the space of whole points
 

@@ -6,15 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.trs import decompose, rotation_matrices
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _ZERO = 1e-6  # a quaternion shorter than this has no direction
 _JOINT_VALUES = ("translations", "rotations", "scales", "coefficients")

@@ -6,11 +6,9 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def bones_in(rig: Rig, to: FloatArray) -> Rig:

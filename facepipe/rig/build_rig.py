@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.rig.activation import Curve, curves
 from facepipe.rig.rig import Rig, Target
-
-FloatArray = npt.NDArray[np.floating]
 
 _Sculpt = tuple[str, int, Curve, npt.NDArray[np.int64], FloatArray]
 

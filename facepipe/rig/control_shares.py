@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.neural_rig import Control
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def share_limits(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray]:

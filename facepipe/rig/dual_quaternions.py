@@ -7,12 +7,10 @@ joint apart, before the rigid motion, as UsdSkel has it (`skel:skinningMethod` =
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.trs import decompose, rotation_matrices
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -> FloatArray:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
 
 _ORTHONORMAL = 1e-5  # what float32 files may take from it
 _PROBES = 512  # random values of all controls, and as many corners

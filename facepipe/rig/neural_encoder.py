@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.core.finite import require_finite
 from facepipe.rig.neural_rig import Control
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 EPSILON = 1e-5  # added to the variances that tokens are divided by the roots of
 _AT_ONCE = 64  # frames

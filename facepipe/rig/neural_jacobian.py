@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.special import expit
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.rig.bone_coefficients import coefficient_derivatives, coefficient_matrices
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.rig.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def output_derivatives(rig: NeuralRig, x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,8 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Animation, BoneLimits, Curve, FaceParts, Skeleton, Slider, SliderNetwork
 from facepipe.rig.animation import local_transforms, places
 from facepipe.rig.bone_coefficients import (
@@ -22,8 +22,6 @@ from facepipe.rig.rig import Rig
 from facepipe.rig.slider_network import evaluate
 from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, with_entries
 from facepipe.rig.trs import decompose
-
-FloatArray = npt.NDArray[np.floating]
 
 _NOTHING = 1e-9  # of gains
 _EXACT = 1e-9

@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig.animation import places, sample_transforms, sample_weights
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.sliders import slide
-
-FloatArray = npt.NDArray[np.floating]
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
 

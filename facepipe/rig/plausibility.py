@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Mesh
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.build_rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import Trs, decompose, slerp
-
-FloatArray = npt.NDArray[np.floating]
 
 TICK = 2.0**-10  # seconds before the next key until which a value is held that then changes at once
 ON_FRAME = 1e-3  # frames that a time may be off

@@ -14,13 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _FLAT = 1e-9  # of a volume: less, and there is no way back
 

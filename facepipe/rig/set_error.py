@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
 from facepipe.rig.bone_coefficients import coefficient_matrices, rest_coefficients
 from facepipe.rig.on_person import NewRest
 from facepipe.rig.person import Person
 from facepipe.rig.rig import Rig
 from facepipe.rig.sliders import slide
-
-FloatArray = npt.NDArray[np.floating]
 
 POSES = 50
 _TURN = 0.2  # radians

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Blendshape, Inbetween, Mesh
 from facepipe.rig.activation import curves
 from facepipe.rig.build_rig import inverse
-
-FloatArray = npt.NDArray[np.floating]
 
 _APART = 1e-6  # of weights: nearer knots are one
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
@@ -17,7 +17,6 @@ from facepipe.rig.rig import Rig
 if TYPE_CHECKING:
     from facepipe.rig.set_error import SetError
 
-FloatArray = npt.NDArray[np.floating]
 
 _FLAT = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
 

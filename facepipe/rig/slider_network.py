@@ -7,14 +7,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import expit
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS
-
-FloatArray = npt.NDArray[np.floating]
 
 ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "tanh": np.tanh,

@@ -9,15 +9,13 @@ from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 from facepipe.rig.slider_network import add_network
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def slide(

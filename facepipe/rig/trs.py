@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.core.arrays import FloatArray
 
 _SHEAR_TOLERANCE = 1e-6
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pxr import UsdSkel
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.finite import require_finite
 from facepipe.core.names import unknown
-from facepipe.parts import Animation, FloatArray
+from facepipe.parts import Animation
 from facepipe.stage.author_animations import author_source
 from facepipe.stage.face import Face, animation_prims
 from facepipe.stage.guard import usd_errors

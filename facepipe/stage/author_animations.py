@@ -10,8 +10,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import Animation, FloatArray, Skeleton
+from facepipe.parts import Animation, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
 from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute

@@ -7,8 +7,9 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel, Vt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import Blendshape, FloatArray, Inbetween
+from facepipe.parts import Blendshape, Inbetween
 from facepipe.stage.api_schemas import put
 from facepipe.stage.differences import same
 from facepipe.stage.display_names import author_name

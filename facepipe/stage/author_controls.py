@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.finite import require_finite
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.files import check_suffix, new_stage, save_layer
 from facepipe.stage.property_names import check_property_name
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def save_controls(

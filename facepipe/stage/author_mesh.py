@@ -8,9 +8,10 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import FloatArray, Mesh, Skin
+from facepipe.parts import Mesh, Skin
 from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_blendshapes import author_blendshapes
 from facepipe.stage.author_regions import SUBSET_FAMILY, author_regions

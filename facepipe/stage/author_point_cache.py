@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Mesh
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.author_controls import author_controls
 from facepipe.stage.files import check_suffix, new_stage, save_layer
 from facepipe.stage.values import to_ints, to_vec3f
-
-FloatArray = npt.NDArray[np.floating]
 
 _MILLIMETRE = 0.001
 

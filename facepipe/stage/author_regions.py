@@ -6,8 +6,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FloatArray, IntArray, Mesh
+from facepipe.parts import Mesh
 from facepipe.stage.api_schemas import apply_schema, instances, remove_schema
 from facepipe.stage.property_names import check_property_name
 from facepipe.stage.values import floats, ints, to_floats, to_ints

@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd, UsdSkel
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Blendshape, Inbetween
 from facepipe.stage.display_names import label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, ints
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 MOST_INBETWEENS = 100  # of a shape: each is a curve through the weights of all
 

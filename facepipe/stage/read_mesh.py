@@ -11,15 +11,13 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.display_names import data_label, label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.read_blendshapes import read_blendshapes
 from facepipe.stage.values import floats, ints, matrix
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
 _SCALARS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)

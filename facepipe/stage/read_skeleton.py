@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.reading import check_values
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
 from facepipe.stage.display_names import exact_name, label
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, matrix, quaternions
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @reads_prim

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import FloatArray, Mesh, Skeleton
+from facepipe.parts import Mesh, Skeleton
 
 if TYPE_CHECKING:
     import trimesh

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Vt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
 
 
 def floats(value: Any, width: int | None = None) -> npt.NDArray[np.float32]:

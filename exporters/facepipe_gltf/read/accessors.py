@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read.document import Document, optional_integer
 from facepipe_gltf.read.values import Value
 

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
-from facepipe.parts import Animation, FloatArray
+from facepipe.parts import Animation
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.resample import TICK

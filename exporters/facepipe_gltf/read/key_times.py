@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.resample import ON_FRAME, TICK, whole_frames
 from facepipe_gltf.read.samplers import Sampler, sample
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from facepipe.parts import FloatArray, IntArray, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import MaterialFaces, Mesh, Skin, UvSet
 from facepipe_gltf.read import landmarks, morphs
 from facepipe_gltf.read import weld as welds
 from facepipe_gltf.read.document import Document

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.names import identifier
-from facepipe.parts import Blendshape, FloatArray, Inbetween, IntArray
+from facepipe.parts import Blendshape, Inbetween
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names

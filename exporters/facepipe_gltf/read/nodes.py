@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FloatArray, identity
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import identity
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Value, members

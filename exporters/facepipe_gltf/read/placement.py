@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.vectors import unit_vectors
-from facepipe.parts import Blendshape, FloatArray, Inbetween, Mesh, identity
+from facepipe.parts import Blendshape, Inbetween, Mesh, identity
 
 
 def placed(mesh: Mesh, matrix: FloatArray) -> Mesh:

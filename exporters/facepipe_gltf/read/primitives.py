@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import IntArray
+from facepipe.core.arrays import IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Value, members

@@ -9,18 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
-from facepipe.parts import (
-    Blendshape,
-    FaceParts,
-    FloatArray,
-    Inbetween,
-    IntArray,
-    Mesh,
-    Skin,
-    UvSet,
-)
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Skin, UvSet
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.record_joints import filled_animations, joints_as_recorded
 from facepipe_gltf.read.record_materials import with_images

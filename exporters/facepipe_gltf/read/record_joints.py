@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.parts import Animation, FaceParts, FloatArray, IntArray, Skeleton
+from facepipe.parts import Animation, FaceParts, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients
 from facepipe.rig.trs import decompose

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.trs import slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import FloatArray, IntArray, Skeleton, identity
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.parts import Skeleton, identity
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names, given_name, joint_identifier

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document

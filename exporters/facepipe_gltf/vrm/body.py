@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe_gltf.vrm.bones import REQUIRED, SIDES, TORSO
 from facepipe_gltf.vrm.figure import HIPS, Figure
 from facepipe_gltf.vrm.nodes import NodeTree

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Mesh
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Mesh
 from facepipe_gltf.placement import place, rest_worlds, space_of
 
 # Parts of a person's height (Drillis and Contini 1966, after Winter, Biomechanics and Motor Control of Human Movement)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FaceParts, IntArray
+from facepipe.parts import FaceParts
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, TORSO, misplaced
 from facepipe_gltf.vrm.joint_names import bones_of, given_bones
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe_gltf.placement import numbers
 from facepipe_gltf.vrm.expressions import Expressions, table
 from facepipe_gltf.vrm.nodes import NodeTree

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.rig.trs import decompose
 from facepipe_gltf.placement import numbers
 from facepipe_gltf.raw_nodes import local_matrix

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from facepipe.parts import Blendshape, FaceParts, FloatArray, Mesh, Slider
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.conventions import match_shapes

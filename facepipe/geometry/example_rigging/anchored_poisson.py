@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.example_rigging.examples import Examples
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.triangle_frames import gradient_operator
-
-FloatArray = npt.NDArray[np.floating]
 
 
 class AnchoredPoisson:

@@ -11,14 +11,11 @@ in the points (the fourth vertex, along the normal, is free in the reconstructio
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.example_rigging.anchored_poisson import AnchoredPoisson
 from facepipe.geometry.example_rigging.examples import Examples
 from facepipe.geometry.example_rigging.options import SplitOptions
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _PART = 4096  # places at a time: a bound on memory
 

@@ -6,15 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.example_rigging.field_system import FieldSystem, bent, bent_back
 from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.example_rigging.preconditioner import Preconditioner
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _SETTLED = 1e-4  # of the right-hand side that conjugate gradients leave
 _STEPS = 400

@@ -11,15 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.example_rigging.examples import Examples
 from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.example_rigging.smooth_basis import SmoothBasis, spread_points
 from facepipe.geometry.grouping import group_sums
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _SAMPLES = 4.0  # sampled points per length of fields
 _SPACING = 1.1  # lengths of fields between nodes

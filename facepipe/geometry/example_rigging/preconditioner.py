@@ -4,11 +4,9 @@ themselves."""
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.example_rigging.field_system import FieldSystem, crossed
-
-FloatArray = npt.NDArray[np.floating]
 
 
 class Preconditioner:

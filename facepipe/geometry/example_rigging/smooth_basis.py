@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
+from facepipe.core.arrays import FloatArray, IntArray
 
 _JITTER = 1e-6  # of the nodes' covariance: keeps its factor definite
 _EVERYWHERE = 0.25  # share of the variance that is the same at all points

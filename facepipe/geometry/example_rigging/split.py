@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.example_rigging.detail import added_detail
 from facepipe.geometry.example_rigging.examples import Examples, checked
@@ -15,9 +15,6 @@ from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_f
 from facepipe.geometry.example_rigging.field_system import FieldSystem
 from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.example_rigging.telling import RankReport, observed, rank_report
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _NAMED = 5  # pairs that a warning names
 _UNSEEN = 0.05  # excited shapes observed less than this are as good as not scanned

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.example_rigging.detail import parts, told_by
 from facepipe.geometry.example_rigging.examples import Examples
 from facepipe.geometry.example_rigging.options import SplitOptions
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _MOVES = 0.05  # a place moves with a shape if by more than this share of the shape's largest motion
 _NULL = 1e-6  # singular values below this share of the largest are 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.elimination import Elimination
 from facepipe.geometry.point_factor import PointFactor
@@ -16,8 +17,6 @@ from facepipe.geometry.registration.surface import DeformableSurface
 
 if TYPE_CHECKING:
     from facepipe.geometry.registration.step import Pull
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.registration.target import Matches
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is told
 _ANCHOR_BLUNDER = 25.0  # mm, and five times the median: further off from the start, it lies on another part of the face

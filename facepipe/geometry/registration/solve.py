@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration.anchors import Anchors
@@ -20,9 +20,6 @@ from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import ScanTarget
 from facepipe.geometry.registration.view import Demand, Registered, View, ViewState
 from facepipe.geometry.similarity import Similarity
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 
 class _Stage(NamedTuple):

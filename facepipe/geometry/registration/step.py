@@ -17,16 +17,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.registration.anchors import Anchors
 from facepipe.geometry.registration.membrane import Membrane
 from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import Matches
 from facepipe.geometry.similarity import Similarity
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _OPEN = 1e-9  # share of the system's trace that keeps what nothing determines from moving
 

@@ -7,15 +7,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.polygons import edges, point_normals
 from facepipe.geometry.similarity import Similarity
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _SMOOTHINGS = 2  # noise of 0.1 mm turns the triangles of a scan by several degrees
 _ON_EDGE = 1e-9

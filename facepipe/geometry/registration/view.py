@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration.anchors import Anchors
@@ -17,9 +17,6 @@ from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.surface import DeformableSurface, Shown
 from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _FEWEST = 50  # matches
 

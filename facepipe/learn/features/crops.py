@@ -8,14 +8,12 @@ render of it are read at the same places.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-
-FloatArray = npt.NDArray[np.floating]
 
 ARCFACE_SIZE = 112  # pixels a side that the five points are given for
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import FloatArray, arcface_crop, face_crop
+from facepipe.learn.features.crops import arcface_crop, face_crop
 from facepipe.learn.features.description import DEFAULT_SIZES, Crop, Description, Kind, describe
 from facepipe.learn.features.heads import Features, Heads
 from facepipe.learn.features.programs import Chosen, Program, load_program

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-
-FloatArray = npt.NDArray[np.floating]
 
 # In the order of the photo fit's source; left and right are the person's.
 CLASSES = (

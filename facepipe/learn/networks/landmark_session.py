@@ -6,12 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_file import read_model
-
-FloatArray = npt.NDArray[np.floating]
 
 _BATCH = 32
 _KEY = "facepipe.features"

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
@@ -28,8 +28,6 @@ from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
-
-FloatArray = npt.NDArray[np.floating]
 
 _PRIOR = 68.0  # stage one sums over landmarks what stage two takes the mean of
 

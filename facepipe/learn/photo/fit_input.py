@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.description import Kind
@@ -17,8 +17,6 @@ from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.landmark_rig import COUNT
 from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
 
 _PHOTO = "expected an array of floating-point sRGB 0 to 1"
 _LANDMARKS = f"expected a finite array ({COUNT}, 2) of pixels"

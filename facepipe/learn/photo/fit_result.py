@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.descent import Descent
 from facepipe.learn.photo.joint_loss import JointLoss
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.learn.photo.unknowns import Unknowns
-
-FloatArray = npt.NDArray[np.floating]
 
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
 

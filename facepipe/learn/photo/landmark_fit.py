@@ -10,13 +10,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
 
 _STEP = 1e-6  # of central differences
 ALONG = 0.15  # weight of a contour point's error along the contour: it slides

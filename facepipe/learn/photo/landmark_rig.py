@@ -10,19 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 SCHEME = "multipie68"
 COUNT = 68

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.boxed_qp import solve_boxed
-
-FloatArray = npt.NDArray[np.floating]
 
 _LEAST, _LARGEST = 1e-8, 1e8  # damping, of the curvature
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.camera import Camera, rotation_matrices
-
-FloatArray = npt.NDArray[np.floating]
 
 NUMBERS = 7  # rotation vector (3), middle of the head in pixels (2), log pixels per unit there, log distance
 FOCAL = 1.9  # of the photo's larger side, what a portrait lens has: about 70 mm on a 36 mm frame

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
+from facepipe.core.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.floating]
 Stopped = Literal["iterations", "loss-threshold", "not-finite"]
 
 

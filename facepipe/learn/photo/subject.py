@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.slider_network import check_network, shape_changes
-
-FloatArray = npt.NDArray[np.floating]
 
 _SEEN = 0.01  # change of a shape's weight from which a learned network's slider drives it: less is noise of training
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.key_light import KeyLight
 from facepipe.learn.photo.result import FittedCamera, FittedView
 from facepipe.learn.photo.shadows import Shadows
-
-FloatArray = npt.NDArray[np.floating]
 
 LARGEST = 1024  # pixels of an image's longer side
 

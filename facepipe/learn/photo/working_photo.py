@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.camera import Camera
-
-FloatArray = npt.NDArray[np.floating]
 
 _ROOM = 1.9  # sides of the box of the landmarks that a head with hair and neck takes
 _UP = 0.12  # of that box's height by which the head's middle is above the landmarks'

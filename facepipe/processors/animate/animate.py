@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reports import Report
-from facepipe.parts import Animation, FaceParts, FloatArray, Recipe, Skeleton
+from facepipe.parts import Animation, FaceParts, Recipe, Skeleton
 from facepipe.processors.animate.angles import PARTS, angle_of
 from facepipe.processors.animate.driven_sliders import driven, turned
 from facepipe.processors.animate.options import AnimateOptions

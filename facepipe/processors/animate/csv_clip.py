@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
-from facepipe.parts import FloatArray
 from facepipe.processors.animate.angles import ANGLES
 from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, middle, steady
 from facepipe.processors.animate.timecode import frames_of

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.sliders import slide
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FloatArray
 from facepipe.processors.animate.angles import angle_of
 
 FPS = 60.0  # of a file that does not say

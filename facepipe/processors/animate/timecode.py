@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FloatArray
 from facepipe.processors.animate.performance import middle
 
 _CODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,3}(?:\.\d*)?)")

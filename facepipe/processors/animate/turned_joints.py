@@ -12,9 +12,10 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
-from facepipe.parts import FloatArray, Mesh, Skeleton, Slider
+from facepipe.parts import Mesh, Skeleton, Slider
 from facepipe.processors.animate.angles import angle_of
 from facepipe.processors.animate.performance import Performance
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients

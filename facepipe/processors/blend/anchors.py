@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.borders import back_of_border
 from facepipe.parts import FaceParts
 from facepipe.processors.blend.sources import Sources
-
-IntArray = npt.NDArray[np.integer]
 
 
 def anchor_named(sources: Sources, text: str | None) -> int | None:

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Animation, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 
 def rebase_animations(animations: Sequence[Animation], old: Skeleton, new: Skeleton) -> tuple[Animation, ...]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.gradient_system import GradientSystem, MovingSystem
 from facepipe.processors.blend.kept_parts import KeptParts
 from facepipe.processors.blend.mixing import Shared, mix
 from facepipe.processors.blend.network import Network
 from facepipe.processors.blend.sculpts import Sculpt
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 class Expression:

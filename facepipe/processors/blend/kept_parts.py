@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.names import select
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities
@@ -14,9 +15,6 @@ from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.network import Network
 from facepipe.processors.blend.sculpts import Sculpt
 from facepipe.processors.blend.sources import Sources
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _RIGID = 0.02  # of a part's motion: what a similarity may leave of it; of real jaws on scaled teeth it leaves 0.005
 _AXIS = 0.02  # of a part's points: as many may lie still, on the axis that it turns about

@@ -6,17 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.radial import RadialSurface
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.blend.session import BlendSession, Solution
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _ROUND = 0.1  # RMS distance from a ball, in radii, up to which a part counts as an eyeball
 _LARGE = 0.5  # area of a component, relative to the largest of its part, from which on it may be the outer shell

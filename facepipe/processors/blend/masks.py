@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.bridges import Bridges
 from facepipe.geometry.region_masks import normalise_masks, smooth_masks
 from facepipe.parts import all_regions
 from facepipe.processors.blend.sources import Sources
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _OFF = 1e-3  # sums further from 1 than this are said
 RESERVED = "default"  # what weights call points in no region

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.differences import edge_vectors
@@ -17,8 +17,6 @@ from facepipe.processors.blend.session import BlendSession
 from facepipe.processors.blend.sources import stack
 from facepipe.processors.blend.weights import Weights
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

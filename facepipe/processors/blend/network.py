@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.bridges import Bridges, joint_bridges, part_bridges
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.polygons import components, edges, point_triangles
@@ -14,9 +15,6 @@ from facepipe.processors.blend.anchors import find_anchor
 from facepipe.processors.blend.masks import region_masks
 from facepipe.processors.blend.options import EdgeWeights
 from facepipe.processors.blend.sources import Sources
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.vectors import unit_vectors
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _DEGENERATE = 1e-6  # a sum of unit vectors shorter than this has no direction
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.reports import Report
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.flips import triangle_normals, turned_triangles
@@ -18,9 +19,6 @@ from facepipe.processors.blend.session import BlendSession, Solution
 
 if TYPE_CHECKING:
     from facepipe.processors.blend.matching import MatchReport
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider, SliderNetwork
@@ -20,9 +20,6 @@ from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def result_parts(session: BlendSession, solution: Solution) -> FaceParts:

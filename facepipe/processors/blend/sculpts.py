@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unique_identifiers
 from facepipe.geometry.deformation_transfer import Transfer
@@ -16,9 +16,6 @@ from facepipe.processors.blend.options import Missing
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
 from facepipe.rig.activation import curves
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True)

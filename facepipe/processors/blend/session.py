@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.declare import check_ranges
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem
@@ -22,8 +22,6 @@ from facepipe.processors.blend.sculpts import Sculpt, pair_sculpts
 from facepipe.processors.blend.sources import stack
 from facepipe.processors.blend.weights import Weights
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

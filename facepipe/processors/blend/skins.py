@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Skin
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: Sequence[IntArray]) -> Skin | None:

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
 from facepipe.rig import Rig, build, set_face
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
 _SCALED = 1.5

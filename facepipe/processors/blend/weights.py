@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
-
-FloatArray = npt.NDArray[np.floating]
 
 _NO_REGIONS = "none: the first source has no regions"
 

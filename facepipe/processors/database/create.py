@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core import __version__
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
@@ -21,8 +21,6 @@ from facepipe.processors.database.options import AddOptions, DatabaseOptions
 from facepipe.processors.database.quality import Quality, misses
 from facepipe.processors.database.shape_names import Shapes, shapes_in_common
 from facepipe.processors.database.whole_faces import WholeFace
-
-FloatArray = npt.NDArray[np.floating]
 
 Source = Callable[[], WholeFace]  # reads a face: once to check it, once to add it
 

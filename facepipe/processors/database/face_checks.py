@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.finite import require_finite
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.whole_faces import Topology, WholeFace
-
-FloatArray = npt.NDArray[np.floating]
 
 _SCALES = 2.0  # how much larger or smaller a face may be: more is another unit
 _TURNED, _SHIFTED = 15.0, 50.0  # degrees and millimetres, beyond what faces of one place differ by

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.processors.database.quality import Quality
 from facepipe.processors.database.whole_faces import Topology
-
-FloatArray = npt.NDArray[np.floating]
 
 REMOVE = "remove"  # the verb of updates whose entries went
 

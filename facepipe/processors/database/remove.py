@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core import __version__
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.expression_model import ExpressionModel
@@ -15,8 +16,6 @@ from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.spatial_basis import narrowed
 from facepipe.processors.database.create import Made
 from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, Update
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @one_thread()

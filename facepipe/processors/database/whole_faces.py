@@ -7,16 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, in_order, world_to_world
 from facepipe.rig import mesh_spaces
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

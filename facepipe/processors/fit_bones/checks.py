@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.rig import CHANNELS, Rig
-
-FloatArray = npt.NDArray[np.floating]
 
 LEAST_SCALE = 0.01  # where a lower limit of a scale is infinite
 

@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.threads import one_thread
-from facepipe.parts import Blendshape, FloatArray, Recipe
+from facepipe.parts import Blendshape, Recipe
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.point_weights import point_weights

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.threads import one_thread
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.rig.trs import decompose
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _DAMPING = 1e-4  # of the normal matrix with a diagonal of 1: what points hardly hold keeps its place
 _FLAT = 1e-9  # of the largest diagonal element: unknowns that move points less count as if they did that

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TypeGuard
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
 from facepipe.payload import decode
@@ -15,8 +15,6 @@ from facepipe.processors.apply_bones import check_fits
 from facepipe.processors.bone_payload import SUFFIX, payload_bytes
 from facepipe.rig import matrix_coefficients, rest_coefficients
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def initial_coefficients(face: Face, word: str) -> FloatArray:

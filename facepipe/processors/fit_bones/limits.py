@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import fits_joint, unmatched
 from facepipe.core.reading import read_json_object
@@ -32,8 +32,6 @@ from facepipe.parts import BoneLimits
 from facepipe.processors.bone_limits import check_limits
 from facepipe.processors.fit_bones.checks import LEAST_SCALE
 from facepipe.rig import CHANNELS, rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
 
 Range = tuple[float | None, float | None]
 

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.same_topology import check_same_faces
-
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True)

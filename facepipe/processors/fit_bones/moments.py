@@ -10,11 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
 
 
 class SkinnedPoints:

@@ -6,13 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
 from facepipe.parts import FaceParts, all_regions
-
-FloatArray = npt.NDArray[np.floating]
 
 LARGEST_WEIGHT = 1e12
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report, unsaid
-from facepipe.parts import FloatArray
 from facepipe.rig import CHANNELS
 
 

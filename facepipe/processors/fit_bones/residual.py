@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.parts import Blendshape, FaceParts, FloatArray
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Blendshape, FaceParts
 from facepipe.rig import Rig, mesh_spaces
 
 _FLAT = 1e-9  # determinant of a blended matrix, of its size: no way back from there

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.same_topology import check_invertible, check_spaces
 from facepipe.rig import Rig
 from facepipe.rig.trs import decompose
-
-FloatArray = npt.NDArray[np.floating]
 
 _EVEN = 1e-4  # scales that differ less, relative to the largest, are the same
 _SHOWN = 4  # names of a list

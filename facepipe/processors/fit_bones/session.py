@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.processors.fit_bones.checks import check_rest, check_settings, checked_limits, checked_weights
@@ -17,8 +18,6 @@ from facepipe.processors.fit_bones.together import Shared, fit_together, inverse
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import Rig, rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
 
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one

@@ -8,12 +8,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.fit_bones.half_scales import HalfScales
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.rig import Rig
-
-FloatArray = npt.NDArray[np.floating]
 
 STRICTER = 0.99  # of the threshold: what solves stop at leaves room for the rounding of what is authored
 

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
 
 _START = 1e-3  # damping, relative to the diagonal of the normal matrix
 _LEAST = 1e-12

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.processors.fit_bones.targets import Target
-
-FloatArray = npt.NDArray[np.floating]
 
 _FARTHEST = 1000.0  # sizes of the face: no pose, and beyond what its numbers stand for
 _OTHER_SIZE = 4.0  # times as large, or as small: perhaps other units

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import FaceParts, Mesh
@@ -19,8 +20,6 @@ from facepipe.rig import build, person_of, sample_transforms, sample_weights
 from facepipe.stage import Face, open_face
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
 from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
-
-FloatArray = npt.NDArray[np.floating]
 
 Loader = Callable[[Path], FaceParts]
 LOADED = (".obj", ".glb", ".gltf")

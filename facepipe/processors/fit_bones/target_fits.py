@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import FloatArray
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.report import FitBonesReport

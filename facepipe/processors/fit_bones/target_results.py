@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import Animation, Blendshape, FaceParts, FloatArray, all_regions
+from facepipe.parts import Animation, Blendshape, FaceParts, all_regions
 from facepipe.processors.fit_bones.options import FitBonesOptions
 from facepipe.processors.fit_bones.report import ResidualReport, TargetReport, at_limits, by_region, distances
 from facepipe.processors.fit_bones.residual import Residual, corrective

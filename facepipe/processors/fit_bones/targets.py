@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, suggestion, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones.target_files import Loader, read_file, sampled, split_file
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 ALL_SHAPES = "shapes"
 _LARGEST_WEIGHT = 1e6

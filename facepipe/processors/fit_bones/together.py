@@ -9,17 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints, stacked
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted
 from facepipe.processors.fit_bones.tree import Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.integer]
 
 _DAMPING = 1e-4  # of the first matrix, relative to the diagonal
 _FLAT = 1e-6  # of the largest diagonal element: what the damping of others is relative to at least

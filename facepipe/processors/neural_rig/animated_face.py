@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import Rig, build, coefficient_matrices, matrix_coefficients, sample_transforms, sample_weights
 from facepipe.rig.bones import bones_in, coefficients_in
 from facepipe.stage import open_face
 from facepipe.stage.animation_source import moving_animation
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _DIGITS = 9  # of time codes: what going by seconds has rounded comes back
 _SHEAR = 1e-6  # stage units and shares that bone coefficients may miss a transform by

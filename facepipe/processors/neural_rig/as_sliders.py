@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.rig import CHANNELS
 from facepipe.rig.neural_rig import Control, NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def shape_name(number: int) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
@@ -32,8 +33,6 @@ from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import reach
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.rig.sliders import with_mutual_mirrors
-
-FloatArray = npt.NDArray[np.floating]
 
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
 _MATRIX = 1e-3  # millimetres, or of a rotation, by which joints may differ

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.reports import Report
 from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig.motion import Motion
@@ -20,9 +20,6 @@ from facepipe.rig.neural_rig import Control
 from facepipe.stage import Face
 from facepipe.stage.author_point_cache import save_point_cache
 from facepipe.stage.read_controls import read_clips
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _WHOLE = FrameBlocksOptions(block=1_000_000, margin=0)  # clips are cut where they are learned from
 _APART = 3.0  # time codes from a clip's last frame to the next one's first: readers take more than 2.5 for an end

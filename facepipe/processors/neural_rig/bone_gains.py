@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.processors.neural_rig.subject_examples import before_bones, subject_examples
 from facepipe.rig.neural_jacobian import with_points
 from facepipe.rig.neural_rig import NeuralRig, from_default
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _POINTS = 400  # that the gains are told by
 _STEPS = 3  # of Gauss and Newton: bones turn points, which is nearly straight

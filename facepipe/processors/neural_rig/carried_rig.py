@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.parts import FaceParts
@@ -17,9 +17,6 @@ from facepipe.rig.bone_coefficients import CHANNELS
 from facepipe.rig.bones import bones_in, most_influences, with_influences
 from facepipe.rig.neural_basis import over, reach
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.frames_in_a_box import Box, Data, Settled, Smoothness, settle
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
 from facepipe.rig.control_shares import share_limits
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 ENOUGH = 1e-5  # of ranges: a smaller step ends it
 _AT_ONCE = 64  # frames

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
-
-FloatArray = npt.NDArray[np.floating]
 
 _RIDGE = 1e-12  # of the trace: what has no answer has a small one
 ANYWHERE = 1.0 / np.sqrt(12.0)  # standard deviation of a control that may be anywhere in its range

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
@@ -18,9 +18,6 @@ from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
 from facepipe.rig.control_shares import values_of
 from facepipe.rig.neural_basis import with_orthonormal_shapes
 from facepipe.rig.neural_rig import NeuralRig, from_default
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

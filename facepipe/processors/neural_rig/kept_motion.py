@@ -6,14 +6,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.parts import Animation, Blendshape, FaceParts, Slider
 from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
 
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
 _MOST_SHAPES = 256  # that clips add

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.finite import require_finite
 from facepipe.processors.database import Topology
 from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _OUTSIDE = 1e-6  # of a control's range: what rounding may take a value beyond its limits
 

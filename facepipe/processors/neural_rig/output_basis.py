@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.local_basis import local_basis
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
 from facepipe.rig import rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _MOVES = 1e-9  # of a coefficient over all frames; less is rounding
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _FIRM = 1e-6  # of the mean square: outputs that do the same are told apart by their size
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.motion_basis import motion_basis
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.rig.neural_rig import from_default
-
-FloatArray = npt.NDArray[np.floating]
 
 _PENALTIES = 10.0 ** np.arange(-8.0, 3.0, 0.5)  # of the largest singular value's square
 

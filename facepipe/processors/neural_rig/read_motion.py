@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
@@ -23,7 +24,6 @@ from facepipe.stage.control_track import ControlTrack
 from facepipe.stage.point_cache import PointCache, read_point_cache
 from facepipe.stage.read_controls import read_controls
 
-FloatArray = npt.NDArray[np.floating]
 Codes = npt.NDArray[np.float64]
 
 _SAME = 1e-6  # of a time code

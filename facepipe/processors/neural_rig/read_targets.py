@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import cached_points
@@ -16,9 +16,6 @@ from facepipe.processors.neural_rig.animated_face import AnimatedFace
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage.point_cache import read_point_cache
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _GAP = 2.0  # steps without a frame: more, and another clip begins
 

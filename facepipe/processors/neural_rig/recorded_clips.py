@@ -7,17 +7,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.processors.neural_rig.frame_blocks import frame_blocks
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.control_track import Clip
 from facepipe.stage.read_controls import read_clips
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _SHOWN = 6  # names of a list
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.finite import require_finite
 from facepipe.core.threads import one_thread
@@ -20,9 +20,6 @@ from facepipe.processors.neural_rig.retarget_report import RetargetReport, compa
 from facepipe.processors.neural_rig.subject_examples import subject_examples
 from facepipe.rig.neural_basis import over
 from facepipe.rig.neural_rig import NeuralRig
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
 

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.processors.neural_rig.carried_rig import Subject
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
 from facepipe.rig.neural_rig import NeuralRig
 
-FloatArray = npt.NDArray[np.floating]
 _Way = Callable[[FloatArray], FloatArray]  # (n, 3) of (n, 3)
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology
@@ -19,9 +19,6 @@ from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.bones import bones_in, coefficients_in
 from facepipe.rig.neural_rig import Control
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.point_ridge import Examples
 from facepipe.rig.neural_rig import NeuralRig, from_default
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Examples:

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.read_motion import ReadMotion
 from facepipe.processors.neural_rig.read_targets import read_targets
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage.read_controls import read_controls
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

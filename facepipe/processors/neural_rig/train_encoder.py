@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from facepipe.learn.encoder_fit import EncoderSamples
     from facepipe.learn.encoder_network import EncoderSize
 
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
 _CANDIDATES = 2048  # points that those of the encoder are chosen from

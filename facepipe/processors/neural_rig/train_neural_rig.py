@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from facepipe.learn.network_fit import Samples, Trained
     from facepipe.processors.neural_rig.train_encoder import EncoderReport
 
-FloatArray = npt.NDArray[np.floating]
 
 _WATCHED = 0.1  # of the frames to learn
 _STRAIGHT_MM = 1e-3  # more than blendshapes may be off where there is nothing to learn beside them

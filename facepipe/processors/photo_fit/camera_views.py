@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
-from facepipe.parts import FloatArray
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import FittedCamera

@@ -18,15 +18,13 @@ import json
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json
 from facepipe.processors.photo_fit.landmarks68 import Landmarks68, landmarks_in, one_face
 from facepipe.processors.photo_fit.photo_file import Photo
-
-FloatArray = npt.NDArray[np.floating]
 
 _MOST_BYTES = 1 << 24
 _LARGEST = 1e9

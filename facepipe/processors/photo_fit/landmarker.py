@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.processors.photo_fit.landmarks68 import Landmarks68, landmarks_in, one_face
 from facepipe.processors.photo_fit.photo_file import Photo
-
-FloatArray = npt.NDArray[np.floating]
 
 _MOST_BYTES = 1 << 28
 _MOST_FACES = 16

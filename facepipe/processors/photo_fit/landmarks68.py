@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.processors.photo_fit.mediapipe_indices import MULTIPIE68_OF_MEDIAPIPE
 from facepipe.processors.photo_fit.photo_file import Photo
 
-FloatArray = npt.NDArray[np.floating]
 Found = TypeVar("Found")
 
 OUTSIDE = 0.05  # of the photo's longer side: how far beyond its border detectors guess what a tight crop cuts off

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.parts import FaceParts, FloatArray, Material, TextureInput
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.processors.photo_fit.text import ENDS
 from facepipe.rig import Rig, build, slide
 

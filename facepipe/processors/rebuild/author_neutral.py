@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.core.finite import require_finite
 from facepipe.core.reports import Report
@@ -22,8 +22,6 @@ from facepipe.processors.same_topology import check_spaces
 from facepipe.rig import mesh_spaces
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
 from facepipe.parts import Recipe
@@ -16,8 +16,6 @@ from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.template import Template
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 _MOVED = 0.05  # of a shape's largest motion: points that move less are not what it moves
 

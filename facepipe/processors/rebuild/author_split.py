@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.declare import to_json
@@ -20,8 +19,6 @@ from facepipe.processors.rebuild.expression_file import ExpressionFile
 from facepipe.processors.rebuild.split_expressions import SplitExpressions, SplitFit
 from facepipe.processors.rebuild.template import Template
 from facepipe.stage import Face
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.blend.skeletons import blend_skeletons
 from facepipe.rig import build
-
-FloatArray = npt.NDArray[np.floating]
 
 _STILL = 1e-9  # of the face's size: rounding
 _FAR = 3.0  # spreads of its points that a joint may be away from them and still turn about them

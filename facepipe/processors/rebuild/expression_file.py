@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, SchemaError, TopologyError
 from facepipe.core.tokens import SCANNED
 from facepipe.older_recipes import as_now
@@ -28,7 +28,6 @@ from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.stage import Face, open_face
 from facepipe.stage.recipes import recipe_of, source_digest
 
-FloatArray = npt.NDArray[np.floating]
 AnyPath = str | os.PathLike[str]
 
 _SAME_MM = 0.01  # neutrals that differ by less are one

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
@@ -23,8 +23,6 @@ from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target,
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
-
-FloatArray = npt.NDArray[np.floating]
 
 _FEWEST_LANDMARKS = 6
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.database import quality_from
 from facepipe.processors.rebuild.fit_neutral import FitNeutral
 from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
@@ -32,7 +32,6 @@ from facepipe.processors.rebuild.stages import Stages
 from facepipe.processors.rebuild.together_stage import together_stage
 from facepipe.processors.rebuild.work_folder import StageResult, array_digest
 
-FloatArray = npt.NDArray[np.floating]
 Shapes = Mapping[str, FloatArray]
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_normals
@@ -21,9 +21,6 @@ from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _ALIKE = 5000.0  # mm^2 over which a person's own motion counts as one number, where noise counts for each mm^2
 _SHOWN_SIGMA = 0.05  # of how much of what the neutral's scan shows besides, as it was found alone

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
 from facepipe.geometry.robust_similarity import robust_similarity
@@ -15,9 +15,6 @@ from facepipe.processors.rebuild.register_scans import NeutralScan
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _FEWEST_LANDMARKS = 6
 _RIGID = 1e6  # of the residual's precision: nothing bends

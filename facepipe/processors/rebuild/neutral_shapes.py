@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import Blendshape, Mesh
 from facepipe.processors.blend.normals import normal_offsets
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 STILL_MM = 1e-4  # points that a shape moves by less stay where they are
 

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
 from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.template import Template
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

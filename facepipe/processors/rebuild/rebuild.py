@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.database import Quality, quality_from
@@ -18,8 +18,6 @@ from facepipe.processors.rebuild.project import Project
 from facepipe.processors.rebuild.project_names import check_names
 from facepipe.processors.rebuild.stages import Readers, Stages
 from facepipe.processors.rebuild.template import Template
-
-FloatArray = npt.NDArray[np.floating]
 
 _ALONE = "alone/"  # folder of what a joint fit begins with
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from facepipe.core.reports import Report, unsaid
 
 if TYPE_CHECKING:
+    from facepipe.core.arrays import FloatArray
     from facepipe.kinds import Job
-    from facepipe.parts import FloatArray
     from facepipe.pictures.shapes_table import ShapeRow
     from facepipe.pictures.turntable import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
@@ -21,8 +21,6 @@ from facepipe.processors.rebuild.scan_distances import row_distances
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
-
-FloatArray = npt.NDArray[np.floating]
 
 _MUCH = 0.5  # of the points that a scan can show
 _STILL = 1e-9  # mm: rounding

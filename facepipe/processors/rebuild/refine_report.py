@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
 from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.registration import Registered
@@ -15,8 +15,6 @@ from facepipe.older_recipes import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.template import Template
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

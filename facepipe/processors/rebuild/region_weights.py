@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
 from facepipe.parts import FaceParts, all_regions
-
-FloatArray = npt.NDArray[np.floating]
 
 _NO_REGIONS = ", expected a face with regions (facepipe regions)"
 

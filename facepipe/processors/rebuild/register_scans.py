@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
@@ -21,9 +21,6 @@ from facepipe.processors.rebuild.options import RegisterScansOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _FEWEST = 4  # landmarks and markers
 _SAME_SIZE = 0.02  # scans nearer in scale than this are of one scale

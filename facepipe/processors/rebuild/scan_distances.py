@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import RegistrationOptions, ScanTarget
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def in_place(scan: Scan, place: Similarity) -> Scan:

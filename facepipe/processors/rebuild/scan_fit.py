@@ -12,8 +12,6 @@ from facepipe.processors.clean_scan import CleanScan
 from facepipe.processors.rebuild.options import UNITS
 from facepipe.scans import Scan
 
-FloatArray = npt.NDArray[np.floating]
-
 _ALIKE = 0.15  # a scale nearer than this to a unit's is told as that unit
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import Similarity
-from facepipe.parts import FloatArray
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
 

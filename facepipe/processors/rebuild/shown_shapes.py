@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.registration import Shown
@@ -16,8 +16,6 @@ from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, whole_face
 from facepipe.processors.rebuild.composites import resolved
 from facepipe.processors.rebuild.template import Template
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

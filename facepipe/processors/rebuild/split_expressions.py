@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
@@ -15,8 +15,6 @@ from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
 from facepipe.processors.rebuild.options import SplitExpressionsOptions
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
-
-FloatArray = npt.NDArray[np.floating]
 
 _OBSERVED = 0.05  # shapes told less than this stay as the template has them
 

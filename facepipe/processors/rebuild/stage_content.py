@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
 from facepipe.geometry.similarity import Similarity
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def plain(report: Report) -> dict[str, Any]:

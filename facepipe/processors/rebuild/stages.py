@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
 from facepipe.processors.database import FaceDatabase, load_database, whole_face
 from facepipe.processors.rebuild.kept_result import Kept
@@ -21,8 +21,6 @@ from facepipe.processors.rebuild.work_folder import StageResult, WorkFolder
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
-
-FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

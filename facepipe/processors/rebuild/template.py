@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import components
@@ -17,10 +17,6 @@ from facepipe.parts import FaceParts
 from facepipe.processors.database.whole_faces import Topology, whole_points
 from facepipe.processors.skin.slits import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
-BoolArray = npt.NDArray[np.bool_]
 
 _LIP = 0.35  # of a slit's width: so far from its rims, points are told as of the upper or lower lip or lid
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
 from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
 from facepipe.processors.rebuild.kept_result import NEUTRAL
@@ -17,7 +17,6 @@ from facepipe.processors.rebuild.stage_content import place_json, plain
 from facepipe.processors.rebuild.stages import Stages
 from facepipe.processors.rebuild.work_folder import StageResult, array_digest
 
-FloatArray = npt.NDArray[np.floating]
 Expressions = Mapping[str, FittedExpression]
 
 

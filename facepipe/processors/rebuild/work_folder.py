@@ -23,7 +23,6 @@ from facepipe.core.errors import InputError
 from facepipe.core.trust import check_writable
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 
-FloatArray = npt.NDArray[np.floating]
 Array = npt.NDArray[Any]
 
 CORRECTIONS = "corrections"

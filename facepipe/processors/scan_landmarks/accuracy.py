@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.scans import LANDMARK_COUNT, FloatArray
+from facepipe.core.arrays import FloatArray
+from facepipe.scans import LANDMARK_COUNT
 
 _JAW = 17  # landmarks
 _JAW_MM, _FEATURES_MM = 3.5, 2.2  # RMS along each coordinate, over simulated scans

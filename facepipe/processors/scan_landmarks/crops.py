@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.scans import FloatArray
+from facepipe.core.arrays import FloatArray
 
 _COARSE = 1.5  # pixels of a picture a pixel of a crop: beyond, half the picture is enough
 

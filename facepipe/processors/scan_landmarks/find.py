@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
@@ -20,7 +21,7 @@ from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 from facepipe.processors.scan_landmarks.look_again import Seen, look_again
 from facepipe.processors.scan_landmarks.search import Candidate, Draw, Network, axis_views, candidates, sphere_views
-from facepipe.scans import FloatArray, Scan, ScanLandmarks
+from facepipe.scans import Scan, ScanLandmarks
 
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.pinhole import Pinhole
-from facepipe.scans import FloatArray
 
 RIGHT_EYE, LEFT_EYE, MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)
 # In the crops that the network knows, shares of a side: between the eyes, from eyes to mouth, and from the eyes down to

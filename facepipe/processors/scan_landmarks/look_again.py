@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.processors.scan_landmarks.crops import crop_matrix, cut_crops, in_picture
 from facepipe.processors.scan_landmarks.frame import FaceFrame
 from facepipe.processors.scan_landmarks.search import Draw, Network
-from facepipe.scans import FloatArray
 
 _PICTURE = 208  # pixels a side
 _MARGIN = 1.6  # sides of a crop that a picture shows

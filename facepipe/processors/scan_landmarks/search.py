@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.processors.scan_landmarks.crops import crop_matrix, cut_crops, in_picture
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
-from facepipe.scans import FloatArray
 
 # A picture (size, size, 3) of sRGB in 0..1 and the depth (size, size), infinite where nothing is.
 Draw = Callable[[Look, Pinhole], tuple[FloatArray, FloatArray]]

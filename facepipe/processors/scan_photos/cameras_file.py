@@ -15,14 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
 from facepipe.processors.scan_photos.camera import PhotoCamera
-
-FloatArray = npt.NDArray[np.floating]
 
 UNITS = ("mm", "cm", "m")
 _LARGEST_FILE = 16_000_000  # bytes

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.grouping import group_sums
@@ -17,8 +18,6 @@ from facepipe.processors.scan_photos.depth import confirmed
 from facepipe.processors.scan_photos.options import ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo
 from facepipe.processors.scan_photos.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
 
 _AROUND = 24  # points that a normal is fitted to
 _LINKED = 6  # neighbours that a point hangs together with, and ...

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.photos import Photo
 from facepipe.processors.scan_photos.rectify import rectify
 from facepipe.processors.scan_photos.stereo import depth_map, disparities
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.processors.scan_photos.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _WINDOW = 5  # pixels a side where contrast is measured
 _EVERY = 2  # row and column of a depth map becomes a point: the photos show each place of the skin many times

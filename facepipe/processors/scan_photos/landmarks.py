@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.photos import Photo
 from facepipe.processors.scan_photos.triangulation import triangulate_all
 from facepipe.scans import LANDMARK_COUNT, Scan, no_landmarks
-
-FloatArray = npt.NDArray[np.floating]
 
 _TOLERANCE = 0.012  # of a photo's longer side
 _LEAST = 3  # photos

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.processors.scan_photos.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def upright(structure: Structure, subject: Subject, radius: float) -> tuple[Structure, Subject]:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.scan_photos.camera import PhotoCamera
 
-FloatArray = npt.NDArray[np.floating]
 Pixels = npt.NDArray[np.uint8]
 
 _MARGIN = 0.15  # of what the matched points span, added on every side

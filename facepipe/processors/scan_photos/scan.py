@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.processors.scan_landmarks.accuracy import found_sigmas
@@ -25,7 +26,7 @@ from facepipe.processors.scan_photos.report import ScanPhotosReport
 from facepipe.processors.scan_photos.structure import Structure, find_structure
 from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_subject
 from facepipe.processors.scan_photos.surface import make_surface
-from facepipe.processors.scan_photos.triangulation import FloatArray, Sightings, triangulate_all
+from facepipe.processors.scan_photos.triangulation import Sightings, triangulate_all
 from facepipe.scans import Scan, ScanLandmarks
 
 Step = Callable[[str, int], None]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.scan_photos.rectify import RectifiedPair, RectifiedView
 
-FloatArray = npt.NDArray[np.floating]
 Pixels = npt.NDArray[np.uint8]
 
 _BLOCK = 5  # pixels a side of what is compared

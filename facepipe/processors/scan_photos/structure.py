@@ -13,15 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _FEATURES = 6000  # of a photo, at most
 _GUESS = 2.0  # focal length over the longer side where EXIF tells nothing: portrait lenses are long

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.structure import Structure
-
-FloatArray = npt.NDArray[np.floating]
 
 _ANGLES = np.radians((3.0, 35.0))  # between two photos whose depth is found together
 _BEST_ANGLE = np.radians(13.0)

@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.polygons import components, edges, point_normals
 from facepipe.processors.scan_photos.cloud import Cloud
 from facepipe.scans import Scan
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 _DEEPEST, _SHALLOWEST = 11, 6  # of the octree
 _WITHIN = 2.5  # distances of points a cell of the octree has, about

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
 from facepipe.processors.scan_photos.camera import PhotoCamera
 
-FloatArray = npt.NDArray[np.floating]
 Sightings = Mapping[str, Mapping[str, FloatArray]]  # photo -> what -> (2,) pixels of the upright photo, full size
 
 _LARGEST_FILE = 64_000_000  # bytes

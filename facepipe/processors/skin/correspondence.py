@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_normals
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.slits import LOWER, UPPER, Slit
 from facepipe.processors.skin.surface import Surface
 

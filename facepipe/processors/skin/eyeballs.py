@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import point_areas
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.surface import Surface
 
 _SMALLEST, _LARGEST = 6.0, 25.0  # mm, radius

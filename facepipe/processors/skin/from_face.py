@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
-from facepipe.parts import FaceParts, FloatArray, IntArray, Skeleton
+from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.same_topology import in_order
 from facepipe.processors.skin.correspondence import main_places
 from facepipe.processors.skin.eyeballs import Eyeball, eyeballs_of

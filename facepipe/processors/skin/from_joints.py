@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.polygons import components
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.joints_file import JointSpec
 from facepipe.processors.skin.slits import LOWER, UPPER, Slit, smoothstep
 from facepipe.processors.skin.surface import Surface

@@ -6,17 +6,14 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.heat_weights import heat_weights, normalised
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.eyeballs import Eyeball
 from facepipe.processors.skin.slits import Slit
 from facepipe.processors.skin.surface import Surface
-
-BoolArray = npt.NDArray[np.bool_]
 
 _NEAREST = 1.0  # mm: parts that touch the face are smoothed over this length, others over their distance from it
 _SMALL = 0.65  # of the mouth's width: parts up to this size lie above or below the mouth whole

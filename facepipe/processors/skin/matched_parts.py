@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.heat_weights import heat_weights, normalised
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.correspondence import nearest
 from facepipe.processors.skin.eyeballs import Eyeball
 from facepipe.processors.skin.surface import Surface

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.heat_weights import normalised
 from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
-from facepipe.parts import FaceParts, FloatArray
+from facepipe.parts import FaceParts
 from facepipe.processors.skin.options import SkinOptions
 from facepipe.processors.skin.report import FitReport
 from facepipe.processors.skin.surface import Surface

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FloatArray
 from facepipe.processors.skin.joints_file import JointSet
 from facepipe.processors.skin.surface import Surface
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
-from facepipe.parts import FloatArray
 from facepipe.processors.skin.surface import Surface
 
 

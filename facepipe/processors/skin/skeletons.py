@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.parts import FloatArray, Skeleton
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Skeleton
 from facepipe.rig.trs import rotation_matrices
 
 

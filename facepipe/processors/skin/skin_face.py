@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.heat_weights import fewest
-from facepipe.parts import FaceParts, FloatArray, Recipe, all_regions
+from facepipe.parts import FaceParts, Recipe, all_regions
 from facepipe.processors.skin.eyeballs import eyeballs_of
 from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import joint_weights

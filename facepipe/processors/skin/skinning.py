@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.heat_weights import influences
-from facepipe.parts import Animation, FaceParts, FloatArray, Skeleton, Skin
+from facepipe.parts import Animation, FaceParts, Skeleton, Skin
 from facepipe.processors.skin.report import TransferReport
 from facepipe.processors.skin.surface import Surface
 from facepipe.rig.animation import local_transforms

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.geodesics import graph_distances
-from facepipe.parts import FloatArray, IntArray
 from facepipe.processors.skin.surface import Surface
 
 # slit -> landmarks of multipie68 along the upper and the lower rim, without the corners, and the two corners

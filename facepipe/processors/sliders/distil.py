@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
@@ -16,8 +16,6 @@ from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.processors.sliders.effects import channel_effects
 from facepipe.rig import CHANNELS, Rig, build, slide
 from facepipe.rig.sliders import channel_entries, shape_entries
-
-FloatArray = npt.NDArray[np.floating]
 
 ACTIVATIONS = ("relu", "tanh")
 WIDTHS, STEPS = (1, 1024), (100, 200_000)

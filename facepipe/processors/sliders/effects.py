@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def channel_effects(rig: Rig) -> FloatArray:

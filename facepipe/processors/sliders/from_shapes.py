@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import select
 from facepipe.core.threads import one_thread
-from facepipe.parts import Blendshape, FaceParts, FloatArray, Recipe, Slider
+from facepipe.parts import Blendshape, FaceParts, Recipe, Slider
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.rig_checks import check_rig
 from facepipe.processors.sliders.author_network import fitting_network

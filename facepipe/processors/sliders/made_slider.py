@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.parts import Curve, FaceParts, FloatArray, Slider
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import Curve, FaceParts, Slider
 from facepipe.processors.fit_bones.residual import Residual, corrective
 from facepipe.processors.fit_bones.sessions import STRICTER
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.processors.fit_bones.session import BoneFit
 from facepipe.processors.fit_bones.sessions import STRICTER
@@ -15,9 +15,6 @@ from facepipe.processors.sliders.effects import channel_effects
 from facepipe.processors.sliders.mirrored import MirroredJoints
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
-
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 
 _TOGETHER = 32  # poses at a time
 _SAME = 0.02  # of the reach: what a symmetric pose may lose

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from facepipe.parts import FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose
 from facepipe.processors.sliders.shape_names import ShapeSlider
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Skeleton
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, matrices, to_floats, to_matrices
-
-FloatArray = npt.NDArray[np.floating]
 
 
 def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) -> Usd.Prim | None:

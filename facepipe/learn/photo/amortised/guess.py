@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_file import properties, read_model
 from facepipe.learn.features.onnx_module import OnnxModule
@@ -21,9 +21,6 @@ from facepipe.learn.photo.amortised.pictures import Picture
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
-IntArray = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)

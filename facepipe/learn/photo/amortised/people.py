@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.subject import Subject
-
-FloatArray = npt.NDArray[np.floating]
 
 MOVED = (0.3, 0.9)  # share of the sliders that are not at their default
 NEUTRAL, MOST_SHAPES, STRONGEST = 0.25, 6, 0.85  # people without expression, shapes of an expression, weights

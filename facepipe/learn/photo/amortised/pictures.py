@@ -9,13 +9,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.features.crops import face_crop, sample_crop, to_crop
 from facepipe.learn.photo.amortised.network import MEAN, SIZE, STD
 from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear
-
-FloatArray = npt.NDArray[np.floating]
 
 HEAD = 160  # pixels a side, about, at which heads are seen
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.photo.pose import PoseSpace
-
-FloatArray = npt.NDArray[np.floating]
 
 _SMALL = 1e-12
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from facepipe.core.arrays import FloatArray
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.key_light import KeyLight
 from facepipe.learn.light import ambient, distant
@@ -19,8 +19,6 @@ from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.shadows import shadows_of_lamp
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.photo.working_photo import to_srgb
-
-FloatArray = npt.NDArray[np.floating]
 
 DIM, BRIGHT = 0.12, 1.1  # white in the ambient light, and in a lamp's
 

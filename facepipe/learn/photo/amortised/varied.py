@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.photo.amortised.network import MEAN, STD
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
-
-FloatArray = npt.NDArray[np.floating]
 
 _GAIN, _CAST, _SHADE, _NOISE = 0.2, 0.07, 0.25, 0.02  # standard deviations; all but noise of logarithms
 _CELLS = 4  # a side of the picture that shades

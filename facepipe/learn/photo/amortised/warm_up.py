@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.eye_distance import eye_distance
 from facepipe.learn.features.crops import face_crop, to_crop
@@ -20,8 +20,6 @@ from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.amortised.renders import Portraits
 from facepipe.learn.photo.amortised.varied import batch, noisy_landmarks, varied
 from facepipe.start_options import BATCH, LANDMARK_BATCH, StartOptions
-
-FloatArray = npt.NDArray[np.floating]
 
 _RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
 
