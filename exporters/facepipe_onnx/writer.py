@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import IntArray, require_finite
 from facepipe.core.errors import ExportError, InputError
-from facepipe.core.finite import require_finite
 from facepipe.core.names import select
 from facepipe.core.reports import ExportReport
 from facepipe.geometry.polygons import point_triangles

@@ -30,7 +30,7 @@ from types import ModuleType
 from typing import Any
 
 _ROOMS = {"sample": "heads", "validate": "checks", "render": "pictures", "pipeline": "cooking"}  # old -> new
-_TO_CORE: tuple[str, ...] = ("atomic", "digests", "errors", "finite", "hidden_folders", "images", "loading", "locks")
+_TO_CORE: tuple[str, ...] = ("atomic", "digests", "errors", "hidden_folders", "images", "loading", "locks")
 _TO_CORE += ("names", "placing", "reading", "reports", "threads", "tokens", "trust")
 _TO_READ: tuple[str, ...] = ("accessors", "animations", "assemble", "document", "files", "key_times", "landmarks")
 _TO_READ += ("losses", "materials", "meshes", "morphs", "names", "nodes", "placement", "primitives", "record")
@@ -46,6 +46,7 @@ MOVED |= {f"facepipe.{old}": f"facepipe.{new}" for old, new in _ROOMS.items()}
 MOVED |= {f"facepipe.{name}": f"facepipe.core.{name}" for name in _TO_CORE}
 MOVED |= {f"facepipe.importers.gltf_{name}": f"facepipe_gltf.read.{name}" for name in _TO_READ}
 MOVED |= {
+    "facepipe.finite": "facepipe.core.arrays",
     "facepipe.importers.gltf": "facepipe_gltf.read",
     "facepipe.importers.gltf_json": "facepipe_gltf.read.values",
     "facepipe.importers.imported": "facepipe.stage.imported",

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.finite import require_finite
 from facepipe.core.reading import read_json_object
 from facepipe.importers.scan_file import LARGEST
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME, ScanLandmarks, no_landmarks, no_sigmas

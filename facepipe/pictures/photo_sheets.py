@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
-from facepipe.core.finite import require_finite
 from facepipe.parts import FaceParts
 from facepipe.pictures import photo_pictures as pictures
 from facepipe.pictures.camera import View

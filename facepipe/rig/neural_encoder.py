@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.rig.neural_rig import Control
 
 EPSILON = 1e-5  # added to the variances that tokens are divided by the roots of

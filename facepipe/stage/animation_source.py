@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pxr import UsdSkel
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
-from facepipe.core.finite import require_finite
 from facepipe.core.names import unknown
 from facepipe.parts import Animation
 from facepipe.stage.author_animations import author_source

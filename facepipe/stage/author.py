@@ -9,8 +9,8 @@ from pathlib import Path
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import __version__, tokens
+from facepipe.core.arrays import require_finite
 from facepipe.core.atomic import together
-from facepipe.core.finite import require_finite
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
 from facepipe.stage.api_schemas import apply_schema, put_value

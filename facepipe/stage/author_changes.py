@@ -8,9 +8,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.parts import FaceParts
 from facepipe.stage.api_schemas import put
 from facepipe.stage.author_animations import author_animation_changes

@@ -13,9 +13,8 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import __version__, tokens
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
-from facepipe.core.finite import require_finite
 from facepipe.core.names import unknown
 from facepipe.parts import Animation, FaceParts, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider, SliderNetwork
 from facepipe.rig import (

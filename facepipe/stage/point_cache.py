@@ -12,9 +12,8 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.parts import Animation, Mesh
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import check_units, open_stage

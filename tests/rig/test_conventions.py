@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from facepipe.cli.parser import coefficients_of
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, find, find_joint
 from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.bone_coefficients import coefficients_of
 from facepipe.rig.conventions import CONVENTIONS, match_shapes, meaning, recognised, shape_key
 
 
@@ -103,7 +103,7 @@ def test_joints_are_found_by_path_source_name_or_last_part() -> None:
 
     assert [found(word) for word in ("mixamorig:Jaw", "root/eye_L", "eye_L", "EYE.l", "Tip.001")] == [1, 2, 2, 2, 4]
     assert found("tip") == 3  # the source's name of one alone
-    assert coefficients_of(["mixamorig:Jaw:rx=0.5"], joints, names)[1, 3] == 0.5
+    assert coefficients_of({"mixamorig:Jaw:rx": 0.5}, joints, names)[1, 3] == 0.5
     with pytest.raises(InputError, match="no joint 'mixamorig:Jw', did you mean 'mixamorig:Jaw'"):
         found("mixamorig:Jw")
     with pytest.raises(InputError, match="2 joints called 'tip', expected a path: root/eye_L/tip, root/tip"):

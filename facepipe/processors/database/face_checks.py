@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.whole_faces import Topology, WholeFace

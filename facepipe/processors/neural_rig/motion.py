@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.processors.database import Topology
 from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control

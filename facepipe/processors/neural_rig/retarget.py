@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
-from facepipe.core.finite import require_finite
 from facepipe.core.names import suggestion
 from facepipe.parts import Slider
 from facepipe.stage import Face

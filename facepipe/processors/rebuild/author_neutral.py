@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import TopologyError
-from facepipe.core.finite import require_finite
 from facepipe.core.reports import Report
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import FaceParts, Mesh, Recipe
