@@ -100,8 +100,8 @@ def given(name: str) -> Callable[..., Report] | None:
     """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action."""
     from facepipe.actions import find_action, verb_of
 
-    kind = find_action(verb_of(name))
-    return None if kind is None else _function(kind)  # type: ignore[arg-type]
+    kind: Any = find_action(verb_of(name))
+    return None if kind is None else _function(kind)
 
 
 def names() -> tuple[str, ...]:
@@ -116,7 +116,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     from facepipe.actions import function_name
     from facepipe.kinds import InPlaceAction, Inspector, unwatched
 
-    fields = fields_of(kind)  # type: ignore[arg-type]
+    fields = fields_of(kind)
     own = _own(kind)
     signature = inspect.Signature(_parameters(fields, own))
 

@@ -233,9 +233,13 @@ class Field:
         )
 
 
+def fields_of(options: Any) -> tuple[Field, ...]:
+    """The fields of an option dataclass or an action."""
+    return _fields_of(options)
+
+
 @functools.cache
-def fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
-    """The fields of an option dataclass."""
+def _fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
     hints = typing.get_type_hints(options)
     return tuple(_field(one, hints[one.name]) for one in dataclasses.fields(options))
 
@@ -258,7 +262,7 @@ def values_of(kind: type[DataclassInstance], holder: object) -> dict[str, Any]:
     return {one.name: getattr(holder, one.name) for one in dataclasses.fields(kind)}
 
 
-def check_ranges(options: DataclassInstance) -> None:
+def check_ranges(options: Any) -> None:
     """:raises InputError: an option is out of range, not finite or none of its choices"""
     for one in fields_of(type(options)):
         one.check(getattr(options, one.name))

@@ -92,7 +92,7 @@ class Action(Generic[R]):
     @property
     def base(self) -> Path:
         """The first file that it is done to."""
-        first = next(one for one in fields_of(type(self)) if one.role == "source")  # type: ignore[arg-type]
+        first = next(one for one in fields_of(type(self)) if one.role == "source")
         value = getattr(self, first.name)
         return Path(value[0] if isinstance(value, tuple) else value)
 
@@ -106,7 +106,7 @@ class Action(Generic[R]):
 
         :raises InputError: options out of range, or that don't go together
         """
-        check_ranges(self)  # type: ignore[arg-type]
+        check_ranges(self)
 
     def missed(self, report: R) -> bool:
         """Whether a check or threshold was missed, though the result is written."""

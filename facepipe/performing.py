@@ -151,7 +151,7 @@ def job_of(action: Action[Any], out: Path, watch: Watch = unwatched) -> Job:
 
 
 def _beside(action: Action[Any]) -> Iterator[tuple[Field, Path]]:
-    for one in fields_of(type(action)):  # type: ignore[arg-type]
+    for one in fields_of(type(action)):
         if one.role == "beside" and getattr(action, one.name) is not None:
             yield one, Path(getattr(action, one.name))
 
@@ -194,7 +194,7 @@ def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:
 
 
 def _sources(action: Action[Any]) -> Iterator[tuple[Field, Any]]:
-    for one in fields_of(type(action)):  # type: ignore[arg-type]
+    for one in fields_of(type(action)):
         value = getattr(action, one.name)
         if one.role == "source" and value is not None:
             yield one, value
@@ -218,7 +218,7 @@ def recipe_to(action: Action[Any], out: str | os.PathLike[str], **found: Any) ->
     """
     folder = Path(out).absolute().parent
     options = {}
-    for one in fields_of(type(action)):  # type: ignore[arg-type]
+    for one in fields_of(type(action)):
         if one.kept:
             value = getattr(action, one.name)
             options[one.name] = _seen_from(folder, one, value) if one.role == "source" else one.dump(value)
@@ -264,7 +264,7 @@ def read_kept(
     """
     file = Path(path)
     recipe, standalone = recipe_of(file, kind.verb, verb_now)
-    where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}  # type: ignore[arg-type]
+    where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}
     options = as_now(recipe)
     try:
         values = _values(options, fields, where)

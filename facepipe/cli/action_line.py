@@ -85,7 +85,7 @@ def _kind(verb: str) -> type[Action[Any]]:
 def configure(parser: Parser, kind: type[Action[Any]]) -> None:
     """Add the arguments."""
     parser.intermixed = True
-    add, fields = parser.add_argument, fields_of(kind)  # type: ignore[arg-type]
+    add, fields = parser.add_argument, fields_of(kind)
     for one in fields:
         if one.role == "source" and one.name not in kind.own_flags:
             add_field(parser, one)
@@ -127,7 +127,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     if isinstance(action, Inspector):
         return _looked(action, arguments)
     warn(kept.warnings if kept else ())
-    read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]  # type: ignore[arg-type]
+    read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
     in_place = isinstance(action, InPlaceAction) and arguments.output is None
     out = action.base if in_place else output_or_edited(arguments, inputs)
@@ -165,7 +165,7 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     """
     from facepipe.performing import read_kept
 
-    fields = fields_of(kind)  # type: ignore[arg-type]
+    fields = fields_of(kind)
     given = {one.name: getattr(arguments, one.name) for one in fields if hasattr(arguments, one.name)}
     unsaid = {one.name for one in fields if one.stands_alone and not given.get(one.name)}
     given = {name: value for name, value in given.items() if name not in {*unsaid, *kind.own_flags}}
@@ -219,7 +219,7 @@ def _check_beside(action: Action[Any], arguments: argparse.Namespace, inputs: li
     """
     from facepipe.cli.report_folder import check_report_folder
 
-    for one in fields_of(type(action)):  # type: ignore[arg-type]
+    for one in fields_of(type(action)):
         path = getattr(action, one.name) if one.role == "beside" else None
         if path is None:
             continue
