@@ -161,6 +161,7 @@ def whole(first: str, second: str, out: str) -> Json:
     import scipy.spatial  # noqa: F401
 
     import facepipe
+    import facepipe.stage.face  # else the first open would
     from facepipe.processors.blend import Blend
 
     start = time.perf_counter()

@@ -36,12 +36,12 @@ def import_face(kind: str, source: str, stage: str) -> Json:
 
 def export_face(stage: str, glb: str, variant: str) -> Json:
     """Stage to arrays, then the export call alone, several times."""
-    import facepipe_gltf
+    from facepipe_gltf import Options, export
 
     import facepipe
-    import facepipe.stage  # else the first open would
+    import facepipe.stage.face  # else the first open would
 
-    options = facepipe_gltf.Options(quantize=variant == "quantised", morph_normals=variant == "normals")
+    options = Options(quantize=variant == "quantised", morph_normals=variant == "normals")
     baseline = peak_memory()
     start = time.perf_counter()
     face = facepipe.open(stage)
@@ -49,7 +49,7 @@ def export_face(stage: str, glb: str, variant: str) -> Json:
     loaded = time.perf_counter()
     loaded_peak = peak_memory()
     reports = []
-    times = export_times(lambda: reports.append(facepipe_gltf.export(face, glb, options)))
+    times = export_times(lambda: reports.append(export(face, glb, options)))
     return times | {
         "load_s": loaded - start,
         "load_export_s": loaded - start + times["export_s"],
