@@ -18,7 +18,7 @@ from faces import grid_mesh, tiny_face
 from places import REPOSITORY, SUPPORT
 
 import facepipe
-from facepipe import pipeline
+from facepipe import cooking
 from facepipe.cli import main
 from facepipe.core.errors import FacepipeError
 from facepipe.core.locks import locked
@@ -264,7 +264,7 @@ def test_a_layer_with_unsaved_changes_is_refused(chain: Path) -> None:
     face.stage.GetRootLayer().comment = "not saved"
     before = content(chain)
     with pytest.raises(FacepipeError, match="changes that are not saved"):
-        pipeline.cook(["shot.usda"])
+        cooking.cook(["shot.usda"])
     assert content(chain) == before
 
 
@@ -285,9 +285,9 @@ def test_json_tells_what_was_done_before_an_error(chain: Path, capsys: Capsys) -
 
 def test_a_file_that_another_process_cooks_is_waited_for_and_not_cooked_twice(chain: Path) -> None:
     change("b.usda")
-    second: list[pipeline.CookReport] = []
+    second: list[cooking.CookReport] = []
     with locked("mix.usda"):
-        thread = threading.Thread(target=lambda: second.append(pipeline.cook(["mix.usda"])))
+        thread = threading.Thread(target=lambda: second.append(cooking.cook(["mix.usda"])))
         thread.start()
         assert main(["blend", "--edit", "mix.usda", "--force"]) == 0
     thread.join()
@@ -302,7 +302,7 @@ def test_a_stage_that_is_open_sees_files_changed_on_disk(chain: Path) -> None:
     subprocess.run(
         [sys.executable, "-c", script], check=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
     )
-    pipeline.cook(["mix.usda"])
+    cooking.cook(["mix.usda"])
     cooked = Path("mix.usda").read_bytes()
     del held
     assert main(["blend", "a.usda", "b.usda", "-o", "mix.usda", "--force", *LINES[0][5:]]) == 0
