@@ -17,7 +17,7 @@ from pxr import Usd
 from small_sources import made
 
 import facepipe
-from facepipe import pipeline
+from facepipe import cooking
 from facepipe.cli import main
 from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
@@ -202,11 +202,11 @@ def test_chains_of_files_may_be_longer_than_the_stack(tmp_path: Path, capsys: Ca
 def test_roots_are_those_in_force_in_the_program(show: Path) -> None:
     _stale(show)
     with trusting(Trust(roots=(show / "shots",))):
-        report = pipeline.cook(["shots/posed.usda"], CookOptions(dry_run=True))
+        report = cooking.cook(["shots/posed.usda"], CookOptions(dry_run=True))
     assert [one.action for one in report.nodes] == ["outside the roots", "stale", "stale"]
     assert report.nodes[1].warnings == (_NOTE,)
     with trusting(Trust(roots=(show,))):
-        assert pipeline.cook(["shots/posed.usda"]).good
+        assert cooking.cook(["shots/posed.usda"]).good
 
 
 _PROJECT = 'template = "a.usda"\ndatabase = "faces.fpdb"\nwork = "{work}"\n[neutral]\nscan = "scan.ply"\n'
@@ -217,7 +217,7 @@ def test_a_host_can_confine_what_a_cook_reads(show: Path) -> None:
         trusting(Trust(roots=(show / "shots",), confined=True)),
         pytest.raises(InputError, match=r"mix\.usda: is outside the roots"),
     ):
-        pipeline.cook(["shots/posed.usda"])
+        cooking.cook(["shots/posed.usda"])
     table = Path("table.toml")
     table.write_text(TABLE)
     assert main(["sliders", "shots/controls.usda", "--from", "table.toml", "-o", "lib/own.usda"]) == 0
@@ -225,7 +225,7 @@ def test_a_host_can_confine_what_a_cook_reads(show: Path) -> None:
         trusting(Trust(roots=(show / "shots", show / "lib"), confined=True)),
         pytest.raises(InputError, match=r"table\.toml: is outside the roots"),
     ):
-        pipeline.cook(["lib/own.usda"], CookOptions(dry_run=True))
+        cooking.cook(["lib/own.usda"], CookOptions(dry_run=True))
 
 
 @pytest.fixture
