@@ -78,9 +78,12 @@ def find_action(verb: str) -> type[Action[Any]] | None:
 def _of_others(entry: EntryPoint) -> type[Action[Any]]:
     """:raises InputError: it can't be loaded, or is no action of that verb"""
     found = loaded(entry)
-    if isinstance(found, type) and issubclass(found, Action) and getattr(found, "verb", None) == entry.name:
-        return found
-    raise InputError(f"plug-in {entry.name} ({entry.value})", "is no action of that verb, expected one")
+    where = f"plug-in {entry.name} ({entry.value})"
+    if not (isinstance(found, type) and issubclass(found, Action) and getattr(found, "verb", None) == entry.name):
+        raise InputError(where, "is no action of that verb, expected one")
+    if found.__abstractmethods__:
+        raise InputError(where, f"has no {min(found.__abstractmethods__)}, expected it of such an action")
+    return found
 
 
 def cookable(verb: str) -> type[StageAction[Any]] | None:

@@ -129,11 +129,11 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
             action.check()
             report: Report = action.look(unwatched)
             return report
-        out, overwrite = values.get("out"), values.get("overwrite", False)
-        if out is None and isinstance(action, InPlaceAction):
+        given_out, overwrite = values.get("out"), values.get("overwrite", False)
+        if given_out is None and isinstance(action, InPlaceAction):
             check_result(kind, action.base, (), overwrite=True)
             return perform(action, action.base).report
-        out = Path(out)  # type: ignore[arg-type]
+        out = Path(str(given_out))
         beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
         for path in (out, *(one for one in beside if one is not None)):
             _check(path, files_of(action), overwrite=overwrite)
@@ -142,7 +142,8 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)
     function.__doc__ = _described(kind, fields, own)
-    function.__signature__ = signature  # type: ignore[attr-defined]
+    said: Any = function
+    said.__signature__ = signature
     return function
 
 
@@ -174,8 +175,8 @@ def _value(field: Field, value: Any) -> Any:
     """A value as the action has it: paths of names, and what JSON or a file would say."""
     if value is None:
         return None
-    if field.is_read and isinstance(value, str | os.PathLike):
-        return field.parse(Path(value))  # type: ignore[misc]
+    if field.is_read and field.parse is not None and isinstance(value, str | os.PathLike):
+        return field.parse(Path(value))
     if field.value is not None and isinstance(value, Mapping):
         return field.value.load(value, field.name)
     if field.role == "option" or field.split is not None:

@@ -9,7 +9,8 @@
         width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
         picture: Path | None = beside("draw what moved", ".png", "draw")
 
-        def author(self, face: Face, job: Job) -> ShrinkReport: ...
+        @abstractmethod
+    def author(self, face: Face, job: Job) -> ShrinkReport: ...
 
 The command with its flags and help, the recipe and what cooks it again, `--edit` and the Python function are made of
 that.
@@ -17,6 +18,7 @@ that.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -68,7 +70,7 @@ class Job:
     recipe: Callable[..., Recipe]  # of `out`: job.recipe(quality=...) with what was found; or of a changed action
 
 
-class Action(Generic[R]):
+class Action(ABC, Generic[R]):
     """Base of all actions."""
 
     verb: ClassVar[str]
@@ -128,12 +130,12 @@ class StageAction(Action[R]):
         """
         return ()
 
+    @abstractmethod
     def author(self, face: Face, job: Job) -> R:
         """Do the work on `face`, a layer over the base that is saved when this ends well.
 
         :raises FacepipeError: what can't be read or done; then nothing is written
         """
-        raise NotImplementedError
 
 
 class FileAction(Action[R]):
@@ -148,12 +150,12 @@ class FileAction(Action[R]):
         """Files that may be written with `out`, named after it."""
         return ()
 
+    @abstractmethod
     def write(self, job: Job) -> R:
         """Do the work, write ``job.out`` whole or not at all.
 
         :raises FacepipeError: what can't be read, done or written
         """
-        raise NotImplementedError
 
 
 class InPlaceAction(FileAction[R]):
@@ -166,12 +168,12 @@ class InPlaceAction(FileAction[R]):
 class Inspector(Action[R]):
     """Base of the actions that look at files and write none."""
 
+    @abstractmethod
     def look(self, watch: Watch) -> R:
         """Do the work; `text` has `base` for its file.
 
         :raises FacepipeError: what can't be read
         """
-        raise NotImplementedError
 
 
 def action(verb: str, summary: str) -> Callable[[type[A]], type[A]]:

@@ -8,7 +8,6 @@ import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,16 +28,12 @@ _EDIT = (
 )
 
 
-@dataclass(frozen=True)
 class ActionLine:
-    """What `facepipe VERB` takes and does."""
+    """What `facepipe VERB` takes and does; its docstring is that of the module that declares the action."""
 
-    kind: type[Action[Any]]
-
-    @property
-    def __doc__(self) -> str:  # type: ignore[override]
-        """The text of --help: that of the module that declares the action."""
-        return sys.modules[self.kind.__module__].__doc__ or self.kind.summary
+    def __init__(self, kind: type[Action[Any]]) -> None:
+        self.kind = kind
+        self.__doc__ = sys.modules[kind.__module__].__doc__ or kind.summary
 
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the arguments."""
@@ -49,16 +44,12 @@ class ActionLine:
         return run(arguments, self.kind)
 
 
-@dataclass(frozen=True)
 class ActionGroup:
     """What `facepipe NAME ACTION` takes and does: the actions whose verbs are NAME and another word."""
 
-    name: str
-
-    @property
-    def __doc__(self) -> str:  # type: ignore[override]
-        """The text of --help."""
-        return groups()[self.name]
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.__doc__ = groups()[name]  # the text of --help
 
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the actions, and the arguments of the one that `words` name."""

@@ -80,7 +80,7 @@ def test_nothing_is_overwritten_unasked_and_no_input_ever(folder: Path) -> None:
     ):
         before = {one.name: one.stat().st_mtime_ns for one in folder.iterdir()}
         with pytest.raises(facepipe.InputError) as caught:
-            call()  # type: ignore[no-untyped-call]
+            call()
         assert "\n" not in str(caught.value)
         assert {one.name: one.stat().st_mtime_ns for one in folder.iterdir()} == before
 

@@ -24,8 +24,8 @@ def test_a_module_is_found_under_its_old_name(old: str) -> None:
 def test_what_they_hold_is_the_same() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from facepipe.errors import InputError  # type: ignore[import-not-found]
-        from facepipe.render.camera import Camera  # type: ignore[import-not-found]
+        from facepipe.errors import InputError
+        from facepipe.render.camera import Camera
     from facepipe.core import errors
     from facepipe.pictures import camera
 

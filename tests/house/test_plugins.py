@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,9 @@ from faces import tiny_face
 from typed_plugins import EXPORTERS, IMPORTERS
 
 import facepipe
-from facepipe import registry
+from facepipe import actions, registry
 from facepipe.cli import commands_of
+from facepipe.core.errors import InputError
 from facepipe.stage import save_parts
 
 # what the contract in facepipe/registry.py asks for, and nothing else
@@ -267,3 +268,14 @@ def test_our_own_plug_ins_are_those_that_types_are_checked_of() -> None:
     for group, modules in ((registry.EXPORTERS, EXPORTERS), (registry.IMPORTERS, IMPORTERS)):
         ours = {one.load() for one in entry_points(group=group) if one.value.startswith("facepipe_")}
         assert {*modules} == ours
+
+
+def test_an_action_that_does_nothing_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its kind asks for a method that it has not."""
+    text = "from facepipe.kinds import StageAction, action\n@action('idle', 'rest')\nclass Idle(StageAction): pass\n"
+    (tmp_path / "idle_plugin.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    entry = EntryPoint(name="idle", value="idle_plugin:Idle", group=actions.GROUP)
+    monkeypatch.setattr(actions, "entry_points", lambda **_: (entry,))
+    with pytest.raises(InputError, match=r"plug-in idle \(idle_plugin:Idle\): has no author, expected"):
+        actions.find_action("idle")

@@ -148,6 +148,6 @@ def _read(path: Path, face: Face) -> FaceParts:
     from facepipe.importers import load, obj
 
     if path.suffix.lower() == ".obj":
-        up_axis = "Z" if face.up_axis == "Z" else "Y"
-        return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts  # type: ignore[arg-type]
+        up_axis: Literal["Y", "Z"] = "Z" if face.up_axis == "Z" else "Y"
+        return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts
     return load("gltf", path).parts
