@@ -16,7 +16,7 @@ from facepipe.core import __version__ as __version__
 from facepipe.core.loading import keep_old_names, lazy
 
 if TYPE_CHECKING:
-    from facepipe.api import export, read, render, sample
+    from facepipe.api import export, read, sample
     from facepipe.checks import validate
     from facepipe.cooking.cooking import cook
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
@@ -42,7 +42,6 @@ __all__ = [
     "export",
     "open",
     "read",
-    "render",
     "sample",
     "validate",
 ]

@@ -1,4 +1,4 @@
-"""The public functions: read, sample, export, render, and one for each action, made of its declaration."""
+"""The public functions: read, sample, export, and one for each action, made of its declaration."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import inspect
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from facepipe.core.errors import InputError
 from facepipe.declare import Field, fields_of
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 AnyPath = str | os.PathLike[str]
-View = Literal["front", "side", "three-quarter"]
 
 
 def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
@@ -71,23 +69,6 @@ def export(face: Face | AnyPath, out: AnyPath, *, overwrite: bool = False, **opt
         _check(one, files, overwrite=overwrite)
     held = read(face) if isinstance(face, str | os.PathLike) else face
     return module.export(held, target, module.Options(**options))
-
-
-def render(
-    face: Face | AnyPath, out: AnyPath, *, view: View = "front", size: int = 800, overwrite: bool = False
-) -> None:
-    """Draw a face as a PNG.
-
-    :param size: width and height, pixels
-    :raises InputError: no such view, or a file that can't be written
-    """
-    from facepipe.pictures import PictureOptions, picture, save_png
-
-    if Path(out).suffix.lower() != ".png":
-        raise InputError(out, f"suffix '{Path(out).suffix}', expected .png")
-    _check(Path(out), (), overwrite=overwrite)
-    held = read(face) if isinstance(face, str | os.PathLike) else face
-    save_png(picture(held.parts(), held.evaluate(), PictureOptions(size=size, view=view)), Path(out))
 
 
 def _check(out: Path, inputs: tuple[Path, ...], *, overwrite: bool) -> None:

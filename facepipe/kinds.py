@@ -9,8 +9,7 @@
         width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
         picture: Path | None = beside("draw what moved", ".png", "draw")
 
-        @abstractmethod
-    def author(self, face: Face, job: Job) -> ShrinkReport: ...
+        def author(self, face: Face, job: Job) -> ShrinkReport: ...
 
 The command with its flags and help, the recipe and what cooks it again, `--edit` and the Python function are made of
 that.

@@ -32,7 +32,6 @@ COMMANDS = {
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "apply-bones": "rebuild a face from bone coefficients",
-    "render": "draw a face",
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "sliders": "list, author or set sliders",

@@ -1,4 +1,4 @@
-"""Arguments: one-line usage errors, flags from option dataclasses, name=value pairs, output files."""
+"""Arguments: one-line usage errors, flags from option dataclasses, output files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.core.errors import InputError
-from facepipe.declare import BONE_HELP, Field, fields_of, named_numbers
+from facepipe.declare import Field, fields_of
 
 
 class Parser(argparse.ArgumentParser):
@@ -210,28 +210,3 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
     if out is not None and picture.absolute() == out.absolute():
         raise InputError(picture, "is the output too, expected another file")
     return picture
-
-
-def add_pose(parser: argparse.ArgumentParser) -> None:
-    """`--set SHAPE=WEIGHT` and `--bone JOINT:CHANNEL=VALUE`."""
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="SHAPE=WEIGHT", help="shape weight; may be given again"
-    )
-    parser.add_argument(
-        "--bone",
-        action="append",
-        default=[],
-        metavar="JOINT:CHANNEL=VALUE",
-        help=BONE_HELP,
-    )
-
-
-def pairs(words: Sequence[str], flag: str) -> dict[str, float]:
-    """``name=number`` words as a mapping.
-
-    :raises InputError: a word that is not so, or a number that is not finite
-    """
-    try:
-        return named_numbers(words)
-    except InputError as error:
-        raise InputError(f"{flag} {error.where}", error.what) from None

@@ -38,7 +38,7 @@ _TO_READ += ("record_joints", "record_materials", "samplers", "skins", "vertices
 _CALLED = {  # new name -> the function that has the old one
     "facepipe.heads": ("facepipe.api", "sample"),
     "facepipe.checks": ("facepipe.checks", "validate"),
-    "facepipe.pictures": ("facepipe.api", "render"),
+    "facepipe.pictures": ("facepipe", "render"),
 }
 _TO_HOSTING = ("deliver", "edited_face", "edited_mesh", "host_face", "live_blend", "reblended")
 MOVED = {f"facepipe.pipeline.{name}": f"facepipe.hosting.{name}" for name in _TO_HOSTING}
@@ -73,7 +73,7 @@ def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable
         if not name.startswith("__") and name in homes():
             module, original = homes()[name]
             value = getattr(importlib.import_module(module), original)
-        elif others and not name.startswith("_") and importlib.util.find_spec(f"{package}.{name}") is None:
+        elif others and not name.startswith("_") and not _is_module(f"{package}.{name}"):
             value = importlib.import_module(others).given(name)
         if value is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
@@ -85,6 +85,11 @@ def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable
         return sorted({*vars(sys.modules[package]), *homes(), *more})
 
     return load, names
+
+
+def _is_module(name: str) -> bool:
+    """Whether a module is called so today."""
+    return name not in MOVED and importlib.util.find_spec(name) is not None
 
 
 def _homes(package: str) -> dict[str, tuple[str, str]]:

@@ -14,10 +14,9 @@ from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
-from facepipe.declare import BONE_HELP, named_numbers, option, source
+from facepipe.declare import source
 from facepipe.kinds import FileAction, Job, action
-
-_NUMBERS: dict[str, Any] = {"parse": named_numbers, "kept": False}
+from facepipe.processors.posed import Posed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,22 +28,13 @@ class EvalReport(Report):
 
 @action("eval", "run an exported ONNX file")
 @dataclass(frozen=True, kw_only=True)
-class Eval(FileAction[EvalReport]):
+class Eval(Posed, FileAction[EvalReport]):
     """The action."""
 
     output = "arrays to write: .npz, one per output of the graph"
     suffixes = (".npz",)
 
     model: Path = source(".onnx file of `facepipe export`")
-    weights: Mapping[str, float] = option(dict, "shape weight", flag="--set", metavar="SHAPE=WEIGHT", **_NUMBERS)
-    bones: Mapping[str, float] = option(dict, BONE_HELP, flag="--bone", metavar="JOINT:CHANNEL=VALUE", **_NUMBERS)
-    sliders: Mapping[str, float] = option(
-        dict,
-        "slider value, of a graph of `facepipe export --sliders`",
-        flag="--slider",
-        metavar="SLIDER=VALUE",
-        **_NUMBERS,
-    )
 
     def write(self, job: Job) -> EvalReport:
         import numpy as np
