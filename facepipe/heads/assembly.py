@@ -1,0 +1,91 @@
+"""A face of the package data and what is known of a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, UvSet
+
+Shapes = Mapping[str, Mapping[float, FloatArray]]  # name -> weight, 1 the last -> (n, 3) offsets there
+
+_SKIN = (0.60, 0.37, 0.28)
+_MATERIALS = (
+    Material(name="M_Face", diffuse_color=_SKIN, roughness=0.5),
+    Material(name="M_BackHead", diffuse_color=_SKIN, roughness=0.5),
+    Material(name="M_GumsTongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
+    Material(name="M_Teeth", diffuse_color=(0.78, 0.73, 0.62), roughness=0.25),
+    Material(name="M_ScleraLeft", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
+    Material(name="M_ScleraRight", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
+    Material(name="M_IrisLeft", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
+    Material(name="M_IrisRight", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
+    Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),
+    Material(name="Pupil", diffuse_color=(0.005, 0.005, 0.005), roughness=0.1),
+)
+
+
+def make_head(identity: FloatArray) -> FaceParts:
+    """The head of a person, in centimetres.
+
+    :param identity: (100,) weights of the identity modes, in standard deviations
+    """
+    head = asset()
+    points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
+    return FaceParts(
+        name="Face",
+        meters_per_unit=0.01,
+        meshes=tuple(_mesh(head, name, part, points, head.shapes) for name, part in head.parts.items()),
+        materials=_MATERIALS,
+        attribution=ATTRIBUTION,
+    )
+
+
+def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes) -> Mesh:
+    uvs, uv_indices = np.unique(head.uv_indices[part.corners], return_inverse=True)
+    whole = name == "Head"
+    masks = head.regions if whole else {region: _all(part, region == part.region) for region in head.regions}
+    return Mesh(
+        name=name,
+        points=points[part.points],
+        face_vertex_counts=head.counts[part.faces],
+        face_vertex_indices=head.indices[part.corners] - part.points.start,
+        uv_sets=(UvSet(values=head.uvs[uvs], indices=uv_indices.reshape(-1).astype(np.int32)),),
+        blendshapes=_blendshapes(part, shapes),
+        regions=masks,
+        landmarks={"multipie68": Landmarks(indices=head.landmarks)} if whole else {},
+        anchor=head.anchor if whole else None,
+        material_faces=_material_faces(head, part),
+    )
+
+
+def _all(part: Part, value: float) -> FloatArray:
+    return np.full(part.points.stop - part.points.start, float(value))
+
+
+def _blendshapes(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
+    """The shapes that move points of a part."""
+    found = []
+    for name, ways in shapes.items():
+        own = {weight: offsets[part.points] for weight, offsets in ways.items()}
+        moved = np.flatnonzero(np.any([offsets.any(axis=1) for offsets in own.values()], axis=0))
+        if not len(moved):
+            continue
+        inbetweens = tuple(
+            Inbetween(name=f"at{round(100 * weight)}", weight=weight, offsets=offsets[moved])
+            for weight, offsets in own.items()
+            if weight != 1.0
+        )
+        points = moved.astype(np.int32)
+        found.append(Blendshape(name=name, point_indices=points, offsets=own[1.0][moved], inbetweens=inbetweens))
+    return tuple(found)
+
+
+def _material_faces(head: Asset, part: Part) -> tuple[MaterialFaces, ...]:
+    own = head.materials[part.faces]
+    return tuple(
+        MaterialFaces(material=head.material_names[number], faces=np.flatnonzero(own == number).astype(np.int32))
+        for number in np.unique(own)
+    )

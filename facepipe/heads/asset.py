@@ -1,0 +1,115 @@
+"""The package data: a real head in numbers. `samples/head/build.py` makes it of ICT-FaceKit and MakeHuman.
+
+Points of the whole head are numbered as in ICT-FaceKit, whose points 0 to 24590 are kept; a mesh is a run of them.
+Lengths are in centimetres, Y is up, the head looks along +Z, +X is its left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.arrays import FloatArray, IntArray
+
+ATTRIBUTION = (
+    "Head: ICT-FaceKit, Copyright (c) 2020 USC Institute for Creative Technologies, MIT license. Please cite: Li et "
+    "al., Learning Formation of Physically-Based Face Attributes, CVPR 2020. Skin weights: MakeHuman team, CC0 1.0."
+)
+STEP = 0.001  # cm: of packed offsets
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A mesh: its run of points and of faces, and the region that it lies in ("" for Head, which has its own masks)."""
+
+    points: slice
+    faces: slice
+    corners: slice
+    region: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asset:
+    """n points, f faces, c face corners, m modes."""
+
+    points: FloatArray  # (n, 3) the average head
+    modes: npt.NDArray[np.float32]  # (m, n, 3) offsets of a standard deviation
+    shapes: Mapping[str, Mapping[float, npt.NDArray[np.float32]]]  # name -> weight, 1 the last -> (n, 3) offsets there
+    parts: Mapping[str, Part]  # by name of the mesh
+    counts: IntArray  # (f,)
+    indices: IntArray  # (c,)
+    uvs: FloatArray  # (u, 2): the integer part of u is the texture tile
+    uv_indices: IntArray  # (c,)
+    materials: IntArray  # (f,) into material_names
+    material_names: tuple[str, ...]
+    regions: Mapping[str, FloatArray]  # name -> (points of Head,) soft masks, which sum to 1
+    landmarks: IntArray  # (68,) points of multipie68
+    anchor: int
+
+    def place(self, point: int) -> tuple[str, int]:
+        """The mesh that a point is in, and its number there."""
+        return next((name, point - part.points.start) for name, part in self.parts.items() if point < part.points.stop)
+
+
+@cache
+def arrays(name: str) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of a file of the package data."""
+    with as_file(files("facepipe.heads") / "data" / f"{name}.npz") as path, np.load(path, allow_pickle=False) as file:
+        return {key: file[key] for key in file.files}
+
+
+@cache
+def asset() -> Asset:
+    """The head, read when it is first asked for."""
+    found = arrays("head")
+    names = [str(name) for name in found["shape_names"]]
+    shapes: dict[str, dict[float, npt.NDArray[np.float32]]] = {}
+    for name, weight, offsets in zip(names, found["shape_weights"], unpacked(found["shapes"]), strict=True):
+        shapes.setdefault(name, {})[float(weight)] = offsets
+    masks = found["regions"] / found["regions"].sum(axis=0, dtype=np.float64)
+    return Asset(
+        points=found["points"].astype(np.float64),
+        modes=unpacked(arrays("modes")["modes"]),
+        shapes=shapes,
+        parts=_parts(found),
+        counts=found["counts"].astype(np.int32),
+        indices=found["indices"],
+        uvs=found["uvs"].astype(np.float64),
+        uv_indices=found["uv_indices"],
+        materials=found["materials"].astype(np.int32),
+        material_names=tuple(map(str, found["material_names"])),
+        regions=dict(zip(map(str, found["region_names"]), masks, strict=True)),
+        landmarks=found["landmarks"],
+        anchor=int(found["anchor"]),
+    )
+
+
+def unpacked(planes: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Offsets (r, n, 3) in cm of low and high bytes (2, r, 3, n) of their differences from point to point, in steps.
+
+    Differences are folded, so that small ones of either sign are small numbers: 0, -1, 1, -2 ... as 0, 1, 2, 3 ...
+    """
+    folded = planes[1].astype(np.uint16) << 8 | planes[0]
+    change = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)
+    steps = np.cumsum(change, axis=2, dtype=np.int16)
+    return np.ascontiguousarray((steps * np.float32(STEP)).transpose(0, 2, 1))
+
+
+def _parts(found: Mapping[str, npt.NDArray[Any]]) -> dict[str, Part]:
+    ends = np.vstack([[0, 0], found["mesh_ends"]])
+    corners = np.append(0, np.cumsum(found["counts"], dtype=np.int64))
+    return {
+        str(name): Part(
+            points=slice(*map(int, ends[i : i + 2, 0])),
+            faces=slice(*map(int, ends[i : i + 2, 1])),
+            corners=slice(*(int(corners[end]) for end in ends[i : i + 2, 1])),
+            region=str(found["mesh_regions"][i]),
+        )
+        for i, name in enumerate(found["meshes"])
+    }

@@ -1,0 +1,64 @@
+"""The package data of the head: what `samples/head` makes of its sources, to half a step and to the byte."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from import_data import shared
+from places import REPOSITORY, SHARED
+
+from facepipe.heads.asset import STEP, asset
+
+DATA = REPOSITORY / "facepipe" / "heads" / "data"
+HALF_A_STEP = STEP / 2 + 1e-6
+
+
+@pytest.fixture(scope="module")
+def source() -> dict[str, np.ndarray]:
+    with np.load(shared("ict_facekit/ict_facekit.npz")) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def test_modes_and_shapes_are_those_of_the_source(source: dict[str, np.ndarray]) -> None:
+    head = asset()
+    count = len(head.points)
+    assert np.abs(head.points - source["neutral"][:count]).max() < 1e-6
+    assert np.abs(head.modes - source["identity_deltas"][:, :count]).max() < HALF_A_STEP
+    theirs = dict(zip(source["expression_names"].tolist(), source["expression_deltas"][:, :count], strict=True))
+    both = theirs["browInnerUp_L"].astype(np.float64) + theirs["browInnerUp_R"]
+    for name, offsets in {
+        "eyeBlinkLeft": theirs["eyeBlink_L"],
+        "jawOpen": theirs["jawOpen"],
+        "browInnerUp": both,
+    }.items():
+        missed = np.linalg.norm(head.shapes[name][1.0] - offsets, axis=1)
+        assert missed.max() < 0.003  # cm: less than that is rounding noise of the source
+
+
+def test_parts_hold_all_points_and_faces_once() -> None:
+    head = asset()
+    ends = np.cumsum(head.counts)
+    points, faces, corners = 0, 0, 0
+    for name, part in head.parts.items():
+        assert (part.points.start, part.faces.start, part.corners.start) == (points, faces, corners)
+        points, faces, corners = part.points.stop, part.faces.stop, part.corners.stop
+        assert ends[faces - 1] == corners
+        used = np.unique(head.indices[part.corners])
+        np.testing.assert_array_equal(used, np.arange(part.points.start, part.points.stop))
+        assert head.place(part.points.start + 1) == (name, 1)
+    assert (points, faces, corners) == (len(head.points), len(head.counts), len(head.indices))
+    np.testing.assert_allclose(sum(head.regions.values()), 1.0, atol=1e-12)
+
+
+def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
+    shared("ict_facekit/ict_facekit.npz"), shared("makehuman/makehuman_head.npz")
+    script = REPOSITORY / "samples" / "head" / "build.py"
+    subprocess.run([sys.executable, script, "--data", SHARED, "-o", tmp_path], check=True, capture_output=True)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DATA.iterdir()}
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (DATA / path.name).read_bytes(), path.name
+    assert sum(path.stat().st_size for path in DATA.iterdir()) <= 5_500_000
