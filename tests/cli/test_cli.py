@@ -52,12 +52,20 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         (["import", "obj", "gone", "b.usda"], "gone"),
         (["render", "gone.usda", "-o", "x.jpg"], "expected .png"),
         (["landmarks", "gone.usda", "--from", "gone.json", "-o", "x.usda"], "gone.usda: no such file"),
+        (["sample", "x.usda", "--seed", "-1"], "expected a whole number from 0"),
+        (["eval", "tiny.usda", "-o", "x.npz"], "suffix '.usda', expected .onnx"),
+        (["eval", "tiny.glb", "-o", "x.npz"], "suffix '.glb', expected .onnx"),
+        (["inspect", "a" * 300 + ".usda"], "aaa...: file name too long"),
+        (["render", "tiny.usda", "-o", "x.png", "--bone", "nose:rx=1"], "no joint 'nose', expected one of root"),
+        (["render", "tiny.usda", "-o", "x.png", "--bone", "jaw:qq=1"], "channel 'qq'"),
+        (["landmarks", "tiny.usda", "--from", "/dev/zero", "-o", "x.usda"], "not a regular file"),
+        (["import", "ict", "/dev/zero", "x.usda"], "not a regular file"),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_2(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+    capsys: pytest.CaptureFixture[str], face: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(face.parent)
     assert message in failed(capsys, *words)
 
 
@@ -170,26 +178,6 @@ def test_validate_exit_codes(capsys: pytest.CaptureFixture[str], face: Path) -> 
 def test_schema_path_holds_the_plugin(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = run(capsys, "schema-path")
     assert (Path(out.strip()) / "plugInfo.json").is_file()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["sample", "x.usda", "--seed", "-1"], "expected a whole number from 0"),
-        (["eval", "tiny.usda", "-o", "x.npz"], "suffix '.usda', expected .onnx"),
-        (["eval", "tiny.glb", "-o", "x.npz"], "suffix '.glb', expected .onnx"),
-        (["inspect", "a" * 300 + ".usda"], "aaa...: file name too long"),
-        (["render", "tiny.usda", "-o", "x.png", "--bone", "nose:rx=1"], "no joint 'nose', expected one of root"),
-        (["render", "tiny.usda", "-o", "x.png", "--bone", "jaw:qq=1"], "channel 'qq'"),
-        (["landmarks", "tiny.usda", "--from", "/dev/zero", "-o", "x.usda"], "not a regular file"),
-        (["import", "ict", "/dev/zero", "x.usda"], "not a regular file"),
-    ],
-)
-def test_ordinary_mistakes(
-    capsys: pytest.CaptureFixture[str], face: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
-) -> None:
-    monkeypatch.chdir(face.parent)
-    assert message in failed(capsys, *words)
 
 
 def test_what_a_stage_needs_is_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

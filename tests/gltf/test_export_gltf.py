@@ -243,16 +243,11 @@ def test_real_head_every_expression_and_50_poses(writing: Writing) -> None:
 
 
 @pytest.mark.parametrize("influences", [4, 8])
-def test_real_head_with_bones(influences: int, writing: Writing) -> None:
+@pytest.mark.parametrize(
+    ("poses", "options"), [(5, {}), pytest.param(50, {"animations": True}, marks=pytest.mark.slow)], ids=["5", "50"]
+)
+def test_real_head_with_bones(poses: int, options: dict[str, bool], influences: int, writing: Writing) -> None:
     parts = load("makehuman", shared("makehuman/makehuman_head.npz")).parts
-    file, report = writing(parts, influences=influences)
+    file, report = writing(parts, influences=influences, **options)
     assert report.counts["joints"] == 77
-    check_agreement(parts, file, poses=5, influences=influences)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("influences", [4, 8])
-def test_real_head_with_bones_in_50_poses(influences: int, writing: Writing) -> None:
-    parts = load("makehuman", shared("makehuman/makehuman_head.npz")).parts
-    file, _ = writing(parts, influences=influences, animations=True)
-    check_agreement(parts, file, poses=50, influences=influences)
+    check_agreement(parts, file, poses=poses, influences=influences)

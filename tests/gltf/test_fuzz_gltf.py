@@ -230,12 +230,15 @@ def test_non_finite_floats(kind: str, bad: float) -> None:
     expect(with_floats(kind, bad), "accessors[", "non-finite")
 
 
-def test_negative_weight() -> None:
-    expect(with_floats("WEIGHTS_0", -0.5), "WEIGHTS_0", "-0.5")
-
-
-def test_key_times_that_descend() -> None:
-    expect(with_floats("key times", 5.0), "animations[0].samplers[0].input", "ascend")
+@pytest.mark.parametrize(
+    ("kind", "bad", "words"),
+    [
+        ("WEIGHTS_0", -0.5, ("WEIGHTS_0", "-0.5")),
+        ("key times", 5.0, ("animations[0].samplers[0].input", "ascend")),  # the next is earlier
+    ],
+)
+def test_floats_out_of_place(kind: str, bad: float, words: tuple[str, str]) -> None:
+    expect(with_floats(kind, bad), *words)
 
 
 def test_singular_inverse_bind() -> None:

@@ -168,16 +168,18 @@ def test_triangles_through_the_camera_plane_are_cut_not_mirrored() -> None:
     np.testing.assert_allclose(hit[:, 2], -64.0 / (row + 0.5 - 32.0), rtol=1e-6)  # where the pixel's ray meets y = -1
 
 
-def test_points_behind_the_camera_draw_nothing() -> None:
-    assert (one_triangle([(0, 0, -1.0), (60, 0, -2.0), (0, 60, -1.0)], 64, 64) == -1).all()
-
-
-def test_one_triangle_over_the_whole_screen() -> None:
-    assert (one_triangle([(-1e5, -1e5, 1.0), (3e5, -1e5, 1.0), (-1e5, 3e5, 1.0)], 500, 300) == 0).all()
-
-
-def test_slivers_and_points_cover_nothing() -> None:
-    assert (one_triangle([(5, 5, 1.0), (5, 5, 1.0), (30, 30, 1.0)], 64, 64) == -1).all()
+@pytest.mark.parametrize(
+    ("corners", "size", "drawn"),
+    [
+        pytest.param([(0, 0, -1.0), (60, 0, -2.0), (0, 60, -1.0)], (64, 64), -1, id="behind the camera"),
+        pytest.param([(-1e5, -1e5, 1.0), (3e5, -1e5, 1.0), (-1e5, 3e5, 1.0)], (500, 300), 0, id="over all the screen"),
+        pytest.param([(5, 5, 1.0), (5, 5, 1.0), (30, 30, 1.0)], (64, 64), -1, id="sliver"),
+    ],
+)
+def test_one_triangle_covers_all_pixels_or_none(
+    corners: list[tuple[float, float, float]], size: tuple[int, int], drawn: int
+) -> None:
+    assert (one_triangle(corners, *size) == drawn).all()
 
 
 # Camera

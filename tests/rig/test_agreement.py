@@ -6,6 +6,8 @@ of the head height. The USD side is limited to the influences that the GLB holds
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import facepipe_gltf
 import gltf_reader
 import numpy as np
@@ -51,16 +53,11 @@ def test_the_poses_move_the_face(judged: Judged) -> None:
     assert moved[1:].min() > 1e-3
 
 
-def test_rig_is_usdskel(judged: Judged) -> None:
-    rig_is_usdskel(judged)
-
-
-def test_glb_read_back_is_the_rig(judged: Judged) -> None:
-    glb_read_back_is_the_rig(judged)
-
-
-def test_onnx_is_the_rig(judged: Judged) -> None:
-    onnx_is_the_rig(judged)
+@pytest.mark.parametrize(
+    "agree", [rig_is_usdskel, glb_read_back_is_the_rig, onnx_is_the_rig], ids=lambda agree: agree.__name__
+)
+def test_the_judges_agree(judged: Judged, agree: Callable[[Judged], None]) -> None:
+    agree(judged)
 
 
 def test_three_js_is_the_rig(judged: Judged) -> None:

@@ -141,37 +141,25 @@ def test_a_real_head_goes_to_another_convention_and_back() -> None:
 
 
 MISTAKES = {
-    "two to one": ({"jawOpen": "mouthSmileLeft"}, "'jawOpen' and 'mouthSmileLeft' would both be called"),
-    "two joints to one": ({"jaw": "root"}, "joints 'root' and 'jaw' would both be called 'root'"),
-    "one name twice": ({"a": "x", "b": "x"}, "'x' is the new name of 'a' too"),
-    "empty": ({"jawOpen": ""}, "no pair of names"),
-    "no text": ({"jawOpen": 3}, "no pair of names"),
-    "nothing": ({}, "no names"),
+    "two to one": ("n.json", '{"jawOpen": "mouthSmileLeft"}', "'jawOpen' and 'mouthSmileLeft' would both be called"),
+    "two joints to one": ("n.json", '{"jaw": "root"}', "joints 'root' and 'jaw' would both be called 'root'"),
+    "one name twice": ("n.json", '{"a": "x", "b": "x"}', "'x' is the new name of 'a' too"),
+    "empty": ("n.json", '{"jawOpen": ""}', "no pair of names"),
+    "no text": ("n.json", '{"jawOpen": 3}', "no pair of names"),
+    "nothing": ("n.json", "{}", "no names"),
+    "a list": ("n.json", "[1]", "n.json"),
+    "a row once more": ("n.csv", "old,new\na,b\na,c", "row 3: 'a' once more"),
+    "three columns": ("n.csv", "a,b,c", "3 columns, expected two"),
+    "an open quote": ("n.csv", 'a,"b', "no CSV in UTF-8"),
+    "another suffix": ("n.txt", "a,b", "expected .json or .csv"),
+    "no file": ("lost.csv", None, "lost.csv"),
+    "no convention": ("arkti", None, "no convention, did you mean 'arkit'?"),
 }
 
 
 @pytest.mark.parametrize("case", MISTAKES)
 def test_tables_that_can_not_be_are_one_line(capsys: pytest.CaptureFixture[str], face: Path, case: str) -> None:
-    table, message = MISTAKES[case]
-    Path("names.json").write_text(json.dumps(table))
-    assert message in failed(capsys, "export", face, "-o", "x.glb", "--rename", "names.json", folder=face.parent)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("n.csv", "old,new\na,b\na,c", "row 3: 'a' once more"),
-        ("n.csv", "a,b,c", "3 columns, expected two"),
-        ("n.csv", 'a,"b', "no CSV in UTF-8"),
-        ("n.json", "[1]", "n.json"),
-        ("n.txt", "a,b", "expected .json or .csv"),
-        ("lost.csv", None, "lost.csv"),
-        ("arkti", None, "no convention, did you mean 'arkit'?"),
-    ],
-)
-def test_files_that_are_no_table_are_one_line(
-    capsys: pytest.CaptureFixture[str], face: Path, name: str, text: str | None, message: str
-) -> None:
+    name, text, message = MISTAKES[case]
     if text is not None:
         Path(name).write_text(text)
     assert message in failed(capsys, "export", face, "-o", "x.glb", "--rename", name, folder=face.parent)
