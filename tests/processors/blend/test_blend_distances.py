@@ -53,6 +53,14 @@ def beyond_mm(statistic: Callable[[np.ndarray], float], found: np.ndarray, sourc
     return max(own - max(range_), min(range_) - own)
 
 
+def check_neutral(statistic: Callable[[np.ndarray], float], blend: BlendSession, kind: str, name: str) -> None:
+    """The statistic of the neutral's distances lies between those of the sources."""
+    found = distances_mm(blend, kind, blend.neutral(by_region(name)).points)
+    own = zip(*(distances_mm(blend, kind, points) for points in blend.sources.points), strict=True)
+    for distances, of_sources in zip(found, own, strict=True):
+        assert beyond_mm(statistic, distances, list(of_sources)) <= MORE_MM
+
+
 @kinds()
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("numbers", [(0, 1), (1, 2), (2, 0)])
@@ -60,22 +68,14 @@ def beyond_mm(statistic: Callable[[np.ndarray], float], found: np.ndarray, sourc
 def test_mean_distances_lie_between_those_of_the_sources(
     kind: str, numbers: tuple[int, int], name: str, aligned: bool
 ) -> None:
-    blend = pair(kind, *numbers, aligned=aligned)
-    found = distances_mm(blend, kind, blend.neutral(by_region(name)).points)
-    own = zip(*(distances_mm(blend, kind, points) for points in blend.sources.points), strict=True)
-    for distances, of_sources in zip(found, own, strict=True):
-        assert beyond_mm(np.mean, distances, list(of_sources)) <= MORE_MM
+    check_neutral(np.mean, pair(kind, *numbers, aligned=aligned), kind, name)
 
 
 @kinds("sample", "ict")
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("name", REGION_WEIGHTS)
 def test_smallest_distances_lie_between_those_of_the_sources(kind: str, name: str, aligned: bool) -> None:
-    blend = pair(kind, 0, 1, aligned=aligned)
-    found = distances_mm(blend, kind, blend.neutral(by_region(name)).points)
-    own = zip(*(distances_mm(blend, kind, points) for points in blend.sources.points), strict=True)
-    for distances, of_sources in zip(found, own, strict=True):
-        assert beyond_mm(np.min, distances, list(of_sources)) <= MORE_MM
+    check_neutral(np.min, pair(kind, 0, 1, aligned=aligned), kind, name)
 
 
 @kinds("sample", "ict")

@@ -99,7 +99,10 @@ def test_the_hessian_with_its_curvature_agrees_with_differences_of_the_gradient(
 
 @settings(max_examples=60, deadline=None)
 @given(SEEDS)
-@example(223)  # its bent Newton direction leads uphill
+@example(223)  # its bent Newton direction leads uphill; a rounding off a bound would jam this and those that follow
+@example(486)
+@example(707)
+@example(2310)
 def test_boxed_problems_end_at_their_optimum(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = int(rng.integers(1, 25))
@@ -108,17 +111,6 @@ def test_boxed_problems_end_at_their_optimum(seed: int) -> None:
     lower = -rng.exponential(0.3, size) * (rng.random(size) < 0.8)
     upper = rng.exponential(0.3, size) * (rng.random(size) < 0.8)
     check_optimum(hessian, linear, lower, upper, solve_boxed(hessian, linear, lower, upper).x)
-
-
-def test_boxed_problems_that_a_rounding_off_a_bound_would_jam() -> None:
-    for seed in (223, 486, 707, 2310):
-        rng = np.random.default_rng(seed)
-        size = int(rng.integers(1, 25))
-        root, linear = rng.normal(size=(size + 3, size)), rng.normal(size=size)
-        hessian = root.T @ root + 1e-6 * np.eye(size)
-        lower = -rng.exponential(0.3, size) * (rng.random(size) < 0.8)
-        upper = rng.exponential(0.3, size) * (rng.random(size) < 0.8)
-        check_optimum(hessian, linear, lower, upper, solve_boxed(hessian, linear, lower, upper).x)
 
 
 def test_boxed_problems_of_one_matrix_share_it_whatever_is_held() -> None:
