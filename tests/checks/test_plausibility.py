@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from facepipe_gltf import read as gltf
+from faces import with_meshes
 from import_data import shared
 
 import facepipe
@@ -25,7 +26,7 @@ from facepipe.stage import save_parts
 @pytest.fixture(scope="module")
 def sample() -> FaceParts:
     """The sample's meshes alone, without what moves them."""
-    meshes = tuple(replace(mesh, skin=None, blendshapes=(), material=None, material_faces=()) for mesh in make().meshes)
+    meshes = with_meshes(make(), skin=None, blendshapes=(), material=None, material_faces=()).meshes
     return FaceParts(name="sample", meshes=meshes, skeleton=Skeleton())
 
 
@@ -56,7 +57,7 @@ def with_mesh(parts: FaceParts, height: float, below: float) -> FaceParts:
 
 def bare(parts: FaceParts) -> FaceParts:
     """The face without landmarks."""
-    return replace(parts, meshes=tuple(replace(mesh, landmarks={}) for mesh in parts.meshes))
+    return with_meshes(parts, landmarks={})
 
 
 HEADS: dict[str, tuple[Callable[[FaceParts], FaceParts], str]] = {

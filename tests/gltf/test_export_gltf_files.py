@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from facepipe_gltf import Options, export, outputs, save, write
-from faces import grid_mesh, replace_mesh, tiny_face
+from faces import grid_mesh, replace_mesh, spoiled, tiny_face, with_head, with_meshes
 from gltf_export import Parts, Writing, difference, reference, writing, written
 from gltf_reader import read
 from node import node_packages, validate
@@ -28,8 +28,7 @@ def painted_face(value: int = 0) -> FaceParts:
     """The tiny face with a texture of its own."""
     parts = tiny_face(value)
     material = Material(name="skin", diffuse_color=textured(picture("skin.png", COLORS + np.uint8(value))))
-    meshes = tuple(replace_mesh(mesh, material="skin") for mesh in parts.meshes)
-    return replace(parts, meshes=meshes, materials=(material,), attribution="© someone, CC0")
+    return replace(with_meshes(parts, material="skin"), materials=(material,), attribution="© someone, CC0")
 
 
 @pytest.mark.parametrize("options", [{}, {"mode": "skin"}, {"mode": "morph"}, {"quantize": True}, {"influences": 8}])
@@ -98,7 +97,7 @@ def test_landmarks_and_anchor_stay_in_extras_and_what_no_file_holds_is_reported(
 @pytest.mark.parametrize("mode", ["both", "morph"])
 def test_an_attach_joint_without_joints_is_reported(mode: str, writing: Writing) -> None:
     skinned = replace(tiny_face(), attach_joint="body/neck")
-    rigid = replace(skinned, meshes=tuple(replace_mesh(mesh, skin=None) for mesh in skinned.meshes))
+    rigid = with_meshes(skinned, skin=None)
     line = "attach joint (body/neck): the file has no joints that hang under it"
     for name, parts in (("skinned.glb", skinned), ("rigid.glb", rigid)):
         file, report = writing(parts, name, mode=mode)
@@ -216,16 +215,6 @@ def test_a_failed_write_leaves_the_old_files_and_no_others(
     read(path).evaluate()
 
 
-def with_head(parts: FaceParts, **changes: object) -> FaceParts:
-    return replace(parts, meshes=(replace_mesh(parts.meshes[0], **changes), *parts.meshes[1:]))
-
-
-def poisoned(array: np.ndarray, value: float = np.nan) -> np.ndarray:
-    result = np.array(array)
-    result.flat[3] = value
-    return result
-
-
 def broken(name: str) -> FaceParts:
     """A face with one defect."""
     face = tiny_face()
@@ -233,29 +222,29 @@ def broken(name: str) -> FaceParts:
     assert head.skin is not None
     shape = head.blendshapes[0]
     changes: dict[str, Callable[[], FaceParts]] = {
-        "points": lambda: with_head(face, points=poisoned(head.points)),
+        "points": lambda: with_head(face, points=spoiled(head.points)),
         "Head -> transform": lambda: with_head(face, transform=np.diag([1e200, 1.0, 1.0, 1.0])),
         "beyond float32 in metres": lambda: with_head(
             face, skin=None, transform=np.diag([1e30, 1e30, 1e30, 1.0]), points=head.points * 1e20
         ),
         "jointWeights": lambda: with_head(
-            face, skin=replace(head.skin, joint_weights=poisoned(head.skin.joint_weights, np.inf))
+            face, skin=replace(head.skin, joint_weights=spoiled(head.skin.joint_weights, np.inf))
         ),
         "negative skin weight": lambda: with_head(
-            face, skin=replace(head.skin, joint_weights=poisoned(head.skin.joint_weights, -0.5))
+            face, skin=replace(head.skin, joint_weights=spoiled(head.skin.joint_weights, -0.5))
         ),
         "no skin weight": lambda: with_head(face, skin=replace(head.skin, joint_weights=head.skin.joint_weights * 0)),
         "jointIndices": lambda: with_head(
-            face, skin=replace(head.skin, joint_indices=poisoned(head.skin.joint_indices, 3))
+            face, skin=replace(head.skin, joint_indices=spoiled(head.skin.joint_indices, 3))
         ),
-        "jawOpen -> offsets": lambda: with_head(face, blendshapes=(replace(shape, offsets=poisoned(shape.offsets)),)),
+        "jawOpen -> offsets": lambda: with_head(face, blendshapes=(replace(shape, offsets=spoiled(shape.offsets)),)),
         "jawOpen -> pointIndices": lambda: with_head(
             face, blendshapes=(replace(shape, point_indices=shape.point_indices[::-1]),)
         ),
         "two morph targets": lambda: with_head(face, blendshapes=(shape, replace(shape, name="jawOpen_half"))),
-        "faceVertexIndices": lambda: with_head(face, face_vertex_indices=poisoned(head.face_vertex_indices, 36)),
+        "faceVertexIndices": lambda: with_head(face, face_vertex_indices=spoiled(head.face_vertex_indices, 36)),
         "rest_transforms": lambda: replace(
-            face, skeleton=replace(skeleton, rest_transforms=poisoned(skeleton.rest_transforms))
+            face, skeleton=replace(skeleton, rest_transforms=spoiled(skeleton.rest_transforms))
         ),
         "root/jaw -> bind transform": lambda: replace(
             face, skeleton=replace(skeleton, bind_transforms=skeleton.bind_transforms * [[[1]], [[0]], [[1]]])

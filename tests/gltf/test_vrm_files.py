@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from facepipe_gltf import vrm
-from faces import tiny_face
+from faces import tiny_face, with_head
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from vrm_export import (
@@ -96,9 +96,7 @@ DAMAGES: dict[str, Any] = {
 def test_validate_finds(check: str, tmp_path: Path) -> None:
     parts = tiny_face()
     marks = {"multipie68": Landmarks(indices=np.arange(68) % len(parts.meshes[0].points))}
-    exported(
-        replace(parts, meshes=(replace(parts.meshes[0], landmarks=marks), *parts.meshes[1:])), tmp_path / "one.vrm"
-    )
+    exported(with_head(parts, landmarks=marks), tmp_path / "one.vrm")
     findings = vrm.validate(tmp_path / "one.vrm", khronos=False)
     assert not [one for one in findings if one.severity == "error"]
     document = read_json(tmp_path / "one.vrm")

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from faces import tiny_face
+from faces import tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
 from with_torch import torch
@@ -167,11 +167,7 @@ def test_a_face_without_joints_or_shapes_moves_with_its_parent() -> None:
 
     from facepipe.parts import Skeleton
 
-    parts = tiny_face()
-    bare = replace(
-        parts, skeleton=Skeleton(), meshes=tuple(replace(m, skin=None, blendshapes=()) for m in parts.meshes)
-    )
-    rig = build(bare)
+    rig = build(with_meshes(replace(tiny_face(), skeleton=Skeleton()), skin=None, blendshapes=()))
     world = np.eye(4)
     world[:3, 3] = (1, 2, 3)
     found = DifferentiableRig(rig, dtype=torch.float64)(parent_world=torch.tensor(world))

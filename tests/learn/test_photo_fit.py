@@ -11,7 +11,7 @@ import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import feature_graphs
 import numpy as np
 import pytest
-from faces import tiny_face
+from faces import tiny_face, with_meshes
 from photo_people import joint_loss, moved, portrait, sample, subject
 from recovery_measures import recovery
 from recovery_targets import target
@@ -154,12 +154,8 @@ def test_without_any_term_landmarks_decide() -> None:
 
 
 def shapeless() -> FaceParts:
-    return replace(
-        sample(),
-        meshes=tuple(replace(mesh, blendshapes=()) for mesh in sample().meshes),
-        sliders=tuple(one for one in sample().sliders if not one.shapes),
-        animations=(),
-    )
+    sliders = tuple(one for one in sample().sliders if not one.shapes)
+    return with_meshes(replace(sample(), sliders=sliders, animations=()), blendshapes=())
 
 
 def networked() -> FaceParts:

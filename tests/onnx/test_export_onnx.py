@@ -12,7 +12,7 @@ import onnx
 import pytest
 from facepipe_onnx import Deformer, Options, export, export_parts, outputs, validate
 from facepipe_onnx.graph import build as build_graph
-from faces import grid_mesh, replace_mesh, tiny_face
+from faces import grid_mesh, replace_mesh, tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
 
@@ -121,16 +121,15 @@ def test_skeleton_elsewhere_without_joints(tmp_path: Path) -> None:
     turned = np.eye(4)
     turned[:3, :3] = [[0.0, -2.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.5]]
     turned[:3, 3] = (1.0, -2.0, 3.0)
-    parts = tiny_face()
-    meshes = tuple(replace_mesh(mesh, skin=None, transform=turned) for mesh in parts.meshes)
-    one = made(replace(parts, skeleton=Skeleton(transform=turned), meshes=meshes), tmp_path)
+    parts = with_meshes(tiny_face(), skin=None, transform=turned)
+    one = made(replace(parts, skeleton=Skeleton(transform=turned)), tmp_path)
     assert [graph_input["name"] for graph_input in one.deformer.metadata["inputs"]] == ["weights"]
     check_agreement(one)
 
 
 def test_joints_alone(tmp_path: Path) -> None:
     parts = tiny_face()
-    bare = replace(parts, meshes=tuple(replace_mesh(mesh, blendshapes=()) for mesh in parts.meshes))
+    bare = with_meshes(parts, blendshapes=())
     one = made(bare, tmp_path)
     assert [graph_input["name"] for graph_input in one.deformer.metadata["inputs"]] == ["coefficients"]
     check_agreement(one)
@@ -153,9 +152,7 @@ def test_parent_input(tmp_path: Path) -> None:
 
 def test_parent_moves_a_face_without_joints(tmp_path: Path) -> None:
     parts = replace(tiny_face(), skeleton=Skeleton())
-    one = made(
-        replace(parts, meshes=tuple(replace_mesh(mesh, skin=None) for mesh in parts.meshes)), tmp_path, parent=True
-    )
+    one = made(with_meshes(parts, skin=None), tmp_path, parent=True)
     parent = np.eye(4)
     parent[:3] = np.random.default_rng(4).normal(size=(3, 4))
     found = one.deformer.evaluate({"jawOpen": 0.7}, parent=parent)["points"]

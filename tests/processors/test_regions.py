@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import done, failed, run
-from faces import grid_mesh, replace_mesh, tiny_face
+from faces import grid_mesh, replace_mesh, tiny_face, with_meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused, shared
@@ -566,7 +566,7 @@ def test_bad_options_are_one_line_and_write_nothing(
 
 def test_a_mesh_without_uvs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     parts = tiny_face()
-    bare = dataclasses.replace(parts, meshes=tuple(replace_mesh(mesh, uv_sets=()) for mesh in parts.meshes))
+    bare = with_meshes(parts, uv_sets=())
     save_parts(bare, tmp_path / "tiny.usda")
     save(LEFT_RIGHT, tmp_path / "map.png")
     (tmp_path / "legend.json").write_text(json.dumps(GOOD))
@@ -680,6 +680,6 @@ def test_render_regions(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     done(capsys, "regions", tiny, "--picture", tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     parts = tiny_face()
-    bare = dataclasses.replace(parts, meshes=tuple(replace_mesh(mesh, regions={}) for mesh in parts.meshes))
+    bare = with_meshes(parts, regions={})
     save_parts(bare, tmp_path / "bare.usda")
     failed(capsys, "render", tmp_path / "bare.usda", "--regions", "-o", tmp_path / "c.png", folder=tmp_path)

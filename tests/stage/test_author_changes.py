@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faces import replace_mesh
+from faces import replace_mesh, with_head
 from full_faces import full_face
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -39,7 +39,7 @@ RNG = np.random.default_rng(5)
 
 
 def head(**changes: object) -> Change:
-    return lambda parts: replace(parts, meshes=(replace_mesh(parts.meshes[0], **changes), *parts.meshes[1:]))
+    return lambda parts: with_head(parts, **changes)
 
 
 def teeth(**changes: object) -> Change:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faces import grid_mesh, replace_mesh, tiny_face
+from faces import grid_mesh, spoiled, tiny_face, with_head
 from full_faces import full_face
 from parts_differences import assert_same
 from pxr import Sdf, Usd, UsdGeom, UsdShade
@@ -34,18 +34,6 @@ def test_inbetweens_whose_names_are_no_identifiers_all_stay(tmp_path: Path) -> N
     assert [one.weight for one in read] == pytest.approx([0.25, 0.35, 0.5, 0.75])
     for own, other in zip(inbetweens, read, strict=True):
         np.testing.assert_allclose(other.offsets, own.offsets, atol=1e-6)
-
-
-def with_head(parts: p.FaceParts, **changes: object) -> p.FaceParts:
-    """The face with fields of its first mesh changed."""
-    return replace(parts, meshes=(replace_mesh(parts.meshes[0], **changes), *parts.meshes[1:]))
-
-
-def spoiled(array: object, value: float = np.nan) -> np.ndarray:
-    """A copy whose last number is `value`."""
-    copy = np.array(array)
-    copy.flat[-1] = value
-    return copy
 
 
 def _first(parts: p.FaceParts, what: str) -> p.FaceParts:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from faces import replace_mesh, tiny_face
+from faces import replace_mesh, tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
 from pxr import Sdf, Usd, UsdGeom
@@ -130,8 +130,7 @@ def save_loose_clip(animation: Animation, parts: FaceParts, path: Path) -> Path:
 
 def skeletonless(parts: FaceParts) -> FaceParts:
     """Without joints, skins and shapes."""
-    meshes = tuple(replace_mesh(mesh, skin=None, blendshapes=()) for mesh in parts.meshes)
-    return replace(parts, skeleton=Skeleton(), meshes=meshes)
+    return replace(with_meshes(parts, skin=None, blendshapes=()), skeleton=Skeleton())
 
 
 def save_sources(folder: Path) -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import scan_domes
+from faces import with_head
 from scan_domes import POSE
 
 from facepipe.importers.scan_landmarks import write_scan_landmarks
@@ -40,8 +41,7 @@ def face(seed: int = 0) -> FaceParts:
         delta = 0.1 * template_motion(name)
         moved = np.flatnonzero(np.linalg.norm(delta, axis=1) > 0)
         shapes.append(Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=delta[moved]))
-    meshes = (replace(parts.meshes[0], blendshapes=tuple(shapes)), *parts.meshes[1:])
-    return replace(parts, meshes=meshes, animations=(), sliders=())
+    return replace(with_head(parts, blendshapes=tuple(shapes)), animations=(), sliders=())
 
 
 def scan(weights: dict[str, float], side: int = 61) -> tuple[Scan, ScanLandmarks]:

@@ -85,9 +85,24 @@ def tiny_face(seed: int = 0) -> FaceParts:
 
 def replace_mesh(mesh: Mesh, **changes: object) -> Mesh:
     """`dataclasses.replace`, typed for meshes."""
-    from dataclasses import replace
-
     return replace(mesh, **changes)  # type: ignore[arg-type]
+
+
+def with_meshes(parts: FaceParts, **changes: object) -> FaceParts:
+    """The face with fields of all its meshes changed."""
+    return replace(parts, meshes=tuple(replace_mesh(mesh, **changes) for mesh in parts.meshes))
+
+
+def with_head(parts: FaceParts, **changes: object) -> FaceParts:
+    """The face with fields of its first mesh changed."""
+    return replace(parts, meshes=(replace_mesh(parts.meshes[0], **changes), *parts.meshes[1:]))
+
+
+def spoiled(array: object, value: float = np.nan) -> np.ndarray:
+    """A copy whose last number is `value`."""
+    copy = np.array(array)
+    copy.flat[-1] = value
+    return copy
 
 
 def clipped_face() -> p.FaceParts:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from faces import replace_mesh, tiny_face
+from faces import replace_mesh, tiny_face, with_meshes
 
 from facepipe.parts import FaceParts
 
@@ -68,7 +68,5 @@ FACES: dict[str, Callable[[], FaceParts]] = {
     "stretched skeleton": lambda: replace(
         tiny_face(), skeleton=replace(tiny_face().skeleton, transform=similarity(8) @ np.diag([1.0, 2.0, 0.5, 1.0]))
     ),
-    "mirrored mesh": lambda: replace(
-        tiny_face(), meshes=tuple(replace_mesh(one, transform=np.diag([-1.0, 1, 1, 1])) for one in tiny_face().meshes)
-    ),
+    "mirrored mesh": lambda: with_meshes(tiny_face(), transform=np.diag([-1.0, 1, 1, 1])),
 }

@@ -6,6 +6,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+from faces import with_meshes
 from solids import ball
 
 from facepipe.geometry.polygons import point_normals
@@ -96,7 +97,7 @@ def database(seeds: tuple[int, ...] = (1, 2, 3, 4, 5, 6)) -> FaceDatabase:
 
 def _neutral(seed: int) -> WholeFace:
     parts = face(seed)
-    return whole_face(replace(parts, sliders=(), meshes=_without_shapes(parts)), f"p{seed}")
+    return whole_face(with_meshes(replace(parts, sliders=()), blendshapes=()), f"p{seed}")
 
 
 def scan(seed: int, side: int = 61, pose: Similarity = POSE) -> tuple[Scan, ScanLandmarks]:
@@ -116,10 +117,6 @@ def _mesh(name: str, points: np.ndarray, triangles: np.ndarray) -> Mesh:
     return Mesh(
         name=name, points=points, face_vertex_counts=counts, face_vertex_indices=triangles.ravel().astype(np.int32)
     )
-
-
-def _without_shapes(parts: FaceParts) -> tuple[Mesh, ...]:
-    return tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes)
 
 
 def _opening(points: np.ndarray, triangles: np.ndarray, lower: np.ndarray) -> Blendshape:

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from faces import with_meshes
 from import_data import shared
 
 from facepipe.heads import make
@@ -79,14 +80,13 @@ def head(kind: str) -> FaceParts:
         parts = ict.read(shared("ict_facekit/ict_facekit.npz"), ict.Options()).parts
     else:
         parts = makehuman.read(shared("makehuman/makehuman_head.npz"), makehuman.Options()).parts
-    meshes = tuple(replace(mesh, material=None, material_faces=()) for mesh in parts.meshes)
-    return replace(parts, meshes=meshes, materials=())
+    return replace(with_meshes(parts, material=None, material_faces=()), materials=())
 
 
 def without_joints(parts: FaceParts) -> FaceParts:
     """The same face, its skeleton and skin taken away."""
-    meshes = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
-    return replace(parts, meshes=meshes, skeleton=Skeleton(), animations=(), sliders=(), bone_limits=None)
+    parts = with_meshes(parts, skin=None)
+    return replace(parts, skeleton=Skeleton(), animations=(), sliders=(), bone_limits=None)
 
 
 def retopologised(parts: FaceParts) -> FaceParts:
@@ -124,7 +124,7 @@ def changed(parts: FaceParts, change: Callable[[Mesh], Mesh], name: str = "Head"
 def bare() -> FaceParts:
     """The sample without joints and shapes."""
     parts = without_joints(head("sample"))
-    return replace(parts, meshes=tuple(replace(mesh, blendshapes=(), normals=None) for mesh in parts.meshes))
+    return with_meshes(parts, blendshapes=(), normals=None)
 
 
 def skinned(parts: FaceParts, skin: SkinFace) -> tuple[Face, Array, SkinReport]:

@@ -6,6 +6,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+from faces import with_meshes
 from import_data import shared
 
 from facepipe.heads import make
@@ -83,8 +84,7 @@ def without_scales(parts: FaceParts) -> FaceParts:
 def jointless(parts: FaceParts) -> FaceParts:
     """The face without joints and skin: blendshapes alone move it."""
     skeleton = Skeleton(transform=parts.skeleton.transform)
-    meshes = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
-    return replace(parts, skeleton=skeleton, meshes=meshes, animations=(), bone_limits=None)
+    return replace(with_meshes(parts, skin=None), skeleton=skeleton, animations=(), bone_limits=None)
 
 
 def random_values(parts: FaceParts, rng: np.random.Generator) -> dict[str, float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from faces import replace_mesh, tiny_face
+from faces import replace_mesh, tiny_face, with_meshes
 
 import facepipe
 from facepipe.parts import FaceParts
@@ -29,5 +29,4 @@ def points(path: str) -> Any:
 
 def saved(parts: FaceParts, name: str, **mesh_changes: Any) -> None:
     """Save the face with every mesh changed."""
-    meshes = tuple(replace_mesh(mesh, **mesh_changes) for mesh in parts.meshes)
-    save_parts(dataclasses.replace(parts, meshes=meshes), Path(name))
+    save_parts(with_meshes(parts, **mesh_changes), Path(name))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bone_faces import clip, face_joints, head, pose, saved, small
-from faces import replace_mesh
+from faces import replace_mesh, with_meshes
 
 import facepipe
 from facepipe import registry
@@ -392,8 +392,7 @@ def with_bind(matrix: np.ndarray) -> FaceParts:
 
 
 def unskinned(**changes: object) -> FaceParts:
-    meshes = tuple(replace_mesh(mesh, skin=None) for mesh in small().meshes)
-    return replace(small(), meshes=meshes, **changes)  # type: ignore[arg-type]
+    return replace(with_meshes(small(), skin=None), **changes)  # type: ignore[arg-type]
 
 
 NEARLY_FLAT = np.eye(4)

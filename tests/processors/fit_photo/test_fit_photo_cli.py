@@ -15,6 +15,7 @@ import onnx
 import photo_files
 import pytest
 from command_line import failed
+from faces import with_meshes
 from onnx import TensorProto, helper
 from photographed_face import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
 from PIL import Image
@@ -312,10 +313,7 @@ def _face(change: str) -> Callable[[], None]:
         from dataclasses import replace
 
         parts = make(0)
-        if change == "sliders":
-            parts = replace(parts, sliders=())
-        else:
-            parts = replace(parts, meshes=tuple(replace(mesh, landmarks={}) for mesh in parts.meshes))
+        parts = replace(parts, sliders=()) if change == "sliders" else with_meshes(parts, landmarks={})
         save_parts(parts, Path("bare.usdc"))
 
     return write

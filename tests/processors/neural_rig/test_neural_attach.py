@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from faces import with_head
 from neural_faces import CONTROLS, face, millimetres, neural_rig, random_values
 
 from facepipe.core.errors import InputError, TopologyError
@@ -185,9 +186,7 @@ def test_a_rig_in_place_of_another_leaves_nothing_of_it() -> None:
     names = {shape.name for mesh in again.meshes for shape in mesh.blendshapes}
     assert own | {"neural_000", "neural_001"} <= names
     assert "neural_002" not in names
-    taken = replace(
-        parts, meshes=(replace(parts.meshes[0], blendshapes=renamed(parts.meshes[0].blendshapes)), *parts.meshes[1:])
-    )
+    taken = with_head(parts, blendshapes=renamed(parts.meshes[0].blendshapes))
     with pytest.raises(InputError, match=r"face -> neural_001: a shape called as one of the neural rig's"):
         with_neural_rig(taken, neural_rig(taken, bones=True), "face")
 

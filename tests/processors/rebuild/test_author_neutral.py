@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from faces import tiny_face
+from faces import tiny_face, with_head
 from oracle import bake, difference
 
 import facepipe
@@ -126,7 +126,7 @@ def test_joints_without_points_go_with_the_face() -> None:
     skin = parts.meshes[0].skin
     assert skin is not None
     held = replace(skin, joint_weights=np.tile([0.0, 1.0, 0.0], (len(skin.joint_weights), 1)).astype(np.float32))
-    parts = replace(parts, meshes=(replace(parts.meshes[0], skin=held), *parts.meshes[1:]))
+    parts = with_head(parts, skin=held)
     moved = carried_skeleton(parts, MOVE.apply(build(parts).points))
     assert np.allclose(moved.bind_transforms[:, :3, 3], MOVE.apply(parts.skeleton.bind_transforms[:, :3, 3]))
 

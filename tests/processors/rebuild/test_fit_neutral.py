@@ -13,6 +13,7 @@ import pytest
 import scan_domes
 from command_line import done, failed, run
 from database_faces import person, source
+from faces import with_meshes
 from import_data import shared
 from neutral_files import PERSON, Files
 from old_stages import QUALITY, old_recipe
@@ -195,7 +196,7 @@ def test_landmarks_that_are_said_to_be_rough_bend_less(files: Files, capsys: pyt
 
 def _no_landmarks(files: Files) -> None:
     parts = scan_domes.face()
-    save_parts(replace(parts, meshes=tuple(replace(mesh, landmarks={}) for mesh in parts.meshes)), files["head.usda"])
+    save_parts(with_meshes(parts, landmarks={}), files["head.usda"])
 
 
 def _other_topology(files: Files) -> None:

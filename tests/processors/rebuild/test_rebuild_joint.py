@@ -13,6 +13,7 @@ import pytest
 import scan_domes
 from command_line import done
 from expression_domes import OWN, PERSON
+from faces import with_head
 from scan_domes import POSE
 
 import facepipe
@@ -148,7 +149,7 @@ def test_a_joint_rebuild_keeps_and_reuses_its_stages(drawer: Path, capsys: pytes
     shown = facepipe.open(project.with_suffix("") / "neutral.usdc").parts()
     sculpted = np.array(shown.meshes[0].points)
     sculpted[400] += (0.0, 0.0, 3.0)
-    own = replace(shown, meshes=(replace(shown.meshes[0], points=sculpted), *shown.meshes[1:]))
+    own = with_head(shown, points=sculpted)
     save_parts(own, project.with_suffix("") / "corrections/neutral.usdc")
     told = rebuilt(capsys, project, "--joint")
     assert (told["corrected"], told["reused"]) == (["neutral"], STAGES[:4])

@@ -10,6 +10,7 @@ import expression_domes
 import numpy as np
 import pytest
 from command_line import done, failed, run
+from faces import with_meshes
 from old_stages import old_recipe
 from rebuild_stages import QUALITY, SEEN, Files
 
@@ -138,7 +139,7 @@ def _two_of_one_name(files: Files) -> None:
 
 def _no_shapes(files: Files) -> None:
     parts = expression_domes.face()
-    save_parts(replace(parts, meshes=tuple(replace(one, blendshapes=()) for one in parts.meshes)), files["head.usda"])
+    save_parts(with_meshes(parts, blendshapes=()), files["head.usda"])
 
 
 def _nothing(files: Files) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scan_domes
 from command_line import done, failed
+from faces import with_head, with_meshes
 from old_stages import old_recipe
 from scan_domes import POSE, dome, grid
 
@@ -55,7 +56,7 @@ def _neutral() -> FaceParts:
     regions = {"bump": bump, "right": right, "left": 1.0 - bump - right}
     regions = {name: mask.astype(np.float32) for name, mask in regions.items()}
     recipe = Recipe(verb="fit-neutral", options={"quality": _QUALITY.__dict__})
-    return replace(parts, meshes=(replace(parts.meshes[0], regions=regions), *parts.meshes[1:]), recipe=recipe)
+    return replace(with_head(parts, regions=regions), recipe=recipe)
 
 
 def _scan() -> tuple[Scan, ScanLandmarks]:
@@ -158,7 +159,7 @@ def test_bad_input_is_told_in_one_line(
 
 def test_a_face_without_regions_says_so() -> None:
     parts = _neutral()
-    bare = replace(parts, meshes=tuple(replace(mesh, regions={}) for mesh in parts.meshes))
+    bare = with_meshes(parts, regions={})
     assert np.array_equal(region_weights(bare, (), "anna"), np.ones(len(whole_points(parts))))
     with pytest.raises(InputError, match=r"anna -> region nose: no such region, expected a face with regions"):
         region_weights(bare, ("nose",), "anna")

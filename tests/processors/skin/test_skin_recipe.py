@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faces import with_meshes
 from skin_joints import head, weights_of, without_joints
 
 import facepipe
@@ -22,7 +23,7 @@ JOINTS = {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw"
 
 
 def plain(parts: FaceParts) -> FaceParts:
-    return replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
+    return with_meshes(parts, blendshapes=())
 
 
 @pytest.fixture

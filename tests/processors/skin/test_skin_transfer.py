@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failed
+from faces import with_meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from node import validate as khronos
@@ -230,7 +231,7 @@ def test_units_and_axes_of_the_faces_do_not_matter() -> None:
     turn = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     meshes = tuple(replace(mesh, transform=turn @ np.diag([2.5, 2.5, 2.5, 1.0])) for mesh in head("sample").meshes)
     bare = without_joints(replace(source, meshes=meshes, meters_per_unit=0.001, up_axis="Z"))
-    face = Face.from_parts(replace(bare, meshes=tuple(replace(mesh, blendshapes=()) for mesh in bare.meshes)))
+    face = Face.from_parts(with_meshes(bare, blendshapes=()))
     SkinFace(source=Face.from_parts(source), options=SkinOptions(influences=8))(face)
     again = Face(face.stage)
     assert np.abs(weights_of(again) - weights_of(Face.from_parts(source))).max() < 0.05
@@ -240,7 +241,7 @@ def test_units_and_axes_of_the_faces_do_not_matter() -> None:
 
 def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sample = head("sample")
-    blind = replace(sample, meshes=tuple(replace(mesh, landmarks={}) for mesh in sample.meshes))
+    blind = with_meshes(sample, landmarks={})
     for name, parts in {"rigged": sample, "bare": without_joints(sample), "blind": blind}.items():
         save_parts(parts, tmp_path / f"{name}.usdc")
     save_parts(without_joints(blind), tmp_path / "both.usdc")

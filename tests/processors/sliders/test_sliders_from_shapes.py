@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, failed, run
-from faces import replace_mesh, tiny_face
+from faces import replace_mesh, tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
 from places import REPOSITORY
@@ -365,8 +365,7 @@ def test_made_faces_are_valid(folder: Path) -> None:
 
 
 def shapeless() -> FaceParts:
-    parts = tiny_face(0)
-    return replace(parts, meshes=tuple(replace_mesh(mesh, blendshapes=()) for mesh in parts.meshes))
+    return with_meshes(tiny_face(0), blendshapes=())
 
 
 @pytest.mark.parametrize(
