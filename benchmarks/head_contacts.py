@@ -1,0 +1,149 @@
+"""Whether teeth come through lips and eyeballs through lids, and how much of the eyeballs a blink hides.
+
+example: python benchmarks/head_contacts.py --people 5 --combinations 40
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from arguments import positive
+from contacts import Contact, Sheet, Subject
+
+SINGLE = (4, 0.3)  # cells and mm that a shape alone may have
+COMBINED = (20, 0.5)  # and that a combination may have
+SHAPES = (5, 9)  # of a combination, by a weight from 0 to 1 each
+PRESSED = dict.fromkeys(("mouthPressLeft", "mouthPressRight"), 1.0)  # lips without the gap that they have at rest
+BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+PARTLY = (0.25, 0.5, 0.75)
+
+Weights = Mapping[str, float]
+People = Callable[[int], Subject]
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """A blink of a person."""
+
+    shown: float  # share of what the open eyes show, in the view where it is the largest
+    through: Contact  # the worst of the partly closed lids
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was measured."""
+
+    single: dict[str, Contact]  # of the shapes with any contact, on the average head
+    combined: list[Contact]
+    eyes: dict[int, Eyes]  # by seed
+
+    @property
+    def over(self) -> float:
+        """The share of combinations above the bound."""
+        return float(np.mean([_above(one, COMBINED) for one in self.combined]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--ict", type=Path, metavar="NPZ", help="the raw ict_facekit.npz in place of the head in the box"
+    )
+    parser.add_argument("--people", type=positive, default=30, help="seeds, from 1 (default 30)")
+    parser.add_argument("--combinations", type=positive, default=200, help="the same on each person (default 200)")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
+    given = parser.parse_args()
+    people = partial(raw_person, given.ict) if given.ict else person
+    result = measure(people, given.people, given.combinations)
+    print(table(result))
+    if given.json:
+        given.json.write_text(json.dumps(asdict(result), indent=1), encoding="utf-8")
+
+
+def measure(people: People, count: int, combinations: int) -> Result:
+    """The average head's shapes, then everyone's combinations and blinks."""
+    average = people(0)
+    mouth = mouth_sheet(average)
+    single = {name: mouth.before_skin(average.points({name: 1.0})) for name in average.shapes}
+    drawn = list(draw_combinations(average.shapes, combinations))
+    combined, eyes = [], {}
+    for seed in range(1, count + 1):
+        subject = people(seed)
+        combined += [mouth.before_skin(subject.points(weights)) for weights in drawn]
+        eyes[seed] = blink(subject, eye_sheets(average))
+        print(f"{seed} of {count}", end="\r", file=sys.stderr)
+    return Result({name: one for name, one in single.items() if one.cells}, combined, eyes)
+
+
+def mouth_sheet(average: Subject) -> Sheet:
+    """Teeth behind closed lips."""
+    return Sheet.of(average.triangles("Head"), average.triangles("Teeth"), [average.points(PRESSED)])
+
+
+def eye_sheets(average: Subject) -> tuple[Sheet, ...]:
+    """The eyeballs behind lids, open and closed."""
+    poses = [average.neutral, average.points(dict.fromkeys(BLINKS, 1.0))]
+    head = average.triangles("Head")
+    return tuple(Sheet.of(head, average.triangles(f"Eyeball{side}"), poses) for side in ("Left", "Right"))
+
+
+def blink(subject: Subject, sheets: tuple[Sheet, ...]) -> Eyes:
+    """How lids go over the eyeballs of a person."""
+    closed = subject.points(dict.fromkeys(BLINKS, 1.0))
+    shown = max(float((sheet.shown(closed) / sheet.shown(subject.neutral)).max()) for sheet in sheets)
+    poses = [subject.points(dict.fromkeys(BLINKS, weight)) for weight in PARTLY]
+    found = [sheet.through(points) for sheet in sheets for points in poses]
+    return Eyes(shown, Contact(max(one.cells for one in found), max(one.depth for one in found)))
+
+
+def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
+    """The same for the same arguments."""
+    draws = np.random.Generator(np.random.PCG64(0))
+    for _ in range(count):
+        chosen = draws.choice(len(shapes), draws.integers(SHAPES[0], SHAPES[1] + 1), replace=False)
+        yield {shapes[number]: float(draws.uniform()) for number in chosen}
+
+
+def person(seed: int) -> Subject:
+    """A person of the head in the box; 0 is the average head."""
+    from facepipe.heads import make
+
+    return Subject(make(seed))
+
+
+def raw_person(source: Path, seed: int) -> Subject:
+    """A person of ICT-FaceKit as it is, all modes drawn from N(0, 1); 0 is the average head."""
+    from facepipe.importers import ict, load
+
+    return Subject(load("ict", source, ict.Options(identity_seed=seed or None)).parts)
+
+
+def table(result: Result) -> str:
+    """The figures for people."""
+    bad = [one for one in result.single.values() if _above(one, SINGLE)]
+    hidden = sum(one.shown <= 0.01 for one in result.eyes.values())
+    clean = sum(one.through.cells == 0 for one in result.eyes.values())
+    count = len(result.eyes)
+    lines = [f"shapes above {SINGLE[0]} cells or {SINGLE[1]} mm: {len(bad)}"]
+    lines += [f"  {name}: {one.cells} cells, {one.depth:.2f} mm" for name, one in result.single.items()]
+    lines += [
+        f"combinations above {COMBINED[0]} cells or {COMBINED[1]} mm: {result.over:.1%} of {len(result.combined)}, "
+        f"with any: {np.mean([one.cells > 0 for one in result.combined]):.1%}",
+        f"blinks that hide 99 % of the eyeballs: {hidden} of {count}",
+        f"nothing through lids at {', '.join(map(str, PARTLY))}: {clean} of {count}",
+    ]
+    return "\n".join(lines)
+
+
+def _above(contact: Contact, bound: tuple[int, float]) -> bool:
+    return contact.cells > bound[0] or contact.depth > bound[1]
+
+
+if __name__ == "__main__":
+    main()
