@@ -16,10 +16,11 @@ from facepipe.core import __version__ as __version__
 from facepipe.core.loading import keep_old_names, lazy
 
 if TYPE_CHECKING:
-    from facepipe.api import export, read, sample
+    from facepipe.api import read, sample
     from facepipe.checks import validate
     from facepipe.cooking.cooking import cook
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
+    from facepipe.exporting import export
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
 

@@ -1,4 +1,4 @@
-"""The public functions: read, sample, export, and one for each action, made of its declaration."""
+"""The public functions: read, sample, and one for each action, made of its declaration."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe.declare import Field, fields_of
 
 if TYPE_CHECKING:
-    from facepipe.core.reports import ExportReport, Report
+    from facepipe.core.reports import Report
     from facepipe.kinds import Action
     from facepipe.stage import Face
 
@@ -52,23 +52,6 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, overwrite: bool = False
     _check(Path(out), (), overwrite=overwrite)
     save_parts(parts, out)
     return open_face(out)
-
-
-def export(face: Face | AnyPath, out: AnyPath, *, overwrite: bool = False, **options: Any) -> ExportReport:
-    """Write a face for the engine; the suffix of `out` says the format.
-
-    :param face: or its file
-    :param options: of the format, like ``engine="unity"``: `facepipe export --help` lists them
-    :raises FacepipeError: a face or option that the format can't hold, or a file that can't be written
-    """
-    from facepipe.registry import exporter, outputs
-
-    target, module = Path(out), exporter(Path(out))
-    files = () if not isinstance(face, str | os.PathLike) else (Path(face),)
-    for one in outputs(target):
-        _check(one, files, overwrite=overwrite)
-    held = read(face) if isinstance(face, str | os.PathLike) else face
-    return module.export(held, target, module.Options(**options))
 
 
 def _check(out: Path, inputs: tuple[Path, ...], *, overwrite: bool) -> None:

@@ -360,3 +360,14 @@ class HasParts(Protocol):
 
     def parts(self) -> FaceParts:
         """The face as arrays."""
+
+
+@dataclass(frozen=True)
+class HeldFace:
+    """Parts, as exporters take a face."""
+
+    held: FaceParts
+
+    def parts(self) -> FaceParts:
+        """The face as arrays."""
+        return self.held

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,17 +13,6 @@ if TYPE_CHECKING:
     from facepipe.parts import FaceParts
 
 Json = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class HeldFace:
-    """What an exporter needs of a face."""
-
-    held: FaceParts
-
-    def parts(self) -> FaceParts:
-        """The face as arrays."""
-        return self.held
 
 
 def write_assets(
@@ -75,6 +63,8 @@ def given_assets(label: str, glb: Path, onnx: Path | None, url: str) -> tuple[Js
 
 def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
     """Write one file; who is at rest where that is set, and what the report warns of."""
+    from facepipe.parts import HeldFace
+
     exporter = registry.exporter(path)
     report = exporter.export(HeldFace(parts), path, exporter.Options(**settings))
     return [*([] if report.pose == "rest" else [f"at rest: {report.pose}"]), *report.warnings]

@@ -19,31 +19,19 @@ examples:
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facepipe import registry
-from facepipe.cli.export_distil import (
-    HeldFace,
-    add_distil_options,
-    distilled,
-    distilled_text,
-    with_distilled,
-)
-from facepipe.cli.export_neural import (
-    add_neural_option,
-    check_neural,
-    neural_encoder,
-    neural_face,
-    neural_options,
-    neural_text,
-    with_neural,
-)
-from facepipe.cli.parser import Parser, add_options, add_output, options_from, output_of
-from facepipe.cli.rename import add_rename, rename_of
-from facepipe.cli.show import emit, progress, warn
-from facepipe.core.errors import InputError
+from facepipe.cli.parser import Parser, add_options, add_output, add_rename, output_of
+from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
+from facepipe.processors.neural_rig.options import AttachOptions
+from facepipe.processors.sliders.distil_options import DISTIL, DistilOptions
+
+if TYPE_CHECKING:
+    from facepipe.processors.sliders import DistilReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -58,51 +46,42 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
         add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
     add_rename(parser)
-    add_neural_option(parser)
-    add_distil_options(parser)
+    rig = "neural rig (.fpnr) whose controls are the sliders of FACE; a .onnx is the graph of its controls"
+    parser.add_argument("--neural", type=Path, metavar="RIG", help=rig)
+    add_options(parser, AttachOptions, "options of --neural", sparse=True)
+    learned = "a small learned network in place of curves and of a larger network; the report says how far off it is"
+    group = parser.add_argument_group("options of .onnx --sliders (needs torch: pip install 'facepipe[train]')")
+    group.add_argument("--distil", action="store_true", help=learned)
+    add_options(group, DistilOptions, prefix=DISTIL, sparse=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Open, export, report."""
-    import facepipe
-    from facepipe.rig import implausible
+    """Export, report."""
+    from facepipe.exporting import DistilledExportReport, export
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
-    check_neural(arguments)
-    rename = rename_of(arguments)
-    exporter = registry.exporter(out)
-    beside = [file for file in registry.outputs(out) if file != out and file.exists()]
-    if beside and not arguments.force:
-        raise InputError(beside[0], "exists and would be written too, expected a new file (or --force)")
-    with progress("export", 3 if arguments.distil else 2) as bar:
-        face = facepipe.read(arguments.face)
-        bar.update()
-        options = neural_options(arguments, options_from(arguments, exporter.Options))
-        neural, learned = neural_face(arguments, face, options), distilled(arguments, face)
-        bar.update(learned is not None)
-        encoder = neural_encoder(arguments, face, options)
-        held = face if learned is None else HeldFace(learned[0])
-        held = held if neural is None else HeldFace(neural.parts)
-        held = held if encoder is None else HeldFace(face.parts(), encoder)
-        if rename is not None:
-            held = HeldFace(rename(held.parts()), encoder)
-        report: ExportReport = exporter.export(held, out, options)
-        bar.update()
-    text = [as_text(report)]
-    if neural is not None:
-        report = with_neural(report, neural)
-        text.append(neural_text(neural))
-    if learned is not None:
-        report = with_distilled(report, learned[1])
-        text += distilled_text(learned[1])
-    report = replace(report, warnings=(*report.warnings, *implausible(face.parts())))
+    names = [one.name for kind in (registry.exporter(out).Options, AttachOptions) for one in dataclasses.fields(kind)]
+    names += [f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)]
+    report = export(
+        arguments.face,
+        out,
+        overwrite=arguments.force,
+        rename=arguments.rename,
+        neural=arguments.neural,
+        distil=arguments.distil,
+        watch=progress,
+        **{name: getattr(arguments, name) for name in names if hasattr(arguments, name)},
+    )
     warn(report.warnings)
-    emit(report, "\n".join(text), as_json=arguments.json)
-    return 1 if learned is not None and learned[1].missed else 0
+    noted_names(arguments.rename, report.renamed)
+    emit(report, as_text(report), as_json=arguments.json)
+    return 1 if isinstance(report, DistilledExportReport) and report.distilled.missed else 0
 
 
 def as_text(report: ExportReport) -> str:
     """The report for people."""
+    from facepipe.exporting import DistilledExportReport, NeuralExportReport
+
     counts = ", ".join(f"{count:,} {name}" for name, count in report.counts.items())
     lines = [f"{report.path}: {report.bytes:,} bytes in {report.seconds:.2f} s: {counts}"]
     if report.pose_error is not None:
@@ -114,4 +93,26 @@ def as_text(report: ExportReport) -> str:
         lines.append(f"error at most {report.error_mm:.4f} mm")
     lines += [f"added: {line}" for line in report.added]
     lines += [f"not in the file: {line}" for line in report.dropped]
+    if isinstance(report, NeuralExportReport):
+        clips = f", in clips by {report.clips_mm:.4f} mm" if report.clips_mm else ""
+        left = f"points are off by at most {report.dropped_mm:.4f} mm for offsets that its shapes leave out"
+        lines.append(f"neural rig: {left}{clips}")
+    if isinstance(report, DistilledExportReport):
+        lines += _distilled_text(report.distilled)
     return "\n".join(lines)
+
+
+def _distilled_text(report: DistilReport) -> list[str]:
+    if not report.sliders:
+        return []
+    what = f"{report.channels} channels and {report.shapes} shapes of {len(report.sliders)} sliders"
+    lines = [f"learned: {what}, {report.width} {report.activation} units, {report.steps} steps"]
+    units = {"translation": "stage units", "rotation": "rad", "scale": "of rest"}
+    rows = [(name, one, units[name]) for name, one in report.coefficients.items()]
+    rows += [("shape weights", report.shape_weights, "")] if report.shape_weights else []
+    rows += [("points", report.points_mm, "mm")] if report.points_mm else []
+    lines += [
+        f"  {name}: mean {one.mean:.2g}, p95 {one.p95:.2g}, max {one.max:.2g} {unit}".rstrip()
+        for name, one, unit in rows
+    ]
+    return [*lines, f"  off so far over {report.vectors} random slider vectors that were not trained on"]

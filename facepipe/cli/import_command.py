@@ -14,9 +14,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from facepipe.cli.parser import add_options, add_output, options_from, output_of
-from facepipe.cli.rename import add_rename, rename_of
-from facepipe.cli.show import note, progress, warn
+from facepipe.cli.parser import add_options, add_output, add_rename, options_from, output_of
+from facepipe.cli.show import note, noted_names, progress, warn
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -35,6 +34,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, author, save."""
     from facepipe.importers import load, options_of
+    from facepipe.importers.rename_table import rename_of
     from facepipe.rig.rename import convention_of, convention_text, shapes_of
     from facepipe.stage import save_parts
     from facepipe.stage.files import check_suffix
@@ -42,14 +42,16 @@ def run(arguments: argparse.Namespace) -> int:
     out = output_of(arguments, [arguments.source])
     check_suffix(out)
     options = options_from(arguments, options_of(arguments.kind))
-    rename = rename_of(arguments)
+    rename = None if arguments.rename is None else rename_of(arguments.rename)
     with progress("import", 2) as bar:
         imported = load(arguments.kind, arguments.source, options)
         bar.update()
-        parts = imported.parts if rename is None else rename(imported.parts)
+        renamed = None if rename is None else rename(imported.parts)
+        parts = imported.parts if renamed is None else renamed.parts
         save_parts(parts, out)
         bar.update()
-    warn(imported.warnings)
+    warn((*imported.warnings, *(renamed.warnings if renamed else ())))
+    noted_names(arguments.rename, renamed.names if renamed else {})
     found = convention_of(shapes_of(parts))
     if found is not None and (not found["exact"] or found["arkit"]):
         note(f"shapes: {convention_text(found)}")

@@ -55,15 +55,18 @@ def add_options(
     options: type,
     title: str | None = None,
     *,
+    prefix: str = "",
     sparse: bool = False,
 ) -> None:
     """A flag for every field of a frozen option dataclass; flags already there are shared.
 
+    :param prefix: before the name of each
     :param sparse: arguments hold only the flags that were given, and what is on can be turned off
     """
     group = parser.add_argument_group(title) if title else parser
     for field in fields_of(options):
-        flag = f"--{field.name.replace('_', '-')}"
+        name = prefix + field.name
+        flag = f"--{name.replace('_', '-')}"
         if flag in parser._option_string_actions:
             continue
         settings = _settings(field)
@@ -71,7 +74,7 @@ def add_options(
             settings["default"] = argparse.SUPPRESS
             if settings.get("action") == "store_true":
                 settings["action"] = argparse.BooleanOptionalAction
-        group.add_argument(flag, dest=field.name, **settings)
+        group.add_argument(flag, dest=name, **settings)
 
 
 def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: Field) -> None:
@@ -210,3 +213,15 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
     if out is not None and picture.absolute() == out.absolute():
         raise InputError(picture, "is the output too, expected another file")
     return picture
+
+
+def add_rename(parser: argparse.ArgumentParser) -> None:
+    """`--rename NAMES|FILE`."""
+    from facepipe.rig.conventions import CONVENTIONS
+
+    parser.add_argument(
+        "--rename",
+        metavar="NAMES",
+        help=f"other names of shapes, in clips and sliders too: {' '.join(CONVENTIONS)}; or a table of shapes and "
+        "joints, a .json ({old: new}) or .csv (old,new)",
+    )

@@ -8,7 +8,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from facepipe.core.errors import printable
@@ -34,6 +34,13 @@ def warn(lines: Iterable[str]) -> None:
 def note(line: str) -> None:
     """Print a fact to stderr."""
     print(f"facepipe: {printable(line)}", file=sys.stderr)
+
+
+def noted_names(given: str | None, names: Mapping[str, str]) -> None:
+    """Print how many names a `--rename` changed to stderr."""
+    if given is not None:
+        like = next((f", like '{old}' to '{new}'" for old, new in names.items()), "")
+        note(f"--rename {given}: {len(names)} names changed{like}")
 
 
 @contextlib.contextmanager

@@ -44,6 +44,7 @@ class ExportReport(Report):
     # Of ONNX weights in fewer bytes: of points, over slider values. Of learned sliders: theirs, and that.
     error_mm: float | None = None
     pose: str = "rest"  # the person that is the file's rest: the template, or what it was set by
+    renamed: Mapping[str, str] = field(default_factory=dict)  # names that were changed, old -> new
     # Of expressions on top of a person that is set, over all shapes at 1 and random poses: mean_mm, max_mm, counts.
     pose_error: Mapping[str, float] | None = None
 

@@ -1,17 +1,72 @@
-"""Tables of names: JSON objects ``{"old": "new"}``, and CSV files of two columns, old and new."""
+"""Other names of shapes and joints: a convention's, or a table's: JSON ``{"old": "new"}``, CSV of old and new."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 from facepipe.core.reading import read_bytes, read_json_object
+from facepipe.rig.conventions import CONVENTIONS
+
+if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
 
 MAX_BYTES = 1 << 24
 _HEADER = ("old", "new")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Renamed:
+    """A face under its new names, which its recipe holds where it was imported."""
+
+    parts: FaceParts
+    names: Mapping[str, str]  # old -> new, of those that changed
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rename:
+    """What `--rename` asks for: the names of a convention, or of a table."""
+
+    given: str
+    table: Mapping[str, str] | None  # None: a convention
+
+    def __call__(self, parts: FaceParts) -> Renamed:
+        """The face under its new names.
+
+        :raises InputError: names that collide
+        """
+        from facepipe.rig.rename import convention_names, renamed, shapes_of, unknown_names
+
+        shapes, where = shapes_of(parts), f"--rename {self.given}"
+        names = convention_names(self.given, shapes) if self.table is None else self.table
+        result = renamed(parts, names, where)
+        missing = None if self.table is None else unknown_names(parts, names)
+        before, after = (*shapes, *parts.skeleton.names), (*shapes_of(result), *result.skeleton.names)
+        changed = {old: new for old, new in zip(before, after, strict=True) if old != new}
+        if result.recipe is not None and result.recipe.verb.startswith("import "):
+            options = {**result.recipe.options, "rename": changed}
+            result = replace(result, recipe=replace(result.recipe, options=options))
+        return Renamed(parts=result, names=changed, warnings=(f"{where}: {missing}",) if missing else ())
+
+
+def rename_of(given: str) -> Rename:
+    """What `--rename` asks for.
+
+    :raises InputError: neither a convention nor a table, or a damaged table
+    """
+    if given.lower() in CONVENTIONS:
+        return Rename(given=given.lower(), table=None)
+    if not Path(given).suffix:
+        near = did_you_mean(given, CONVENTIONS) or f", expected one of {' '.join(CONVENTIONS)}"
+        raise InputError(f"--rename {given}", f"no convention{near}")
+    return Rename(given=given, table=read_rename_table(Path(given)))
 
 
 def read_rename_table(path: Path) -> dict[str, str]:

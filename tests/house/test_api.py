@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,21 @@ def test_any_file_is_a_face_and_any_result_is_for_the_engine(folder: Path) -> No
     assert main(["inspect", "a.glb"]) == 0
     assert {one.name for one in folder.iterdir()} >= {"whole.glb", "mix.onnx", "mix.onnx.json"}
     assert main(["cook", "whole.usdc"]) == 0
+
+
+def test_exports_do_what_the_command_does(folder: Path) -> None:
+    report = facepipe.export("a.usda", "a.glb", rename="vrm")
+    assert main(["export", "a.usda", "-o", "line.glb", "--rename", "vrm"]) == 0
+    assert Path("a.glb").read_bytes() == Path("line.glb").read_bytes()
+    assert report.renamed["eyeBlinkLeft"] == "blinkLeft"
+    for wrong, message in {
+        "morph_normal": "option morph_normal: is unknown, did you mean 'morph_normals'?",
+        "keep_shapes": "--keep-shapes: given without --neural, expected both",
+        "distil_steps": "--distil-steps: given without --distil, expected both",
+    }.items():
+        with pytest.raises(facepipe.InputError, match=re.escape(message)):
+            facepipe.export("a.usda", "b.glb", **{wrong: True})
+    assert not Path("b.glb").exists()
 
 
 def test_a_result_from_a_file_that_is_imported_is_cooked_again(folder: Path) -> None:

@@ -91,7 +91,7 @@ def test_import_gives_the_names_of_a_convention_and_says_so(
     (tmp_path / "vroid.glb").write_bytes(builder.glb())
     code, _, err = run(capsys, "import", "gltf", "vroid.glb", "face.usda", "--rename", "ARKIT")
     assert code == 0
-    assert "--rename arkit: 1 names changed, like 'blendShape1.EyeBlink_L' to 'eyeBlinkLeft'" in err
+    assert "--rename ARKIT: 1 names changed, like 'blendShape1.EyeBlink_L' to 'eyeBlinkLeft'" in err
     made = facepipe.open("face.usda")
     assert made.shapes == ("Fcl_MTH_A", "eyeBlinkLeft", "Key 1")
     recipe = made.parts().recipe

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +12,13 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
+from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, Slider, SliderNetwork
+from facepipe.processors.sliders.distil_options import DistilOptions
 from facepipe.processors.sliders.effects import channel_effects
 from facepipe.rig import CHANNELS, Rig, build, slide
 from facepipe.rig.sliders import channel_entries, shape_entries
 
-ACTIVATIONS = ("relu", "tanh")
-WIDTHS, STEPS = (1, 1024), (100, 200_000)
 VECTORS = 200  # held-out slider vectors that errors are measured on
 LEVER_MM = 10.0  # what a radian, or a factor, is taken to move where a joint moves no point
 
@@ -55,24 +55,11 @@ class DistilReport(Report):
         return self.points_mm is not None and self.points_mm.max > self.threshold_mm
 
 
-@dataclass(frozen=True, kw_only=True)
-class DistilSliders:
+class DistilSliders(DistilOptions):
     """Learns what curves and a network of a face's sliders do: they become straight, one small network does the rest.
 
     What is straight already stays exactly so. Needs torch.
-
-    :param width: units of the network's hidden layer, 1 to 1024
-    :param activation: relu bends sharply, as curves do; tanh smoothly
-    :param seed: of samples and first weights
-    :param threshold_mm: largest error of a point that is no warning, in millimetres
-    :param steps: of training at most, 100 to 200000; each is a batch of 256 slider vectors
     """
-
-    width: int = 32
-    activation: Literal["relu", "tanh"] = "relu"
-    seed: int = 0
-    threshold_mm: float = 0.1
-    steps: int = 6000
 
     @one_thread()
     def __call__(self, parts: FaceParts) -> tuple[FaceParts, DistilReport]:
@@ -99,16 +86,7 @@ class DistilSliders:
         return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": told})), report
 
     def _check(self, parts: FaceParts) -> None:
-        if self.activation not in ACTIVATIONS:
-            raise InputError("distil activation", f"is {self.activation!r}, expected one of {', '.join(ACTIVATIONS)}")
-        for name, (low, high) in (("width", WIDTHS), ("steps", STEPS)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-                raise InputError(f"distil {name}", f"is {value!r}, expected a whole number from {low} to {high}")
-        if not 0 <= self.seed < 1 << 32:
-            raise InputError("distil seed", f"is {self.seed!r}, expected a whole number from 0 to 4294967295")
-        if not 0 < self.threshold_mm < np.inf:
-            raise InputError("distil threshold", f"is {self.threshold_mm!r} mm, expected more than 0")
+        check_ranges(self)
         if not parts.sliders:
             raise InputError(parts.name, "no sliders, expected some to learn from")
 

@@ -1,0 +1,211 @@
+"""A face written for the engine: under other names, with learned sliders, or moved by a neural rig, where asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reports import ExportReport
+from facepipe.kinds import Watch, unwatched
+from facepipe.parts import HeldFace
+from facepipe.processors.neural_rig.options import AttachOptions
+from facepipe.processors.sliders.distil_options import DISTIL, DistilOptions
+from facepipe.registry import exporter, outputs
+
+if TYPE_CHECKING:
+    from facepipe.importers.rename_table import Rename, Renamed
+    from facepipe.parts import HasParts
+    from facepipe.processors.neural_rig import AttachedNeuralRig
+    from facepipe.processors.sliders import DistilReport
+    from facepipe.rig.neural_encoder import NeuralEncoder
+    from facepipe.stage import Face
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeuralExportReport(ExportReport):
+    """What was written, and what shapes leave out."""
+
+    dropped_mm: float  # by which points can be off for offsets that are left out
+    clips_mm: float  # by which points of clips are off at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistilledExportReport(ExportReport):
+    """What was written, and how good the learned sliders in it are."""
+
+    distilled: DistilReport
+
+
+@dataclass(frozen=True)
+class _EncodedFace(HeldFace):
+    encoder: NeuralEncoder  # of a neural rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What is to be written of a face, and how."""
+
+    format: Any  # an instance of the exporter's Options
+    rename: Rename | None
+    neural: Path | None
+    attach: AttachOptions
+    distil: DistilOptions | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Made:
+    """What was made of a face."""
+
+    face: HasParts
+    distilled: DistilReport | None = None
+    attached: AttachedNeuralRig | None = None
+    renamed: Renamed | None = None
+
+
+def export(
+    face: Face | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    rename: str | None = None,
+    neural: str | os.PathLike[str] | None = None,
+    distil: bool = False,
+    watch: Watch = unwatched,
+    **options: Any,
+) -> ExportReport:
+    """Write a face for the engine; the suffix of `out` says the format.
+
+    :param face: or its file
+    :param rename: other names of shapes: a convention (arkit, vrm ...), or a table (.json, .csv)
+    :param neural: a neural rig (.fpnr) whose controls are the sliders of the face; a .onnx is the graph of its controls
+    :param distil: of a graph of the sliders, a small learned network in place of curves; needs torch
+    :param options: of the format, like ``engine="unity"``, of `neural`, of `distil`: those of `facepipe export --help`
+    :returns: the report; of `neural` with `dropped_mm`, of `distil` with `distilled`
+    :raises FacepipeError: a face or option that the format can't hold, or a file that can't be read or written
+    """
+    from facepipe.rig import implausible
+    from facepipe.stage.outputs import check_output
+
+    target, rig = Path(out), None if neural is None else Path(neural)
+    module = exporter(target)
+    source = None if not isinstance(face, str | os.PathLike) else Path(face)
+    for one in outputs(target):
+        check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
+    asked = _asked(module.Options, rename, rig, distil, options)
+    with watch("export", 3 if distil else 2) as bar:
+        whole: Any = face if source is None else _opened(source)
+        bar.update()
+        made = _made(whole, asked)
+        if distil:
+            bar.update()
+        report = module.export(made.face, target, asked.format)
+        bar.update()
+    return _reported(report, made, implausible(whole.parts()))
+
+
+def _opened(path: Path) -> Face:
+    """The face of a file; what imports others is loaded for those alone."""
+    from facepipe.stage.face import open_face
+    from facepipe.stage.files import SUFFIXES
+
+    if path.suffix.lower() in SUFFIXES:
+        return open_face(path)
+    from facepipe.importers import read_face
+
+    return read_face(path)
+
+
+def _asked(kind: Any, rename: str | None, neural: Path | None, distil: bool, options: Mapping[str, Any]) -> _Asked:
+    """:raises InputError: options that are unknown, out of range, or don't go together"""
+    known = {one.name for one in dataclasses.fields(kind)}
+    attach = {one.name for one in dataclasses.fields(AttachOptions)}
+    learned = {f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)}
+    for name in options:
+        if name not in known | attach | learned:
+            near = did_you_mean(name, known | attach | learned)
+            raise InputError(f"option {name[:60]}", f"is unknown{near or f', expected some of {chr(32).join(known)}'}")
+        if (name in attach and neural is None) or (name in learned and not distil):
+            needed = "--neural" if name in attach else "--distil"
+            raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
+    if neural is not None and distil:
+        raise InputError("--neural", "given with --distil, expected one of them")
+    form = kind(**{name: value for name, value in options.items() if name in known})
+    if distil and not getattr(form, "sliders", False):
+        raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
+    if neural is not None and hasattr(form, "sliders") and not form.encoder:
+        form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
+    return _Asked(
+        format=form,
+        rename=None if rename is None else _rename(rename),
+        neural=neural,
+        attach=AttachOptions(**{name: value for name, value in options.items() if name in attach}),
+        distil=_distil_options(options) if distil else None,
+    )
+
+
+def _rename(given: str) -> Rename:
+    from facepipe.importers.rename_table import rename_of
+
+    return rename_of(given)
+
+
+def _distil_options(options: Mapping[str, Any]) -> DistilOptions:
+    found = {name.removeprefix(DISTIL): value for name, value in options.items() if name.startswith(DISTIL)}
+    return DistilOptions(**found)
+
+
+def _made(face: Face, asked: _Asked) -> _Made:
+    """The face with what was asked for.
+
+    :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
+    :raises TopologyError: other meshes, joints or skin than the rig was learned on
+    """
+    made = _Made(face=face)
+    if asked.distil is not None:
+        from facepipe.processors.sliders import DistilSliders
+
+        parts, report = DistilSliders(**vars(asked.distil))(face.parts())
+        made = _Made(face=HeldFace(parts), distilled=report)
+    elif asked.neural is not None and getattr(asked.format, "encoder", False):
+        made = _Made(face=_encoded(face, asked.neural))
+    elif asked.neural is not None:
+        from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
+
+        attached = AttachNeuralRig(options=asked.attach)(face.parts(), load_neural_rig(asked.neural), face.where)
+        made = _Made(face=HeldFace(attached.parts), attached=attached)
+    if asked.rename is None:
+        return made
+    renamed = asked.rename(made.face.parts())
+    held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
+    return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
+
+
+def _encoded(face: Face, rig: Path) -> _EncodedFace:
+    from facepipe.processors.database import Topology
+    from facepipe.processors.neural_rig import load_encoder
+
+    encoder = load_encoder(rig)
+    encoder.check(Topology.of(face.parts()).digest, face.where)
+    return _EncodedFace(face.parts(), encoder)
+
+
+def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
+    own = {one.name: getattr(report, one.name) for one in dataclasses.fields(report)}
+    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
+    own["warnings"] = (*report.warnings, *(line for one in others for line in one.warnings), *plausible)
+    if made.renamed is not None:
+        own["renamed"] = made.renamed.names
+    if made.attached is not None:
+        return NeuralExportReport(**own, dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
+    if made.distilled is None:
+        return type(report)(**own)
+    points = made.distilled.points_mm
+    packed = report.error_mm or 0.0  # of weights in fewer bytes
+    own["error_mm"] = None if points is None else points.max + packed
+    return DistilledExportReport(**own, distilled=made.distilled)
