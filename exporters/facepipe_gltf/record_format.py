@@ -26,6 +26,9 @@ Json = dict[str, Any]
 VERSION = 1
 _SHOWN = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "samplers")
 _WHOLE = 2**53
+_LEVEL = (
+    3  # of deflating: a sixth more bytes than by default, of a block that is a hundredth of a file, in half the time
+)
 _FLAT = 1e-30  # of a determinant
 NONE: Any = np.zeros(0)  # stands for an array that the file holds, of any kind
 PER_POINT = np.zeros((0, 3))  # normals one a point; those of face corners are `NONE`
@@ -78,7 +81,7 @@ def packed(record: Record) -> tuple[Json, bytes]:
     arrays = ArrayWriter()
     text = json.dumps(to_json(record, arrays), separators=(",", ":"), allow_nan=False).encode()
     block = struct.pack("<I", len(text)) + text + arrays.finish()
-    return {"version": VERSION, "inflated": len(block)}, zlib.compress(block)
+    return {"version": VERSION, "inflated": len(block)}, zlib.compress(block, _LEVEL)
 
 
 def unpacked(data: bytes, inflated: int, where: str) -> Record:
