@@ -8,7 +8,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, UvSet
+from facepipe.heads.joints import skeleton
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, Skin, UvSet
 
 Shapes = Mapping[str, Mapping[float, FloatArray]]  # name -> weight, 1 the last -> (n, 3) offsets there
 
@@ -38,6 +39,7 @@ def make_head(identity: FloatArray) -> FaceParts:
         name="Face",
         meters_per_unit=0.01,
         meshes=tuple(_mesh(head, name, part, points, head.shapes) for name, part in head.parts.items()),
+        skeleton=skeleton(points),
         materials=_MATERIALS,
         attribution=ATTRIBUTION,
     )
@@ -54,6 +56,7 @@ def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes
         face_vertex_indices=head.indices[part.corners] - part.points.start,
         uv_sets=(UvSet(values=head.uvs[uvs], indices=uv_indices.reshape(-1).astype(np.int32)),),
         blendshapes=_blendshapes(part, shapes),
+        skin=Skin(joint_indices=head.skin_joints[part.points], joint_weights=head.skin_weights[part.points]),
         regions=masks,
         landmarks={"multipie68": Landmarks(indices=head.landmarks)} if whole else {},
         anchor=head.anchor if whole else None,

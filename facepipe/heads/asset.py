@@ -36,7 +36,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
-    """n points, f faces, c face corners, m modes."""
+    """n points, f faces, c face corners, m modes, j joints."""
 
     points: FloatArray  # (n, 3) the average head
     modes: npt.NDArray[np.float32]  # (m, n, 3) offsets of a standard deviation
@@ -51,6 +51,11 @@ class Asset:
     regions: Mapping[str, FloatArray]  # name -> (points of Head,) soft masks, which sum to 1
     landmarks: IntArray  # (68,) points of multipie68
     anchor: int
+    joints: tuple[str, ...]  # paths, parents first
+    joint_points: IntArray  # (j, k) of whose places each joint is
+    joint_shares: FloatArray  # (j, k) the weighted mean
+    skin_joints: IntArray  # (n, 4)
+    skin_weights: FloatArray  # (n, 4)
 
     def place(self, point: int) -> tuple[str, int]:
         """The mesh that a point is in, and its number there."""
@@ -87,6 +92,11 @@ def asset() -> Asset:
         regions=dict(zip(map(str, found["region_names"]), masks, strict=True)),
         landmarks=found["landmarks"],
         anchor=int(found["anchor"]),
+        joints=tuple(map(str, found["joints"])),
+        joint_points=found["joint_points"],
+        joint_shares=found["joint_shares"].astype(np.float64),
+        skin_joints=found["skin_joints"].astype(np.int32),
+        skin_weights=found["skin_weights"] / found["skin_weights"].sum(axis=1, keepdims=True, dtype=np.float64),
     )
 
 

@@ -1,14 +1,9 @@
-"""Inbetweens where a straight way is wrong: a jaw turns about its hinge, a lid slides over the eyeball."""
+"""Ways of points that are no straight lines: a jaw turns about its hinge, a lid slides over the eyeball."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-import numpy.typing as npt
-
-Floats = npt.NDArray[np.float64]
-Weights = Mapping[float, Floats]  # weight, 1 among them -> (n, 3) offsets there
+from model import Floats
 
 
 def about_axis(points: Floats, offsets: Floats, centre: Floats, share: float) -> Floats:
@@ -34,13 +29,3 @@ def about_point(points: Floats, offsets: Floats, centre: Floats, share: float) -
     turned = (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / sine
     turned = np.where(angle < 1e-6, (1 - share) * a + share * b, turned)
     return np.asarray(((1 - share) * length[0] + share * length[1]) * turned - start)
-
-
-def jaw_hinge(points: Floats, opened: Floats) -> Floats:
-    """(3,) the centre of the rotation about x that takes rigid `points` (k, 3) to points + `opened`."""
-    start, end = points[:, 1:], (points + opened)[:, 1:]
-    middles = start.mean(axis=0), end.mean(axis=0)
-    u, _, v = np.linalg.svd((start - middles[0]).T @ (end - middles[1]))
-    turn = (u @ np.diag([1.0, np.linalg.det(u @ v)]) @ v).T
-    centre = np.linalg.solve(np.eye(2) - turn, middles[1] - turn @ middles[0])
-    return np.array([0.0, *centre])

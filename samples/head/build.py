@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import argparse
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import arcs
 import numpy as np
 import numpy.typing as npt
+from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
+from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
 from packing import packed, write_arrays
+from skeleton import Skeleton, skeleton
+from tongue import tongue_out
 
-from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.borders import back_of_border
 from facepipe.importers.ict_regions import REGIONS, head_regions
 from facepipe.importers.ict_topology import LANDMARKS, MATERIALS
@@ -24,8 +28,6 @@ from facepipe.importers.ict_topology import LANDMARKS, MATERIALS
 ROOT = Path(__file__).parents[2]
 LICENCES = {"ict_facekit/LICENSE": "LICENSE.ICT-FaceKit.txt", "makehuman/LICENSE.ASSETS.md": "LICENSE.MakeHuman.md"}
 SMALLEST = 0.002  # cm: moves below are rounding noise of the source
-EYES = {"Left": "Eyeball left", "Right": "Eyeball right"}
-HALFWAY = (0.25, 0.5, 0.75)
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -37,7 +39,12 @@ def main() -> None:
     arguments = parser.parse_args()
     out, model = arguments.out, read(arguments.data)
     out.mkdir(exist_ok=True)
-    write_arrays(out / "head.npz", surface(model) | shapes(model))
+    mirror = mirror_points(model.points, model.shapes, model.indices, model.counts)
+    model = replace(model, shapes=evened(model.shapes, mirror))
+    jaw, tongue = jaw_of(model), tongue_of(model)
+    regions = head_regions(model.points)
+    made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
+    write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
     write_arrays(out / "modes.npz", {"modes": packed(model.modes)})
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)
@@ -45,12 +52,11 @@ def main() -> None:
         print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")
 
 
-def surface(model: Model) -> Arrays:
+def surface(model: Model, regions: dict[str, Floats]) -> Arrays:
     """Points, faces, texture coordinates, materials, regions, landmarks and anchor."""
     heads = [part for part in KEPT if part.mesh == "Head"]
     count, faces = heads[-1].points[1], heads[-1].faces[1]
     corners = int(model.counts[:faces].sum())
-    regions = head_regions(model.points)
     anchor = back_of_border(model.points[:count], model.counts[:faces], model.indices[:corners])
     meshes = list(dict.fromkeys(part.mesh for part in KEPT))
     last = {part.mesh: part for part in KEPT}
@@ -73,43 +79,41 @@ def surface(model: Model) -> Arrays:
     }
 
 
-def shapes(model: Model) -> Arrays:
+def shapes(model: Model, jaw: Jaw, tongue: Tongue) -> Arrays:
     """Shapes with their inbetweens."""
-    found = {name: {1.0: quiet(shape)} for name, shape in model.shapes.items()}
-    hinge = jaw_hinge(model)
-    jaw, close = found["jawOpen"][1.0], found["mouthClose"][1.0]
-    found["jawOpen"][0.5] = arcs.about_axis(model.points, jaw, hinge, 0.5)
-    found["mouthClose"][0.5] = arcs.about_axis(model.points, jaw + close, hinge, 0.5) - found["jawOpen"][0.5]
-    for side, part in EYES.items():
-        centre = eye_centre(model, part)
-        for name, weights in (("eyeBlink", HALFWAY), ("eyeLookDown", (0.5,))):
+    found = {name: {1.0: shape} for name, shape in model.shapes.items()}
+    opened, closed = model.shapes["jawOpen"], model.shapes["mouthClose"]
+    half = arcs.about_axis(model.points, opened, jaw.hinge, 0.5)
+    found["jawOpen"][0.5] = half
+    found["mouthClose"][0.5] = arcs.about_axis(model.points, opened + closed, jaw.hinge, 0.5) - half
+    for side in ("Left", "Right"):
+        centre = eye_centre(model, side)
+        for name, weights in (("eyeBlink", (0.25, 0.5, 0.75)), ("eyeLookDown", (0.5,))):
             ways = found[name + side]
             ways |= {share: arcs.about_point(model.points, ways[1.0], centre, share) for share in weights}
-    rows = [(name, weight) for name in found for weight in sorted(found[name])]
+    found["tongueOut"] = tongue_out(model, jaw, tongue)
+    rows = [(name, weight) for name in sorted(found) for weight in sorted(found[name])]
     return {
         "shape_names": np.array([name for name, _ in rows]),
         "shape_weights": np.array([weight for _, weight in rows]),
-        "shapes": packed(np.stack([found[name][weight] for name, weight in rows])),
+        "shapes": packed(np.stack([quiet(found[name][weight]) for name, weight in rows])),
+    }
+
+
+def joints(made: Skeleton) -> Arrays:
+    """Joints, the points that they follow, and skin weights."""
+    return {
+        "joints": np.array(made.joints),
+        "joint_points": made.points,
+        "joint_shares": made.shares.astype(np.float32),
+        "skin_joints": made.indices.astype(np.uint8),
+        "skin_weights": np.rint(made.weights * np.iinfo(np.uint16).max).astype(np.uint16),
     }
 
 
 def quiet(shape: Floats) -> Floats:
     """The offsets without those that are rounding noise."""
     return np.where(np.linalg.norm(shape, axis=1, keepdims=True) < SMALLEST, 0.0, shape)
-
-
-def jaw_hinge(model: Model) -> Floats:
-    """(3,) about which the lower teeth turn as the jaw opens."""
-    teeth = slice(*next(part.points for part in KEPT if part.mesh == "Teeth"))
-    opened = model.shapes["jawOpen"][teeth]
-    lower = np.linalg.norm(opened, axis=1) > 1.0
-    return arcs.jaw_hinge(model.points[teeth][lower], opened[lower])
-
-
-def eye_centre(model: Model, title: str) -> Floats:
-    """(3,) of the ball of an eye, whatever its cornea does."""
-    part = next(part for part in KEPT if part.title == title)
-    return fit_ball(model.points[slice(*part.points)]).centre
 
 
 if __name__ == "__main__":
