@@ -22,12 +22,10 @@ await build({
   chunkNames: "chunk-[hash]",
 });
 for (const name of ["index.html", "style.css"]) cpSync(join("src/viewer", name), join(out, name));
-// the plain WebAssembly build, and the one that can also use WebGPU
-for (const kind of ["", ".asyncify"]) {
-  for (const suffix of ["mjs", "wasm"]) {
-    const name = `ort-wasm-simd-threaded${kind}.${suffix}`;
-    cpSync(join(packages, "onnxruntime-web/dist", name), join(out, name));
-  }
+// the plain WebAssembly build alone: the viewer does not ask for WebGPU, whose build is twice as large
+for (const suffix of ["mjs", "wasm"]) {
+  const name = `ort-wasm-simd-threaded.${suffix}`;
+  cpSync(join(packages, "onnxruntime-web/dist", name), join(out, name));
 }
 const typescript = join(packages, "typescript/bin/tsc");
 const declarations = ["--declaration", "--emitDeclarationOnly", "--outDir", join(out, "types")];

@@ -20,6 +20,7 @@ from facepipe_web import build
 
 HERE = Path(__file__).parent / "js"
 PLAYWRIGHT = build.HERE / "node_modules" / "playwright-core" / "index.mjs"
+WEBGPU = build.HERE / "node_modules" / "onnxruntime-web" / "dist"
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _PATIENCE = 300  # seconds
 
@@ -63,9 +64,16 @@ def viewing(*faces: Path, onnx: Path | None = None) -> Iterator[str]:
             thread.join()
 
 
-def browse(url: str, *steps: Step, flags: Sequence[str] = (), before: str = "") -> tuple[list[Any], list[str]]:
-    """What steps on a page give (tests/support/js/browse.mjs), and the page's problems."""
-    request = {"url": url, "steps": steps, "flags": list(flags), "before": before}
+def browse(
+    url: str, *steps: Step, flags: Sequence[str] = (), before: str = "", webgpu: bool = False
+) -> tuple[list[Any], list[str]]:
+    """What steps on a page give (tests/support/js/browse.mjs), and the page's problems.
+
+    :param webgpu: onnxruntime-web's build for WebGPU is beside the page's scripts, which the viewer does without
+    """
+    request = {"url": url, "steps": steps, "flags": list(flags), "before": before} | (
+        {"webgpu": str(WEBGPU)} if webgpu else {}
+    )
     command = ["node", str(HERE / "browse.mjs"), str(PLAYWRIGHT), chromium()]
     done = subprocess.run(
         command, input=json.dumps(request), capture_output=True, text=True, encoding="utf-8", check=False,

@@ -113,7 +113,7 @@ def test_webgpu_where_there_is_one(url: str, flags: list[str], backend: str) -> 
           found.push(other.network.backend, Math.max(...a.map((value, i) => Math.abs(value - b[i]))));
         }
         return found;"""
-    results, problems = browse(url, READY, run(other), flags=flags)
+    results, problems = browse(url, READY, run(other), flags=flags, webgpu=True)
     assert problems == []
     used, far, plain, threads_far = results[1]
     assert (used, plain) == (backend, "wasm")

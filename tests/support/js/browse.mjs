@@ -1,11 +1,12 @@
 // Opens a page in headless Chromium and does what it is told, one step after another; prints what steps give, as JSON.
 // usage: node browse.mjs PLAYWRIGHT CHROMIUM < request
-// request: {"url", "flags": [...], "before": script run before the page's own, "viewport": [width, height],
+// request: {"url", "flags": [...], "webgpu": folder of onnxruntime-web's build for it, "before": script run before the page's own, "viewport": [width, height],
 //           "steps": [{"wait": selector} | {"click": selector} | {"press": key} | {"fill": [selector, text]} |
 //                     {"upload": [selector, file]} | {"run": expression} | {"hash": selector} | {"picture": file}]}
 // answer:  {"results": [one for each step], "problems": [errors and foreign requests of the page]}
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
+import { basename, join } from "node:path";
 import { pathToFileURL } from "node:url";
 
 const [playwright, executablePath] = process.argv.slice(2);
@@ -25,6 +26,9 @@ try {
     const { protocol, host } = new URL(one.url());
     if (protocol.startsWith("http") && host !== new URL(request.url).host) problems.push(`foreign: ${one.url()}`);
   });
+  if (request.webgpu) {
+    await page.route("**/*.asyncify.*", (route) => route.fulfill({ path: join(request.webgpu, basename(route.request().url())) }));
+  }
   if (request.before) await page.addInitScript(request.before);
   await page.goto(request.url);
   for (const step of request.steps) results.push((await done(page, step)) ?? null);
