@@ -1,64 +1,159 @@
-"""From a scene to pixels: bands of super-samples, opaque first, then a few see-through layers."""
+"""From a scene to pixels: what is solid, light scattered below it, and see-through layers over it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.pictures.layers import Layers, layers
+from facepipe.pictures.portrait import scatter_share
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
-from facepipe.pictures.shade import Shader
+from facepipe.pictures.scatter import spread
+from facepipe.pictures.shade import Shaded, Shader
 from facepipe.pictures.textures import linear_to_srgb
 
 Image8 = npt.NDArray[np.uint8]
 
 SAMPLES_PER_BAND = 1_500_000
-LAYERS = 3  # see-through layers that are told apart; what lies behind the third is left out
+_SMOOTH = 0.94  # cosine between triangles, below which a pixel that shows both shades each of them
+_STEP = 8.0  # pixels of depth within one pixel, beyond which it shows two things
+_SCATTERED = 2.5  # mm; standard deviation of where light leaves skin around where it went in
 
 
-def draw(shader: Shader, size: int, backdrop: Callable[[int, int], FloatArray], samples: int) -> Image8:
+@dataclass(frozen=True, kw_only=True)
+class Spots:
+    """Where solid things are shaded: once in a plain pixel, once for every triangle where there are edges."""
+
+    pixel: IntArray  # (m,) ascending
+    triangle: IntArray  # (m,)
+    x: FloatArray  # (m,) pixels
+    y: FloatArray  # (m,)
+    share: FloatArray  # (m,) of the pixel
+
+
+def draw(shader: Shader, size: int, background: FloatArray, samples: int, mm: float) -> Image8:
     """(size, size, 3) sRGB pixels of the scene.
 
-    :param shader: its camera counts super-samples: `samples` times the pixels of the picture
-    :param backdrop: gives the linear background (rows, size, 3) of a half-open range of rows
-    :param samples: per pixel and direction
+    :param background: (size, size, 3) linear
+    :param samples: per pixel and direction, of what covers a pixel; light is computed once or a few times in each
+    :param mm: millimetres of a unit of the scene
     """
-    screen = screen_triangles(shader.homogeneous, shader.scene.triangles)
-    opaque, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
-    picture = np.empty((size, size, 3), np.uint8)
+    fine = shader.homogeneous * (samples, samples, 1.0, 1.0)
+    screen = screen_triangles(fine, shader.scene.triangles)
+    solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
+    spots, over = _bands(shader, solid, clear, size, samples)
+    picture = background.reshape(-1, 3).astype(np.float32)
+    _paint(picture, shader, spots, size, mm)
+    if over is not None:
+        over.blend(picture, shader)
+    encoded = linear_to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
+    return encoded.astype(np.uint8)
+
+
+def _bands(
+    shader: Shader, solid: ScreenTriangles, clear: ScreenTriangles, size: int, samples: int
+) -> tuple[Spots, Layers | None]:
+    """What is seen, band by band: samples take more memory than what is made of them."""
     rows = max(1, SAMPLES_PER_BAND // (size * samples * samples))
+    spots: list[Spots] = []
+    over: list[Layers] = []
     for top in range(0, size, rows):
-        bottom = min(top + rows, size)
-        fine = backdrop(top, bottom).astype(np.float32).repeat(samples, axis=0).repeat(samples, axis=1)
-        _draw_band(shader, opaque, clear, fine, (size * samples, size * samples), (top * samples, bottom * samples))
-        linear = fine.reshape(-1, samples, size, samples, 3).mean(axis=(1, 3))
-        picture[top:bottom] = (linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8)
-    return picture
+        fine = top * samples, min(top + rows, size) * samples
+        raster = rasterise(solid, size * samples, size * samples, rows=fine)
+        spots.append(_spots(shader, raster, samples, top))
+        if len(clear.ids):
+            veil = layers(shader, clear, raster, samples, fine)
+            over += [] if veil is None else [veil]
+    names = Spots.__dataclass_fields__
+    joined = Spots(**{name: np.concatenate([getattr(one, name) for one in spots]) for name in names})
+    return joined, Layers.joined(over) if over else None
 
 
-def _draw_band(
-    shader: Shader,
-    opaque: ScreenTriangles,
-    clear: ScreenTriangles,
-    fine: FloatArray,
-    size: tuple[int, int],
-    rows: tuple[int, int],
-) -> None:
-    solid = rasterise(opaque, *size, rows=rows)
-    _blend(shader, solid, solid.key > 0, fine)
-    layers: list[Raster] = []
-    for _ in range(LAYERS if len(clear.ids) else 0):
-        ceiling = layers[-1].key if layers else None
-        layers.append(rasterise(clear, *size, rows=rows, floor=solid.key, ceiling=ceiling))
-    for layer in reversed(layers):
-        _blend(shader, layer, layer.key > solid.key, fine)
+def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
+    """The spots of a band of rows from `top` down."""
+    width = raster.key.shape[1] // samples
+    grid = raster.triangle.astype(np.int32).reshape(-1, samples, width, samples)
+    middle = samples // 2
+    center = grid[:, middle, :, middle]
+    even = np.ones(center.shape, bool)
+    for y, x in np.ndindex(samples, samples):
+        even &= grid[:, y, :, x] == center
+    mixed = np.flatnonzero(~even)
+    inner = grid.transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
+    near = raster.nearness.reshape(grid.shape).transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
+    plain = _plain(shader, inner, near, center.ravel()[mixed])
+    even.ravel()[mixed[plain]] = True
+    once = np.flatnonzero(even & (center >= 0))
+    edges = _edges(inner[~plain], mixed[~plain], width, samples)
+    pixel = np.concatenate([once, edges.pixel])
+    order = np.argsort(pixel, kind="stable")
+    row, column = np.divmod(once, width)
+    return Spots(
+        pixel=pixel[order] + top * width,
+        triangle=np.concatenate([center.ravel()[once], edges.triangle])[order],
+        x=np.concatenate([column + 0.5, edges.x])[order],
+        y=np.concatenate([row + 0.5, edges.y])[order] + top,
+        share=np.concatenate([np.ones(len(once)), edges.share])[order],
+    )
 
 
-def _blend(shader: Shader, raster: Raster, covered: npt.NDArray[np.bool_], fine: FloatArray) -> None:
-    row, column = np.nonzero(covered)
-    if not len(row):
+def _plain(
+    shader: Shader, triangles: IntArray, nearness: npt.NDArray[np.float32], center: IntArray
+) -> npt.NDArray[np.bool_]:
+    """(p,) pixels with triangles (p, s) that are one smooth surface, which can be shaded at once."""
+    covered = (triangles >= 0).all(axis=1)
+    surface = shader.scene.surface
+    plain = covered & (surface[triangles] == surface[center][:, None]).all(axis=1)
+    at = np.flatnonzero(plain)
+    facets = shader.unit_facets
+    level = np.full(len(at), 1.0, np.float32)
+    for sample in range(triangles.shape[1]):
+        cosine = np.einsum("pc,pc->p", facets[triangles[at, sample]], facets[center[at]])
+        level = np.minimum(level, cosine)
+    depth = 1.0 / np.maximum(nearness[at], 1e-12)
+    step = np.ptp(depth, axis=1) * shader.camera.focal / depth.min(axis=1) if len(at) else level
+    plain[at] = (level > _SMOOTH) & (step < _STEP)
+    return np.asarray(plain)
+
+
+def _edges(triangles: IntArray, pixel: IntArray, width: int, samples: int) -> Spots:
+    """A spot for each triangle of pixels that show (p, s) several: in the middle of the samples that it covers."""
+    which, sample = np.nonzero(triangles >= 0)
+    found = triangles[which, sample].astype(np.int64)
+    several = int(found.max(initial=0)) + 1
+    code, spot, count = np.unique(which * several + found, return_inverse=True, return_counts=True)
+    which, found = np.divmod(code, several)
+    down, right = np.divmod(sample, samples)
+    row, column = np.divmod(pixel[which], width)
+    x, y = (np.bincount(spot, (step + 0.5) / samples, len(code)) / np.maximum(count, 1) for step in (right, down))
+    return Spots(pixel=pixel[which], triangle=found, x=column + x, y=row + y, share=count / samples**2)
+
+
+def _paint(picture: npt.NDArray[np.float32], shader: Shader, spots: Spots, size: int, mm: float) -> None:
+    """Put what is solid over the background (size * size, 3)."""
+    if not len(spots.pixel):
         return
-    color, opacity = shader.shade(raster.triangle[row, column], column + 0.5, row + raster.first_row + 0.5)
-    fine[row, column] = np.minimum(fine[row, column] * (1 - opacity[:, None]) + color, 1.0)
+    shaded = shader.shade(spots.triangle, spots.x, spots.y)
+    if shader.studio.scatters:
+        shaded = _scattered(shaded, spots, size, _SCATTERED / mm, shader.camera.focal)
+    color = shaded.toned(shader.studio.tone) * spots.share[:, None]
+    picture *= 1 - _summed(spots.share, spots.pixel, len(picture))[:, None]
+    for channel in range(3):
+        picture[:, channel] += _summed(color[:, channel], spots.pixel, len(picture))
+
+
+def _scattered(shaded: Shaded, spots: Spots, size: int, width: float, focal: float) -> Shaded:
+    """Samples with the light that comes to them below the surface."""
+    columns = (*shaded.light.T, np.ones_like(shaded.depth), shaded.depth)
+    image = np.stack([_summed(column * spots.share, spots.pixel, size * size) for column in columns], axis=-1)
+    image = image.reshape(size, size, -1).astype(np.float32)
+    change = spread(image[..., :3], image[..., 3], image[..., 4], width, focal).reshape(-1, 3)
+    light = shaded.light + scatter_share(shaded.base) * change[spots.pixel]
+    return replace(shaded, light=np.maximum(light, 0))
+
+
+def _summed(values: FloatArray, pixel: IntArray, count: int) -> FloatArray:
+    return np.asarray(np.bincount(pixel, values, minlength=count), np.float64)

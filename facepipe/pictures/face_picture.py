@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
@@ -21,6 +19,7 @@ from facepipe.pictures.draw import draw
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.landmarks import draw_landmarks
 from facepipe.pictures.lighting import Studio
+from facepipe.pictures.portrait import Portrait
 from facepipe.pictures.regions import RegionColors, draw_legend, legend_width
 from facepipe.pictures.scene import Scene, build_scene, world_points
 from facepipe.pictures.shade import Shader
@@ -54,7 +53,7 @@ class PictureOptions:
     title: str = ""
     framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
     camera: Camera | None = None  # of a picture `size` pixels a side, in the Y-up world; instead of view and framing
-    studio: Studio | None = None  # lights; None: portrait light, or even light where colours must be read
+    studio: Studio | Portrait | None = None  # lights; None: portrait light, or even light where colours must be read
     backdrop: FloatArray | None = None  # (size, size, 3) sRGB 0..1 picture behind the face, instead of `background`
 
     def __post_init__(self) -> None:
@@ -120,8 +119,9 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
         raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
     camera = _camera(parts, scene, options)
     textures = TextureCache(largest=2 * options.size)
-    shader = Shader(scene, camera.scaled(options.samples), textures, options.heatmap, paint, options.studio)
-    image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples))
+    shader = Shader(scene, camera, textures, options.heatmap, paint, options.studio)
+    mm = 1000 * parts.meters_per_unit
+    image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples, mm))
     if options.landmarks is not None:
         draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.bar and options.written:
@@ -142,21 +142,15 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
         image.save(temporary, format="PNG", compress_level=6)
 
 
-def backdrop(size: int, colors: Color | tuple[Color, Color], top: int, bottom: int) -> npt.NDArray[np.float32]:
-    """Rows `top` to `bottom` of a linear background: one sRGB colour, or a blend from the middle to the corners."""
-    middle, corner = np.broadcast_to(np.array(colors, dtype=np.float32), (2, 3))
-    across = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
-    distance = np.sqrt((across[None, :] ** 2 + across[top:bottom, None] ** 2) / 2)
+def _behind(options: PictureOptions) -> FloatArray:
+    """(size, size, 3) linear background: the backdrop, one colour, or a blend from the middle to the corners."""
+    if options.backdrop is not None:
+        return srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32))
+    middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
+    across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
+    distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
     share = (distance**2 * (3 - 2 * distance))[..., None]
-    return np.asarray(srgb_to_linear(middle + (corner - middle) * share), dtype=np.float32)
-
-
-def _behind(options: PictureOptions) -> Callable[[int, int], FloatArray]:
-    """Gives rows of the linear background."""
-    if options.backdrop is None:
-        return partial(backdrop, options.size, options.background)
-    image = srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32))
-    return lambda top, bottom: image[top:bottom]
+    return srgb_to_linear(middle + (corner - middle) * share)
 
 
 def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:

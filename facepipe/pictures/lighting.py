@@ -1,4 +1,4 @@
-"""Light on a surface: studio lights that stay with the camera, skin-like wrap, highlights."""
+"""Lamps that stay with the camera: plain light on a surface, for colours that must be read and for known scenes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.pictures.occlusion import Sky
 
 Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Surface samples to be lit, m of them, in camera axes."""
+
+    normals: FloatArray  # (m, 3) unit, towards the viewer's side
+    towards_eye: FloatArray  # (m, 3) unit
+    up: FloatArray  # (3,) the world's up in camera axes
+    base: FloatArray  # (m, 3) linear diffuse colour
+    roughness: FloatArray  # (m,)
+    carried: FloatArray  # (m, c) what the studio computed at the points, for the side that is seen
+    key_light: FloatArray  # (m,) share of the key light that arrives
+    mirror: FloatArray  # (m, 3) share of light reflected straight back at normal incidence
+    inside: FloatArray  # (m,) factor of all light; below 1 on the inner side of a single-sided mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,29 +45,52 @@ class Light:
 
 @dataclass(frozen=True, kw_only=True)
 class Studio:
-    """The lights of a picture; the first one, the key, casts shadows."""
+    """The lamps of a picture; the first one, the key, casts shadows."""
 
     lights: tuple[Light, ...]
     sky: Color
     ground: Color
     shadows: bool = True
     compress: bool = True  # bend highlights below white; off where colours must be exact
+    spread = 0.0  # lamps are points
+    scatters = False
+
+    @property
+    def key(self) -> FloatArray | None:
+        """(3,) unit direction towards the light that casts shadows."""
+        return self.lights[0].unit if self.shadows and self.lights else None
+
+    def carried(self, sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
+        """(n, 1) share of the sky that points with normals (n, 3) see."""
+        return sky.share(normals)[:, None]
+
+    def light(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
+        """(m, 3) diffuse light, to be multiplied by the surface's colour, and (m, 3) highlights."""
+        # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
+        ambient = samples.carried * samples.inside[:, None]
+        seen = ambient / (1 - samples.base * (1 - ambient) * 0.9)
+        height = (0.5 + 0.5 * (samples.normals @ samples.up))[:, None]
+        diffuse = seen * (_row(self.ground) * (1 - height) + _row(self.sky) * height)
+        highlights = np.zeros_like(diffuse)
+        for number, light in enumerate(self.lights):
+            arriving = seen
+            if number == 0 and self.shadows:
+                arriving = (samples.key_light * samples.inside)[:, None] * (0.4 + 0.6 * seen)
+            cosine = (samples.normals @ light.unit)[:, None]
+            wrap = _row(light.wrap)
+            diffuse += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
+            if light.highlight:
+                shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
+                highlights += (shine * (arriving @ GREY))[:, None] * _row(light.color)
+        return diffuse, highlights
+
+    def tone(self, color: FloatArray) -> FloatArray:
+        """Linear light as linear colours 0..1 of a screen."""
+        return shoulder(color) if self.compress else np.minimum(color, 1.0)
 
 
 GREY = np.full(3, 1 / 3, np.float32)
 SHARPEST = 0.22  # roughness; a lamp is no point, so that its glint has a size
-# Red light scatters farthest below skin, so the edge of shade is warm.
-SKIN_WRAP = (0.34, 0.20, 0.15)
-PORTRAIT = Studio(
-    lights=(
-        Light(direction=(-0.62, 0.62, 0.78), color=(1.36, 1.28, 1.18), wrap=SKIN_WRAP),
-        Light(direction=(0.85, 0.05, 0.55), color=(0.22, 0.245, 0.28), wrap=(0.3, 0.3, 0.3), highlight=0.5),
-        Light(direction=(0.75, 0.45, -0.75), color=(0.75, 0.79, 0.86), highlight=0.6),
-        Light(direction=(-0.8, 0.35, -0.85), color=(0.3, 0.315, 0.34), highlight=0.6),
-    ),
-    sky=(0.31, 0.335, 0.38),
-    ground=(0.15, 0.125, 0.11),
-)
 # For reading colours: from the camera, grey, the same left and right.
 EVEN = Studio(
     lights=(Light(direction=(0.0, 0.25, 1.0), color=(0.62, 0.62, 0.62), highlight=0.0),),
@@ -60,44 +99,6 @@ EVEN = Studio(
     shadows=False,
     compress=False,
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Samples:
-    """Surface samples to be lit, m of them, in camera axes."""
-
-    normals: FloatArray  # (m, 3) unit, towards the viewer's side
-    towards_eye: FloatArray  # (m, 3) unit
-    up: FloatArray  # (3,) the world's up in camera axes
-    base: FloatArray  # (m, 3) linear diffuse colour
-    roughness: FloatArray  # (m,)
-    opacity: FloatArray  # (m,)
-    ambient: FloatArray  # (m,) share of the sky seen
-    key_light: FloatArray  # (m,) share of the key light that arrives
-
-
-def lit(samples: Samples, studio: Studio) -> FloatArray:
-    """(m, 3) linear light that leaves the samples, compressed into 0..1 and premultiplied by their opacity.
-
-    As in UsdPreviewSurface a see-through surface keeps its highlights whole: a clear cornea glints.
-    """
-    # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
-    seen = samples.ambient[:, None] / (1 - samples.base * (1 - samples.ambient[:, None]) * 0.9)
-    height = (0.5 + 0.5 * (samples.normals @ samples.up))[:, None]
-    diffuse = seen * (_row(studio.ground) * (1 - height) + _row(studio.sky) * height)
-    highlights = np.zeros_like(diffuse)
-    for number, light in enumerate(studio.lights):
-        arriving = seen
-        if number == 0 and studio.shadows:
-            arriving = samples.key_light[:, None] * (0.4 + 0.6 * seen)
-        cosine = (samples.normals @ light.unit)[:, None]
-        wrap = _row(light.wrap)
-        diffuse += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
-        if light.highlight:
-            shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
-            highlights += (shine * (arriving @ GREY))[:, None] * _row(light.color)
-    color = samples.base * diffuse * samples.opacity[:, None] + highlights
-    return shoulder(color) if studio.compress else np.minimum(color, 1.0)
 
 
 def _row(color: Color) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Light that doesn't arrive: shadow maps, and ambient occlusion gathered from many of them."""
+"""Light that doesn't arrive: shadow maps, and which parts of the sky points see, gathered from many of them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.pictures.rasterise import rasterise, screen_triangles
 
 AMBIENT_DIRECTIONS = 24
 AMBIENT_RESOLUTION = 256
 SHADOW_RESOLUTION = 768
+_FACING = 0.02  # cosine between a normal and a direction from which light can arrive
+_TAPS = 16  # of a soft shadow
+_WIDEST = 40.0  # map pixels of a soft shadow's edge
+_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sky:
+    """What points see of a sphere of directions."""
+
+    directions: FloatArray  # (d, 3) unit, world
+    seen: npt.NDArray[np.float16]  # (n, d) share of the light from each direction that arrives
+
+    def share(self, normals: FloatArray) -> FloatArray:
+        """(n,) share of an even sky's light that arrives at points with unit normals (n, 3), 0..1."""
+        return self.shares(normals, np.ones((len(self.directions), 1)))[:, 0]
+
+    def shares(self, normals: FloatArray, light: FloatArray) -> FloatArray:
+        """(n, c) shares of light that comes from the directions with strengths (d, c), by the cosine law."""
+        cosine = normals @ self.directions.T
+        cosine[cosine <= _FACING] = 0.0
+        full = np.einsum("nd,dc->nc", cosine, light)
+        arriving = np.einsum("nd,dc->nc", cosine * self.seen, light)
+        return np.where(full > 0, arriving / np.where(full > 0, full, 1.0), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,17 +48,49 @@ class DepthMap:
     origin: FloatArray  # (3,) map coordinates of the world origin
     nearness: npt.NDArray[np.float32]  # (r, r) map units towards the light, 0 where nothing is
 
-    def coordinates(self, points: FloatArray) -> FloatArray:
-        """(n, 3) of world points: column, row, nearness, all in map pixels."""
-        return np.asarray(points @ (self.axes.T * self.scale) + self.origin)
-
     def lit(self, points: FloatArray, normals: FloatArray, radius: int = 1) -> FloatArray:
         """(n,) share of light that reaches points with unit normals, softened over `radius` map pixels."""
+        return _compare(self.nearness, self._coordinates(points, normals, 0.6 + radius), radius)
+
+    def softly_lit(self, points: FloatArray, normals: FloatArray, spread: float, turn: FloatArray) -> FloatArray:
+        """(n,) share of the light of a disc that reaches points: sharp at the contact, softer away from it.
+
+        Percentage-closer soft shadows (Fernando 2005): the mean distance of what stands before a point sets the width.
+
+        :param spread: tangent of half the angle under which the light is seen
+        :param turn: (n,) radians by which each point's sample pattern is turned, which makes noise of bands
+        """
+        at = self._coordinates(points, normals, 1.2)
+        offsets = _spiral(turn)
+        gap, blockers = np.zeros(len(at), np.float32), np.zeros(len(at), np.float32)
+        for x, y in offsets:
+            above = self._above(at, x * _WIDEST * 0.6, y * _WIDEST * 0.6)
+            blocked = above > 0
+            gap += np.where(blocked, above, 0)
+            blockers += blocked
+        width = np.clip(gap / np.maximum(blockers, 1) * spread, 1.0, _WIDEST)
+        lit = np.zeros(len(at), np.float32)
+        for x, y in offsets:
+            # A wide kernel reaches along the surface: what is not clearly above the point does not hide it.
+            lit += self._above(at, x * width, y * width) <= 0.5 * width * np.hypot(x, y)
+        return np.where(blockers > 0, lit / _TAPS, 1.0)
+
+    def _above(self, at: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """(n,) how far what the light sees beside map coordinates is above them, map pixels."""
+        size = self.nearness.shape[0]
+        column = np.clip(at[:, 0] + x, 0, size - 1).astype(np.int32)
+        row = np.clip(at[:, 1] + y, 0, size - 1).astype(np.int32)
+        return np.asarray(self.nearness.ravel()[row * size + column] - at[:, 2])
+
+    def _coordinates(self, points: FloatArray, normals: FloatArray, reach: float) -> npt.NDArray[np.float32]:
+        """(n, 3) column, row and nearness of points lifted from their surface by what `reach` map pixels need.
+
+        Leaving the surface along its normal, more at grazing light, keeps it from shading itself.
+        """
         facing = np.abs(normals @ self.axes[2])
-        # Leaving the surface along its normal, more at grazing light, keeps it from shading itself.
-        lift = (0.6 + radius) * np.sqrt(np.maximum(1 - facing**2, 0)) + 0.3
-        at = self.coordinates(points + normals * (lift / self.scale)[:, None]).astype(np.float32)
-        return _compare(self.nearness, at, radius)
+        lift = reach * np.sqrt(np.maximum(1 - facing**2, 0)) + 0.3
+        lifted = points + normals * (lift / self.scale)[:, None]
+        return np.asarray(lifted @ (self.axes.T * self.scale) + self.origin, dtype=np.float32)
 
 
 def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int) -> DepthMap:
@@ -56,18 +112,28 @@ def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, reso
     return DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearness)
 
 
+def visible_sky(points: FloatArray, normals: FloatArray, triangles: IntArray, two_sided: BoolArray) -> Sky:
+    """What points (n, 3) with unit normals see of the sky past triangles (t, 3).
+
+    :param two_sided: (n,) whether to look at what the backs of the points see too; else nothing
+    """
+    directions = sphere_directions(AMBIENT_DIRECTIONS)
+    seen = np.zeros((len(points), len(directions)), np.float16)
+    for number, direction in enumerate(directions):
+        cosine = normals @ direction
+        facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
+        if not len(triangles):
+            seen[facing, number] = 1.0
+            continue
+        outward = normals[facing] * np.sign(cosine[facing])[:, None]
+        light = depth_map(points, triangles, direction, AMBIENT_RESOLUTION)
+        seen[facing, number] = light.lit(points[facing], outward)
+    return Sky(directions=directions, seen=seen)
+
+
 def ambient_occlusion(points: FloatArray, normals: FloatArray, triangles: IntArray) -> FloatArray:
     """(n,) share of the sky that each point sees, 0..1, weighted by the cosine with its normal."""
-    seen, total = np.zeros(len(points)), np.zeros(len(points))
-    if not len(triangles):
-        return np.ones(len(points))
-    for direction in sphere_directions(AMBIENT_DIRECTIONS):
-        cosine = normals @ direction
-        facing = np.flatnonzero(cosine > 0.02)
-        light = depth_map(points, triangles, direction, AMBIENT_RESOLUTION)
-        seen[facing] += cosine[facing] * light.lit(points[facing], normals[facing])
-        total[facing] += cosine[facing]
-    return np.where(total > 0, seen / np.maximum(total, 1e-12), 1.0)
+    return visible_sky(points, normals, triangles, np.zeros(len(points), bool)).share(normals)
 
 
 def sphere_directions(count: int) -> FloatArray:
@@ -78,6 +144,15 @@ def sphere_directions(count: int) -> FloatArray:
     ring = np.sqrt(1 - y**2)
     half = np.stack([ring * np.sin(turn), y, ring * np.cos(turn)], axis=1)
     return np.concatenate([half, half * (-1, 1, 1)])
+
+
+def _spiral(turn: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Points spread evenly over the unit disc (Vogel 1979), turned by angles (n,): `_TAPS` pairs of x and y (n,)."""
+    radii = np.sqrt((np.arange(_TAPS) + 0.5) / _TAPS)
+    angles = np.arange(_TAPS) * _GOLDEN
+    cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
+    flat = zip((radii * np.cos(angles)).astype(np.float32), (radii * np.sin(angles)).astype(np.float32), strict=True)
+    return [(x * cosine - y * sine, x * sine + y * cosine) for x, y in flat]
 
 
 def _compare(nearness: npt.NDArray[np.float32], at: npt.NDArray[np.float32], radius: int) -> FloatArray:

@@ -1,13 +1,14 @@
 """A z-buffer triangle rasteriser in numpy.
 
 Triangles become pixel spans (one per row they cross), spans become fragments, and the nearest fragment of each pixel
-wins. Every step runs on all triangles of a chunk at once. Sharing an edge never leaves a gap or a double hit: both
-triangles find the crossing of an edge and a row with the same arithmetic, and spans are half open.
+wins. Every step runs on all triangles of a chunk at once, coordinate by coordinate. Edges that triangles share leave
+neither gaps nor double hits: both find the crossing of an edge and a row with the same arithmetic, and spans are half
+open.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -25,18 +26,19 @@ _ID_MASK = np.uint64(0xFFFFFFFF)
 
 @dataclass(frozen=True, kw_only=True)
 class ScreenTriangles:
-    """Triangles on the screen, corners sorted by y, clipped in front of the camera."""
+    """Triangles on the screen that may cover a pixel's centre, clipped in front of the camera."""
 
     ids: IntArray  # (s,) the triangle each one is, or is a piece of
-    xy: FloatArray  # (s, 3, 2) pixels, y down; sorted by y
+    x: FloatArray  # (3, s) pixels of the corners, sorted by y
+    y: FloatArray  # (3, s) downward
     nearness: FloatArray  # (s,) at the first corner; larger is nearer
-    limits: FloatArray  # (s, 2) least and largest nearness of the corners
-    gradient: FloatArray  # (s, 2) of nearness per pixel in x and y
+    limits: FloatArray  # (2, s) least and largest nearness of the corners
+    gradient: FloatArray  # (2, s) of nearness per pixel in x and y
 
     def select(self, keep: npt.NDArray[np.bool_]) -> ScreenTriangles:
         """Those whose triangle is marked in `keep` (t,)."""
         at = np.flatnonzero(keep[self.ids])
-        return ScreenTriangles(**{each.name: getattr(self, each.name)[at] for each in fields(self)})
+        return ScreenTriangles(**{each.name: getattr(self, each.name)[..., at] for each in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,6 @@ class Raster:
     """The nearest triangle of each pixel, packed so that the larger key is the nearer one."""
 
     key: KeyArray  # (rows, width): float32 nearness bits, then the inverted triangle number; 0 where empty
-    first_row: int = 0
 
     @property
     def triangle(self) -> npt.NDArray[np.int64]:
@@ -58,61 +59,77 @@ class Raster:
         return (self.key >> np.uint64(32)).astype(np.uint32).view(np.float32)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Spans:
+    """Runs of pixels, each in one row of one triangle."""
+
+    owner: IntArray  # (k,) into ScreenTriangles
+    row: IntArray  # (k,)
+    start: IntArray  # (k,) first column
+    count: IntArray  # (k,) columns; 0 where the triangle has no pixel centre in the row
+
+
 def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles:
     """Triangles (t, 3) of homogeneous screen points, ready to rasterise.
 
     :param points: (n, 4) ``x w, y w, nearness w, w`` in pixels, nearness above 0; what has w below `NEAR` is cut off
     """
-    corners, ids = _clip(points[triangles], np.arange(len(triangles)))
-    w = corners[..., 3:]
-    screen = corners[..., :3] / w
-    order = np.argsort(screen[..., 1], axis=1, kind="stable")
-    screen = np.take_along_axis(screen, order[..., None], axis=1)
-    u, v = screen[:, 1] - screen[:, 0], screen[:, 2] - screen[:, 0]
-    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    kept = np.abs(area) > 1e-12
-    ids, screen, u, v, area = ids[kept], screen[kept], u[kept], v[kept], area[kept]
-    gradient = np.stack([u[:, 2] * v[:, 1] - v[:, 2] * u[:, 1], v[:, 2] * u[:, 0] - u[:, 2] * v[:, 0]], axis=1)
-    low, high = (pick(pick(screen[:, 0, 2], screen[:, 1, 2]), screen[:, 2, 2]) for pick in (np.minimum, np.maximum))
+    ids: IntArray = np.arange(len(triangles))
+    if (points[:, 3] > NEAR).all():
+        x, y, nearness = ((column / points[:, 3])[triangles.T] for column in points[:, :3].T)
+    else:
+        corners, ids = _clip(points[triangles], ids)
+        x, y, nearness = (corners[..., axis].T / corners[..., 3].T for axis in range(3))
+    at = np.flatnonzero(_crosses_centers(x) & _crosses_centers(y))
+    ids, x, y, nearness = ids[at], x[:, at], y[:, at], nearness[:, at]
+    for low, high in ((0, 1), (1, 2), (0, 1)):
+        swapped = y[low] > y[high]
+        for corner in (x, y, nearness):
+            corner[low], corner[high] = (
+                np.where(swapped, corner[high], corner[low]),
+                np.where(swapped, corner[low], corner[high]),
+            )
+    (ux, vx), (uy, vy), (un, vn) = (corner[1:] - corner[0] for corner in (x, y, nearness))
+    area = ux * vy - uy * vx
+    flat = np.abs(area) <= 1e-12
+    area[flat] = np.inf
+    y[2, flat] = y[0, flat]  # it crosses no row
     return ScreenTriangles(
         ids=ids,
-        xy=screen[..., :2],
-        nearness=screen[:, 0, 2],
-        limits=np.stack([low, high], axis=1),
-        gradient=np.asarray(gradient / area[:, None]),
+        x=x,
+        y=y,
+        nearness=nearness[0],
+        limits=np.stack([nearness.min(axis=0), nearness.max(axis=0)]),
+        gradient=np.stack([un * vy - vn * uy, vn * ux - un * vx]) / area,
     )
 
 
-def rasterise(
-    screen: ScreenTriangles,
-    width: int,
-    height: int,
-    *,
-    rows: tuple[int, int] | None = None,
-    floor: KeyArray | None = None,
-    ceiling: KeyArray | None = None,
-) -> Raster:
+def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[int, int] | None = None) -> Raster:
     """The nearest triangle at the centre of every pixel.
 
     :param rows: half-open range of the rows to fill; None: all
-    :param floor: (rows, width) keys that a triangle must be nearer than; they stay where none is
-    :param ceiling: (rows, width) keys that a triangle must be farther than (depth peeling)
     """
     top, bottom = rows or (0, height)
-    key = np.zeros((bottom - top, width), np.uint64) if floor is None else floor.copy()
-    limit = None if ceiling is None else ceiling.ravel()
+    key = np.zeros((bottom - top, width), np.uint64)
     flat = key.reshape(-1)
-    for number, row in _crossings(screen, top, bottom):
-        start, count = _spans(screen, number, row, width)
-        for part in _pieces(count, FRAGMENTS_PER_CHUNK):
-            if part.stop - part.start == 0:
-                continue
-            pixel, keys = _fragments(screen, number[part], row[part], start[part], count[part], top, width)
-            if limit is not None:
-                behind = keys < limit[pixel]
-                pixel, keys = pixel[behind], keys[behind]
-            np.maximum.at(flat, pixel, keys)
-    return Raster(key=key, first_row=top)
+    for spans in spans_of(screen, width, top, bottom):
+        for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):
+            np.maximum.at(flat, *_fragments(screen, spans, part, top, width))
+    return Raster(key=key)
+
+
+def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iterator[Spans]:
+    """The pixels whose centres triangles cover in a range of rows, in chunks; triangle by triangle, row by row."""
+    first = np.clip(np.ceil(screen.y[0] - 0.5), top, bottom).astype(np.int64)
+    last = np.clip(np.ceil(screen.y[2] - 0.5), top, bottom).astype(np.int64)
+    hit = np.flatnonzero(last > first)
+    counts = (last - first)[hit]
+    for part in _pieces(counts, ROWS_PER_CHUNK):
+        number, step = expand(counts[part])
+        owner = hit[part][number]
+        row = first[owner] + step
+        start, stop = _columns(screen, owner, row + 0.5, width)
+        yield Spans(owner=owner, row=row, start=start, count=stop - start)
 
 
 def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -122,20 +139,44 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
 
     :param points: (n, 4) homogeneous screen points, as in `screen_triangles`
     """
-    used, which = np.unique(ids, return_inverse=True)
-    corners = points[triangles[used]][..., (0, 1, 3)]
-    planes = np.stack([np.cross(corners[:, (i + 1) % 3], corners[:, (i + 2) % 3]) for i in range(3)], axis=1)
+    drawn = np.zeros(len(triangles), bool)
+    drawn[ids] = True
+    which = (np.cumsum(drawn) - 1)[ids]
+    corners = [points[each][:, (0, 1, 3)].T for each in triangles[drawn].T]
+    planes = np.stack([_cross(corners[(i + 1) % 3], corners[(i + 2) % 3]) for i in range(3)])
     # Only ratios count; scaling keeps float32 in range, and a sign per triangle makes the three positive inside it.
-    determinant = np.einsum("ti,ti->t", planes[:, 0], corners[:, 0])
-    scale = np.abs(planes).max(axis=(1, 2)) * np.where(determinant < 0, -1.0, 1.0)
-    planes /= np.where(scale == 0, 1.0, scale)[:, None, None]
-    at = planes[which.ravel()]
-    over_depth = at[..., 0] * x[:, None] + at[..., 1] * y[:, None] + at[..., 2]
+    determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
+    scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
+    planes /= np.where(scale == 0, 1.0, scale)
+    over_depth = np.stack([a[which] * x + b[which] * y + c[which] for a, b, c in planes], axis=1)
     over_depth = np.maximum(over_depth, 0.0)
     total = over_depth.sum(axis=1, keepdims=True)
     thin = total[:, 0] <= 0
     over_depth[thin], total[thin] = 1.0, 3.0
     return np.asarray(over_depth / total)
+
+
+def interpolated(corners: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+    """(m, c) values between those of three corners, each (m, c), at barycentrics (m, 3)."""
+    first, second, third = corners
+    return np.asarray(first * weights[:, :1] + second * weights[:, 1:2] + third * weights[:, 2:])
+
+
+def expand(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """For counts (2, 3): owners 0 0 1 1 1 and steps 0 1 0 1 2."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _crosses_centers(positions: FloatArray) -> npt.NDArray[np.bool_]:
+    """(t,) whether the extent of corners (3, t) on one axis has a pixel's centre in it."""
+    low = np.minimum(np.minimum(positions[0], positions[1]), positions[2])
+    high = np.maximum(np.maximum(positions[0], positions[1]), positions[2])
+    return np.asarray(np.ceil(low - 0.5) < np.ceil(high - 0.5))
 
 
 def _clip(corners: FloatArray, ids: IntArray) -> tuple[FloatArray, IntArray]:
@@ -168,54 +209,33 @@ def _cut(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(cut)
 
 
-def _crossings(screen: ScreenTriangles, top: int, bottom: int) -> Iterator[tuple[IntArray, IntArray]]:
-    """Chunks of (triangle position, row) for every row centre inside a triangle's y range."""
-    first = np.clip(np.ceil(screen.xy[:, 0, 1] - 0.5), top, bottom).astype(np.int64)
-    last = np.clip(np.ceil(screen.xy[:, 2, 1] - 0.5), top, bottom).astype(np.int64)
-    hit = np.flatnonzero(last > first)
-    counts = (last - first)[hit]
-    for part in _pieces(counts, ROWS_PER_CHUNK):
-        number, step = _expand(counts[part])
-        chosen = hit[part][number]
-        yield chosen, first[chosen] + step
-
-
-def _spans(screen: ScreenTriangles, number: IntArray, row: IntArray, width: int) -> tuple[IntArray, IntArray]:
-    """First column and number of columns of each (triangle, row) crossing."""
-    xy = screen.xy[number]
-    y = row + 0.5
-    upper = (y < xy[:, 1, 1])[:, None]
-    across = _crossing_x(xy[:, 0], xy[:, 2], y)
-    other = _crossing_x(np.where(upper, xy[:, 0], xy[:, 1]), np.where(upper, xy[:, 1], xy[:, 2]), y)
+def _columns(screen: ScreenTriangles, owner: IntArray, at: FloatArray, width: int) -> tuple[IntArray, IntArray]:
+    """First column, and the one after the last, of triangles on the lines y = `at`."""
+    (x0, x1, x2), (y0, y1, y2) = ((a[owner], b[owner], c[owner]) for a, b, c in (screen.x, screen.y))
+    upper = at < y1
+    across = x0 + (at - y0) * (x2 - x0) / (y2 - y0)
+    xa, ya = np.where(upper, x0, x1), np.where(upper, y0, y1)
+    xb, yb = np.where(upper, x1, x2), np.where(upper, y1, y2)
+    other = xa + (at - ya) * (xb - xa) / (yb - ya)
     start = np.clip(np.ceil(np.minimum(across, other) - 0.5), 0, width).astype(np.int64)
     stop = np.clip(np.ceil(np.maximum(across, other) - 0.5), 0, width).astype(np.int64)
-    return start, stop - start
+    return start, stop
 
 
-def _crossing_x(low: FloatArray, high: FloatArray, y: FloatArray) -> FloatArray:
-    return np.asarray(low[:, 0] + (y - low[:, 1]) * (high[:, 0] - low[:, 0]) / (high[:, 1] - low[:, 1]))
-
-
-def _fragments(
-    screen: ScreenTriangles, number: IntArray, row: IntArray, start: IntArray, count: IntArray, top: int, width: int
-) -> tuple[IntArray, KeyArray]:
-    """Flat pixel numbers and keys of the spans' fragments."""
-    corner, gradient, limits = screen.xy[number, 0], screen.gradient[number], screen.limits[number]
-    right, down = start + 0.5 - corner[:, 0], row + 0.5 - corner[:, 1]
-    at_start = screen.nearness[number] + right * gradient[:, 0] + down * gradient[:, 1]
-    span, step = _expand(count)
+def _fragments(screen: ScreenTriangles, spans: Spans, part: slice, top: int, width: int) -> tuple[IntArray, KeyArray]:
+    """Flat pixel numbers and keys of the fragments of some spans."""
+    owner, row, start = spans.owner[part], spans.row[part], spans.start[part]
+    slope, down = (each[owner] for each in screen.gradient)
+    at_start = screen.nearness[owner]
+    at_start += (start + 0.5 - screen.x[0, owner]) * slope + (row + 0.5 - screen.y[0, owner]) * down
+    span, step = expand(spans.count[part])
     # Slivers have wild gradients; their nearness stays between that of their corners.
-    nearness = at_start[span] + gradient[:, 0][span] * step
-    nearness = np.clip(nearness, limits[:, 0][span], limits[:, 1][span]).astype(np.float32)
-    names = (_ID_MASK - screen.ids[number].astype(np.uint64))[span]
+    nearness = at_start[span] + slope[span] * step
+    low, high = (each[owner][span] for each in screen.limits)
+    nearness = np.minimum(np.maximum(nearness, low), high).astype(np.float32)
+    names = (_ID_MASK - screen.ids[owner].astype(np.uint64))[span]
     keys = (nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)) | names
     return ((row - top) * width + start)[span] + step, keys
-
-
-def _expand(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """For counts (2, 3): owners 0 0 1 1 1 and steps 0 1 0 1 2."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _pieces(counts: IntArray, limit: int) -> Iterator[slice]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
-from facepipe.parts import FaceParts, Material, Mesh, UvSet
+from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.pictures.camera import y_up
-from facepipe.pictures.occlusion import ambient_occlusion
+from facepipe.pictures.occlusion import Sky, visible_sky
 
 WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
 
@@ -69,19 +69,31 @@ class Scene:
         return self.triangles[~self.see_through]
 
     @cached_property
-    def sky(self) -> FloatArray:
-        """(n,) share of the sky that each point sees; the same for all views, and the costliest part of one."""
-        return ambient_occlusion(self.points, self.normals, self.occluders)
+    def sky(self) -> Sky:
+        """What each point sees of the sky; the same for all views."""
+        two_sided = np.zeros(len(self.points), bool)
+        two_sided[self.triangles[self.double_sided]] = True
+        return visible_sky(self.points, self.normals, self.occluders, two_sided)
 
-    def uv(self, surface: Surface, name: str, ids: IntArray, weights: FloatArray) -> FloatArray | None:
-        """(m, 2) texture coordinates in the triangles `ids` (m,) at barycentrics (m, 3); None: no such UV set."""
-        uv_set = _uv_set(surface.mesh.uv_sets, name)
-        if uv_set is None:
-            return None
-        at = self.triangles[ids] - self.first_point[ids, None]
-        if uv_set.indices is not None:
-            at = np.asarray(uv_set.indices, dtype=np.int64)[self.corners[ids]]
-        return np.asarray(np.einsum("mk,mkc->mc", weights, np.asarray(uv_set.values)[at]))
+    @cached_property
+    def facets(self) -> FloatArray:
+        """(t, 3) outward vectors across the triangles, twice their areas long."""
+        first, second, third = (self.points[corner] for corner in self.triangles.T)
+        return np.cross(second - first, third - first)
+
+    def uv_corners(self, name: str) -> npt.NDArray[np.float32]:
+        """(t, 3, 2) texture coordinates of a UV set at the triangles' corners; NaN where the mesh lacks it."""
+        found = np.full((len(self.triangles), 3, 2), np.nan, np.float32)
+        for number, surface in enumerate(self.surfaces):
+            uv_set = next((one for one in surface.mesh.uv_sets if one.name == name), None)
+            of_surface = np.flatnonzero(self.surface == number)
+            if uv_set is None or not len(of_surface):
+                continue
+            at = self.triangles[of_surface] - self.first_point[of_surface, None]
+            if uv_set.indices is not None:
+                at = np.asarray(uv_set.indices, dtype=np.int64)[self.corners[of_surface]]
+            found[of_surface] = np.asarray(uv_set.values)[at]
+        return found
 
 
 def neutral_points(parts: FaceParts) -> FloatArray:
@@ -165,10 +177,6 @@ def _material(mesh: Mesh, name: str | None, materials: dict[str, Material]) -> M
     if name is not None and name not in materials:
         raise TopologyError(mesh.name, f"material {name!r} is not among the face's materials")
     return materials[name] if name is not None else None
-
-
-def _uv_set(uv_sets: Sequence[UvSet], name: str) -> UvSet | None:
-    return next((uv_set for uv_set in uv_sets if uv_set.name == name), None)
 
 
 def _welded(points: FloatArray, normals: FloatArray) -> FloatArray:

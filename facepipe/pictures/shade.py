@@ -1,41 +1,66 @@
-"""What colour a sample of the scene has: materials, heat maps and light put together."""
+"""What a sample of the scene shows: its material, heat map or paint, and the light on it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.parts import TextureInput
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.lighting import EVEN, PORTRAIT, Samples, Studio, lit
+from facepipe.pictures.lighting import EVEN, Samples, Studio
+from facepipe.pictures.materials import Materials, Surfaces
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
-from facepipe.pictures.rasterise import barycentrics
+from facepipe.pictures.portrait import PORTRAIT, Portrait
+from facepipe.pictures.rasterise import barycentrics, interpolated
 from facepipe.pictures.scene import Scene, Surface
 from facepipe.pictures.textures import TextureCache
 
-CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets
-CHUNK = 100_000  # samples shaded at once
+CHUNK = 60_000  # samples shaded at once
+_PATTERN = np.array([0.06711056, 0.00583715]), 52.9829189  # interleaved gradient noise (Jimenez 2014)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shaded:
+    """Samples with the light that leaves them, before the tones of the picture."""
+
+    base: FloatArray  # (m, 3) linear colour
+    light: FloatArray  # (m, 3) diffuse light on it
+    highlights: FloatArray  # (m, 3)
+    opacity: FloatArray  # (m,)
+    presence: FloatArray  # (m,) how much of the surface is there: at least its opacity
+    depth: FloatArray  # (m,) along the view
+
+    def toned(self, tone: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """(m, 3) colours of the picture, premultiplied by opacity.
+
+        As in UsdPreviewSurface a see-through surface keeps its highlights whole: a clear cornea glints.
+        """
+        color = tone(self.base * self.light + self.highlights) * self.opacity[:, None]
+        clear = np.flatnonzero(self.presence > self.opacity)
+        if len(clear):
+            color[clear] += tone(self.highlights[clear]) * (self.presence - self.opacity)[clear, None]
+        return np.asarray(color, np.float32)
 
 
 @dataclass(frozen=True)
 class Shader:
-    """Shades samples of one scene seen by one camera."""
+    """Shades samples of one scene seen by one camera, at positions in its pixels."""
 
     scene: Scene
     camera: Camera
     textures: TextureCache
     heatmap: HeatMap | None = None
     paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
-    lights: Studio | None = None  # instead of those of `studio`
+    lights: Studio | Portrait | None = None  # instead of those of `studio`
 
     @cached_property
-    def studio(self) -> Studio:
+    def studio(self) -> Studio | Portrait:
         """The lights given; else even light where colours must be read, portrait light otherwise."""
         if self.lights is not None:
             return self.lights
@@ -47,15 +72,24 @@ class Shader:
         return self.camera.project(self.scene.points)
 
     @cached_property
-    def front(self) -> npt.NDArray[np.bool_]:
+    def front(self) -> BoolArray:
         """(t,) triangles that turn their outside to the camera."""
-        corners = self.scene.points[self.scene.triangles]
-        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return np.asarray(np.einsum("tc,tc->t", outward, self.camera.eye - corners[:, 0]) > 0)
+        first = self.scene.points[self.scene.triangles[:, 0]]
+        return np.asarray(np.einsum("tc,tc->t", self.scene.facets, self.camera.eye - first) > 0)
+
+    @cached_property
+    def unit_facets(self) -> npt.NDArray[np.float32]:
+        """(t, 3) unit vectors across the triangles."""
+        return _unit(self.scene.facets).astype(np.float32)
+
+    @cached_property
+    def materials(self) -> Materials:
+        """The materials of the scene, read where samples lie."""
+        return Materials(self.scene, self.camera, self.textures)
 
     @cached_property
     def point_values(self) -> npt.NDArray[np.float32]:
-        """(n, 11) what is interpolated: camera position, normal, sky seen, own colour, heat value."""
+        """(n, 10 + 2 c) what is interpolated: camera position, normal, own colour, heat value, light on either side."""
         scene = self.scene
         colors: FloatArray = np.ones((len(scene.points), 3))
         for surface, start in self._mesh_starts():
@@ -65,115 +99,97 @@ class Shader:
         heat = np.zeros(len(scene.points)) if self.heatmap is None else self.heatmap.values
         position = self.camera.to_camera(scene.points)
         turned = scene.normals @ self.camera.axes.T
-        return np.column_stack([position, turned, scene.sky, colors, heat]).astype(np.float32)
+        sides = [self.studio.carried(scene.sky, each, self.camera.axes) for each in (scene.normals, -scene.normals)]
+        return np.column_stack([position, turned, colors, heat, *sides]).astype(np.float32)
 
     @cached_property
     def shadow(self) -> DepthMap | None:
         """The key light's view."""
-        if not self.studio.shadows or not self.studio.lights or not len(self.scene.occluders):
+        if self.studio.key is None or not len(self.scene.occluders):
             return None
-        towards = self.studio.lights[0].unit.astype(np.float64) @ self.camera.axes
+        towards = self.studio.key.astype(np.float64) @ self.camera.axes
         return depth_map(self.scene.points, self.scene.occluders, towards, SHADOW_RESOLUTION)
 
     def _mesh_starts(self) -> list[tuple[Surface, int]]:
         surface, at = np.unique(self.scene.surface, return_index=True)
         return [(self.scene.surfaces[s], int(self.scene.first_point[t])) for s, t in zip(surface, at, strict=True)]
 
-    def shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Premultiplied linear colours (m, 3) and opacities (m,) at screen positions inside triangles `ids` (m,)."""
-        color, opacity = np.empty((len(ids), 3), np.float32), np.empty(len(ids), np.float32)
+    def shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> Shaded:
+        """What leaves screen positions (m,) inside triangles `ids` (m,)."""
+        parts = [slice(start, start + CHUNK) for start in range(0, len(ids), CHUNK)] or [slice(0, 0)]
+        shaded = [self._shade(ids[part], x[part], y[part]) for part in parts]
+        names = Shaded.__dataclass_fields__
+        return Shaded(**{name: np.concatenate([getattr(one, name) for one in shaded]) for name in names})
+
+    def opacity(self, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """(m,) opacity at screen positions (m,) inside triangles `ids` (m,)."""
+        opacity = np.empty(len(ids), np.float32)
         for start in range(0, len(ids), CHUNK):
             part = slice(start, start + CHUNK)
-            color[part], opacity[part] = self._shade(ids[part], x[part], y[part])
-        return color, opacity
+            weights = barycentrics(self.homogeneous, self.scene.triangles, ids[part], x[part], y[part])
+            opacity[part] = self.materials.opacity(ids[part], weights.astype(np.float32))
+        return opacity
 
-    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> Shaded:
         weights = barycentrics(self.homogeneous, self.scene.triangles, ids, x, y).astype(np.float32)
-        corners = self.point_values[self.scene.triangles[ids]]
-        values = np.einsum("mk,mkc->mc", weights, corners)
-        front, two_sided = self.front[ids], self.scene.double_sided[ids]
-        flip = np.where(front, 1, -1).astype(np.float32)[:, None]
-        normals = _unit(values[:, 3:6] * flip)
-        inside = np.where(front | two_sided, 1.0, INSIDE).astype(np.float32)
-        base, roughness, opacity = self._surface(ids, weights, values)
-        sky = np.where(front, values[:, 6], 1.0) * inside
-        samples = Samples(
+        corners = self.scene.triangles[ids].T
+        values = interpolated([self.point_values[corner] for corner in corners], weights)
+        front = self.front[ids]
+        normals = _unit(values[:, 3:6])
+        surfaces = self.materials.at(ids, weights, normals, values[:, 6:9])
+        if self.heatmap is not None:
+            surfaces.base[:] = self.heatmap.colors(values[:, 9])
+        elif self.paint is not None:
+            surfaces.base[:] = values[:, 6:9]
+        samples = self._samples(surfaces, values, front, x, y, ids)
+        light, highlights = self.studio.light(samples)
+        return Shaded(
+            base=surfaces.base * (1 - surfaces.metallic[:, None]),
+            light=light,
+            highlights=highlights + surfaces.emission,
+            opacity=surfaces.opacity,
+            presence=surfaces.presence,
+            depth=-values[:, 2],
+        )
+
+    def _samples(
+        self, surfaces: Surfaces, values: FloatArray, front: BoolArray, x: FloatArray, y: FloatArray, ids: IntArray
+    ) -> Samples:
+        normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
+        inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
+        return Samples(
             normals=normals,
             towards_eye=_unit(-values[:, :3]),
             up=self.camera.axes[:, 1].astype(np.float32),
-            base=base,
-            roughness=roughness,
-            opacity=opacity,
-            ambient=sky.astype(np.float32),
-            key_light=self._key_light(values[:, :3], normals) * inside,
+            base=surfaces.base,
+            roughness=surfaces.roughness,
+            carried=self._carried(values, front, ids) * surfaces.occlusion[:, None],
+            key_light=self._key_light(values[:, :3], normals, x, y),
+            mirror=surfaces.mirror,
+            inside=inside,
         )
-        color = lit(samples, self.studio)
-        color[opacity <= 0] = 0  # cut away by an alpha test or a mask: nothing there to glint
-        return color, opacity
 
-    def _key_light(self, position: FloatArray, normals: FloatArray) -> FloatArray:
+    def _carried(self, values: FloatArray, front: BoolArray, ids: IntArray) -> FloatArray:
+        """(m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open."""
+        ahead, behind = np.split(values[:, 10:], 2, axis=1)
+        behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
+        return np.where(front[:, None], ahead, behind)
+
+    def _key_light(self, position: FloatArray, normals: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """(m,) share of the key light that arrives at camera positions (m, 3)."""
-        if self.shadow is None:
-            return np.ones(len(position), np.float32)
         arriving = np.ones(len(position), np.float32)
-        facing = np.flatnonzero(normals @ self.studio.lights[0].unit > -0.35)
+        if self.shadow is None or self.studio.key is None:
+            return arriving
+        facing = np.flatnonzero(normals @ self.studio.key > -0.35)
         world = position[facing] @ self.camera.axes + self.camera.eye
-        arriving[facing] = self.shadow.lit(world, normals[facing] @ self.camera.axes, radius=2)
+        turned = normals[facing] @ self.camera.axes
+        if self.studio.spread == 0:
+            arriving[facing] = self.shadow.lit(world, turned, radius=2)
+            return arriving
+        (across, down), scale = _PATTERN
+        turn = 2 * np.pi * (scale * ((across * np.floor(x[facing]) + down * np.floor(y[facing])) % 1.0) % 1.0)
+        arriving[facing] = self.shadow.softly_lit(world, turned, self.studio.spread, turn)
         return arriving
-
-    def _surface(self, ids: IntArray, weights: FloatArray, values: FloatArray) -> tuple[FloatArray, ...]:
-        """Base colour (m, 3), roughness (m,) and opacity (m,)."""
-        table = self._table
-        kind = self.scene.surface[ids]
-        base = table[kind, :3] * np.where(table[kind, 5:6] > 0, values[:, 7:10], 1.0)
-        roughness, opacity = table[kind, 3].copy(), table[kind, 4].copy()
-        for number in np.unique(kind):
-            surface = self.scene.surfaces[number]
-            at = np.flatnonzero(kind == number)
-            for target, source in self._texture_inputs(surface, base, roughness, opacity):
-                uv = self.scene.uv(surface, source.uv_set, ids[at], weights[at])
-                if uv is not None:
-                    target[at] = np.clip(self.textures.sample(source, uv), 0.0, 1.0)
-            threshold = surface.material.opacity_threshold if surface.material else 0.0
-            if threshold > 0:
-                opacity[at] = opacity[at] >= threshold
-        if self.heatmap is not None:
-            base = self.heatmap.colors(values[:, 10]).astype(np.float32)
-        elif self.paint is not None:
-            base = values[:, 7:10]
-        return base.astype(np.float32), roughness, opacity
-
-    @staticmethod
-    def _texture_inputs(
-        surface: Surface, base: FloatArray, roughness: FloatArray, opacity: FloatArray
-    ) -> list[tuple[FloatArray, TextureInput]]:
-        material = surface.material
-        if material is None:
-            return []
-        pairs = [
-            (base, material.diffuse_color),
-            (roughness[:, None], material.roughness),
-            (opacity[:, None], material.opacity),
-        ]
-        return [(target, source) for target, source in pairs if isinstance(source, TextureInput)]
-
-    @cached_property
-    def _table(self) -> npt.NDArray[np.float32]:
-        """(surfaces, 6): base colour, roughness, opacity, whether the points' own colours count."""
-        rows = []
-        for surface in self.scene.surfaces:
-            material, own = surface.material, surface.mesh.colors is not None
-            color = material.diffuse_color if material else CLAY
-            roughness = _constant(material.roughness if material else 0.5, 0.5)
-            opacity = _constant(material.opacity if material else 1.0, 1.0)
-            if isinstance(color, TextureInput):
-                color, own = CLAY, False
-            rows.append((*((1.0, 1.0, 1.0) if own else color), roughness, opacity, own))
-        return np.array(rows, np.float32).reshape(-1, 6)
-
-
-def _constant(value: float | TextureInput, otherwise: float) -> float:
-    return otherwise if isinstance(value, TextureInput) else value
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

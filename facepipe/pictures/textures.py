@@ -46,19 +46,37 @@ class TextureCache:
         self._pixels = lru_cache(maxsize=None)(lambda texture: decode(texture, largest))
         self._linear = lru_cache(maxsize=None)(self._channels)
 
-    def sample(self, source: TextureInput, uv: FloatArray) -> FloatArray:
-        """(m, 3) or (m, 1) values at UVs (m, 2): ``texel[channels] * scale + bias``; colours linear."""
-        pixels = self._linear(source.texture, source.channels)
-        texel = bilinear(pixels, uv, source.wrap_s, source.wrap_t)
-        part = CHANNELS[source.channels]
-        return np.asarray(texel * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32))
+    def sample(
+        self, source: TextureInput, uv: FloatArray, footprint: FloatArray, *, color: bool = True
+    ) -> tuple[Pixels, Pixels]:
+        """Values (m, 3) or (m, 1) at UVs (m, 2), ``texel[channels] * scale + bias``; texels that a pixel spans (m,).
 
-    def _channels(self, texture: Texture, channels: str) -> Pixels:
+        :param footprint: (m,) length in UV space that a pixel of the picture spans
+        :param color: the texture holds sRGB colours where three channels are asked for, which become linear
+        """
+        levels = self._linear(source.texture, source.channels, color)
+        texels = (footprint * max(levels[0].shape[:2])).astype(np.float32)
+        chosen = np.clip(np.round(np.log2(np.maximum(texels, 1e-6))), 0, len(levels) - 1).astype(np.int64)
+        found = np.empty((len(uv), levels[0].shape[2]), np.float32)
+        for number in np.flatnonzero(np.bincount(chosen, minlength=1)):
+            at = np.flatnonzero(chosen == number)
+            found[at] = bilinear(levels[number], uv[at], source.wrap_s, source.wrap_t)
+        part = CHANNELS[source.channels]
+        found = found * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
+        return found, texels
+
+    def _channels(self, texture: Texture, channels: str, color: bool) -> list[Pixels]:
+        """Linear values, whole and halved again and again."""
         values = self._pixels(texture)[..., CHANNELS[channels]]
-        levels = np.arange(256) / 255.0
-        # UsdPreviewSurface's automatic colour space: 8-bit RGB is sRGB, single channels are data.
-        table = srgb_to_linear(levels) if channels == "rgb" else levels
-        return np.asarray(table.astype(np.float32)[values])
+        steps = np.arange(256) / 255.0
+        table = srgb_to_linear(steps) if channels == "rgb" and color else steps
+        levels = [np.asarray(table.astype(np.float32)[values])]
+        while min(levels[-1].shape[:2]) > 1:
+            height, width = (side // 2 * 2 for side in levels[-1].shape[:2])
+            even = levels[-1][:height, :width]
+            quarters = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+            levels.append(np.asarray(quarters / 4, np.float32))
+        return levels
 
 
 def bilinear(pixels: Pixels, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat") -> Pixels:

@@ -12,7 +12,7 @@ from facepipe.pictures.color_scale import color_scale
 from facepipe.pictures.face_picture import PictureOptions, pictures
 from facepipe.pictures.fit_sheet import opaque, scan_parts
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.lighting import PORTRAIT
+from facepipe.pictures.portrait import PORTRAIT
 from facepipe.pictures.typesetting import MUTED, SMALL, below, beside, block, heading, write
 from facepipe.scans import Scan
 
@@ -25,7 +25,7 @@ _VIEWS: tuple[View, ...] = ((-0.66, 0.05), (0.0, 0.0), (0.66, 0.05))
 _GAP, _BORDER = 10, 28  # pixels
 _SAMPLES = 2
 # The key stands nearer to the camera than in a portrait: its shadow marks holes, but does not hide a cheek.
-_STUDIO = replace(PORTRAIT, lights=(replace(PORTRAIT.lights[0], direction=(-0.42, 0.45, 0.95)), *PORTRAIT.lights[1:]))
+_STUDIO = replace(PORTRAIT, boxes=(replace(PORTRAIT.boxes[0], direction=(-0.42, 0.45, 0.95)), *PORTRAIT.boxes[1:]))
 
 
 @dataclass(frozen=True, kw_only=True)

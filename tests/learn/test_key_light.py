@@ -11,7 +11,7 @@ from photo_people import joint_loss, model, portrait
 from with_torch import torch
 
 from facepipe.learn.key_light import DARK, KeyLight, hue_cost
-from facepipe.pictures.lighting import Light, Samples, Studio, lit
+from facepipe.pictures.lighting import Light, Samples, Studio
 
 DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5
 NUMBERS = torch.tensor([*DIRECTION, *COLOR, SHINE, math.log(2 / ROUGHNESS**4 - 2)], dtype=torch.float64)
@@ -42,13 +42,15 @@ def test_it_shines_as_the_lamps_of_pictures_do() -> None:
         up=np.array([0, 1, 0], np.float32),
         base=np.full((len(normals), 3), 0.3, np.float32),
         roughness=np.full(len(normals), ROUGHNESS, np.float32),
-        opacity=whole,
-        ambient=whole,
+        carried=whole[:, None],
         key_light=whole,
+        mirror=np.full((len(normals), 3), 0.04, np.float32),
+        inside=whole,
     )
     alone = Light(direction=DIRECTION, color=COLOR, highlight=SHINE)
-    pictured = lit(samples, Studio(lights=(alone,), sky=BLACK, ground=BLACK, shadows=False, compress=False))
-    np.testing.assert_allclose((0.3 * matt + mirrored).clamp(max=1), pictured, atol=2e-5)
+    light, shine = Studio(lights=(alone,), sky=BLACK, ground=BLACK, shadows=False).light(samples)
+    np.testing.assert_allclose(matt, light, atol=2e-5)
+    np.testing.assert_allclose(mirrored, shine, rtol=2e-5, atol=2e-5)
     assert mirrored.max() > 0.05
 
 

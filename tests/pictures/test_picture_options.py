@@ -12,7 +12,8 @@ from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Material
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera, Frame, portrait
-from facepipe.pictures.lighting import PORTRAIT, Light, Studio
+from facepipe.pictures.lighting import Light, Studio
+from facepipe.pictures.portrait import PORTRAIT
 from facepipe.pictures.textures import srgb_to_linear
 
 GREY = Material(name="Grey", diffuse_color=(0.5, 0.5, 0.5), roughness=1.0)

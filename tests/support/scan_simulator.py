@@ -11,7 +11,7 @@ from scan_actors import ict
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.similarity import Similarity
-from facepipe.pictures.rasterise import rasterise, screen_triangles
+from facepipe.pictures.rasterise import Raster, rasterise, screen_triangles
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
@@ -93,7 +93,8 @@ def _seen_from(points: FloatArray, triangles: IntArray, direction: FloatArray, w
     alone = rasterise(screen.select(asked), _PIXELS, _PIXELS)
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     others = ~asked & _touch(alone.triangle >= 0, low, high)
-    hit = rasterise(screen.select(others), _PIXELS, _PIXELS, floor=alone.key).triangle
+    key = np.maximum(alone.key, rasterise(screen.select(others), _PIXELS, _PIXELS).key)
+    hit = Raster(key=key).triangle
     seen = np.zeros(len(triangles), bool)
     seen[hit[hit >= 0]] = True
     return seen & asked

@@ -1,0 +1,205 @@
+"""Materials where samples lie: constants, textures filtered for their size on the picture, normal maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.parts import Material, TextureInput
+from facepipe.pictures.camera import Camera
+from facepipe.pictures.rasterise import interpolated
+from facepipe.pictures.scene import Scene
+from facepipe.pictures.textures import TextureCache
+
+T = TypeVar("T")
+Floats = npt.NDArray[np.float32]
+
+CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
+_MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
+_PLAIN = Material(name="", diffuse_color=CLAY)
+_NUMBERS = {"metallic": 0.0, "roughness": 0.5, "opacity": 1.0, "occlusion": 1.0}  # and their values without a texture
+_TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surfaces:
+    """The surface at samples, m of them."""
+
+    base: Floats  # (m, 3) linear colour
+    emission: Floats  # (m, 3)
+    metallic: Floats  # (m,)
+    roughness: Floats  # (m,)
+    opacity: Floats  # (m,)
+    presence: Floats  # (m,) how much of it reflects: opacity cuts, but where it is constant and the surface smooth
+    occlusion: Floats  # (m,)
+    mirror: Floats  # (m, 3) share of light reflected at normal incidence
+    normals: Floats  # (m, 3) camera axes, to the outside
+
+
+class Materials:
+    """The materials of a scene as one camera sees them."""
+
+    def __init__(self, scene: Scene, camera: Camera, textures: TextureCache) -> None:
+        self._scene, self._camera, self._textures = scene, camera, textures
+        self._each = [surface.material or _PLAIN for surface in scene.surfaces]
+        self._layouts: dict[str, _Layout] = {}
+
+    def at(self, ids: IntArray, weights: Floats, normals: Floats, colors: Floats) -> Surfaces:
+        """The surface at barycentrics (m, 3) in triangles `ids` (m,).
+
+        :param normals: (m, 3) unit, camera axes, to the outside
+        :param colors: (m, 3) the points' own
+        """
+        kind = self._scene.surface[ids]
+        table = self._table[kind]
+        opacity = self.opacity(ids, weights)
+        found = Surfaces(
+            base=table[:, 0:3] * np.where(self._colored[kind, None], colors, 1.0).astype(np.float32),
+            emission=table[:, 3:6].copy(),
+            metallic=table[:, 6].copy(),
+            roughness=table[:, 7].copy(),
+            opacity=opacity,
+            presence=np.maximum(opacity, 1 - table[:, 7] / _MATT),
+            occlusion=table[:, 9].copy(),
+            mirror=np.repeat(table[:, 10:11], 3, axis=1),
+            normals=normals.copy(),
+        )
+        for number, material in enumerate(self._each):
+            if any(isinstance(getattr(material, name), TextureInput) for name in _TEXTURED):
+                at = np.flatnonzero(kind == number)
+                self._look_up(number, found, at, ids[at], weights[at])
+        metal = found.metallic[:, None]
+        found.mirror[:] += (found.base - found.mirror) * metal
+        return found
+
+    def opacity(self, ids: IntArray, weights: Floats) -> Floats:
+        """(m,) opacity alone."""
+        kind = self._scene.surface[ids]
+        opacity: Floats = self._table[kind, 8]
+        for number, material in enumerate(self._each):
+            if isinstance(material.opacity, TextureInput):
+                at = np.flatnonzero(kind == number)
+                read = self._read(material.opacity, ids[at], weights[at])
+                if read is not None:
+                    opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
+        return opacity
+
+    def _look_up(self, number: int, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+        """Overwrite what the textures of one surface say at the samples numbered `at`."""
+        material = self._each[number]
+        targets = {
+            "diffuse_color": found.base,
+            "emissive_color": found.emission,
+            "metallic": found.metallic[:, None],
+            "roughness": found.roughness[:, None],
+            "occlusion": found.occlusion[:, None],
+        }
+        for name, target in targets.items():
+            source = getattr(material, name)
+            read = self._read(source, ids, weights) if isinstance(source, TextureInput) else None
+            if read is not None:
+                target[at] = np.clip(read[0], 0.0, 1.0)
+        if isinstance(material.opacity, TextureInput):
+            found.presence[at] = found.opacity[at]
+        if material.normal is not None:
+            self._bend(_as_normals(material.normal), found, at, ids, weights)
+
+    def _read(
+        self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True
+    ) -> tuple[Floats, Floats] | None:
+        """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set."""
+        layout = self._layout(source.uv_set)
+        corners = layout.corners[ids]
+        if len(ids) == 0 or np.isnan(corners[0, 0, 0]):
+            return None
+        uv = interpolated((corners[:, 0], corners[:, 1], corners[:, 2]), weights)
+        return self._textures.sample(source, uv, layout.footprint[ids], color=color)
+
+    def _bend(self, source: TextureInput, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+        """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
+        read = self._read(source, ids, weights, color=False)
+        if read is None:
+            return
+        texel, layout = read[0], self._layout(source.uv_set)
+        outward = found.normals[at]
+        bent = layout.along[ids] * texel[:, :1] + layout.across[ids] * texel[:, 1:2]
+        bent += outward * np.maximum(texel[:, 2:], 0.05) - outward * (bent * outward).sum(axis=1, keepdims=True)
+        found.normals[at] = bent / np.linalg.norm(bent, axis=1, keepdims=True)
+        # Toksvig 2005: averaged normals are shorter, by as much as they vary.
+        length = np.clip(np.linalg.norm(texel, axis=1), 0.5, 1.0)
+        found.roughness[at] = np.minimum((found.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
+
+    def _layout(self, uv_set: str) -> _Layout:
+        if uv_set not in self._layouts:
+            self._layouts[uv_set] = _layout(self._scene, self._camera, uv_set)
+        return self._layouts[uv_set]
+
+    @cached_property
+    def _table(self) -> Floats:
+        """(surfaces, 11): base and emitted colour, metallic, roughness, opacity, occlusion, mirror where constant."""
+        rows = []
+        for material, colored in zip(self._each, self._colored, strict=True):
+            base = (1.0, 1.0, 1.0) if colored else _constant(material.diffuse_color, CLAY)
+            emitted = _constant(material.emissive_color, (0.0, 0.0, 0.0))
+            numbers = [_constant(getattr(material, name), default) for name, default in _NUMBERS.items()]
+            rows.append((*base, *emitted, *numbers, ((material.ior - 1) / (material.ior + 1)) ** 2))
+        return np.array(rows, np.float32).reshape(-1, 11)
+
+    @cached_property
+    def _colored(self) -> BoolArray:
+        """(surfaces,) whether the points' own colours count: they stand for a constant colour, not for a texture."""
+        own = (surface.mesh.colors is not None for surface in self._scene.surfaces)
+        textured = (isinstance(material.diffuse_color, TextureInput) for material in self._each)
+        return np.array([a and not b for a, b in zip(own, textured, strict=True)], dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Layout:
+    """How one UV set lies on the triangles."""
+
+    corners: Floats  # (t, 3, 2), NaN where the mesh lacks it
+    footprint: Floats  # (t,) length in UV space that a pixel spans
+    along: Floats  # (t, 3) unit tangents in camera axes: the way that u grows
+    across: Floats  # (t, 3) and v
+
+
+def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
+    corners = scene.uv_corners(uv_set)
+    (u1, v1), (u2, v2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = u1 * v2 - u2 * v1
+    first, second, third = (camera.to_camera(scene.points)[each].astype(np.float32) for each in scene.triangles.T)
+    depth = np.maximum(-first[:, 2], 1e-6)
+    p1, p2 = second - first, third - first
+    facing = np.abs(np.einsum("tc,tc->t", np.cross(p1, p2), first)) / depth
+    pixels = np.maximum(facing * (camera.focal / depth) ** 2, 1e-6)
+    sign = np.where(area < 0, np.float32(-1), np.float32(1))[:, None]
+    along = (p1 * v2[:, None] - p2 * v1[:, None]) * sign
+    across = (p2 * u1[:, None] - p1 * u2[:, None]) * sign
+    return _Layout(corners=corners, footprint=np.sqrt(np.abs(area) / pixels), along=_unit(along), across=_unit(across))
+
+
+def _as_normals(source: TextureInput) -> TextureInput:
+    """The input as vectors: files that don't author scale and bias mean 2 and -1."""
+    if source.scale[:2] != (1.0, 1.0):
+        return source
+    return replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
+
+
+def _cut(opacity: Floats, threshold: float, texels: Floats) -> Floats:
+    """Opacities as they are, or cut at a threshold with an edge that is about a pixel wide."""
+    if threshold <= 0:
+        return np.clip(opacity, 0.0, 1.0)
+    return np.clip((opacity - threshold) / np.clip(texels, 0.02, 1.0) + 0.5, 0.0, 1.0)
+
+
+def _constant(value: T | TextureInput, otherwise: T) -> T:
+    return otherwise if isinstance(value, TextureInput) else value
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12), np.float32)

@@ -1,0 +1,182 @@
+"""Portrait light: a dome and softboxes that stay with the camera, on skin, hair, teeth and eyes.
+
+Diffuse light creeps around the terminator as it does in skin, redder than it came. What is reflected follows GGX, with
+the box's nearest point to the mirror direction as the light (Karis 2013, "Real Shading in Unreal Engine 4").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.pictures.lighting import GREY, Color, Samples
+from facepipe.pictures.occlusion import Sky
+
+_LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
+_CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Softbox:
+    """A distant bright rectangle. The direction is in camera axes: x right, y up, z towards the viewer."""
+
+    direction: tuple[float, float, float]
+    color: Color  # linear light on a surface that faces it
+    size: tuple[float, float]  # tangents of half its width and height
+    glare: float = 1.0  # strength of its reflections
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """(3, 3) float32 rows: its right, its up, and the unit direction towards it."""
+        towards = np.array(self.direction) / np.linalg.norm(self.direction)
+        right = np.cross((0.0, 1.0, 0.0), towards)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(towards, right), towards]).astype(np.float32)
+
+    @property
+    def spread(self) -> float:
+        """Tangent of half the angle under which a disc of the same area is seen."""
+        return float(np.sqrt(self.size[0] * self.size[1] * 4 / np.pi))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portrait:
+    """The light of a portrait; the first box, the key, casts shadows."""
+
+    boxes: tuple[Softbox, ...]
+    sky: Color
+    ground: Color
+    exposure: float = 1.0
+    scatters = True
+
+    @property
+    def key(self) -> FloatArray | None:
+        """(3,) unit direction towards the light that casts shadows."""
+        return self.boxes[0].axes[2] if self.boxes else None
+
+    @property
+    def spread(self) -> float:
+        """Tangent of half the angle under which the key is seen."""
+        return self.boxes[0].spread
+
+    def carried(self, sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
+        """(n, boxes) share of the dome's light that arrives at points, then of each box's but the key's."""
+        weights = [_mixed(GREY @ _row(self.ground), GREY @ _row(self.sky), sky.directions[:, 1])]
+        for box in self.boxes[1:]:
+            weights.append(np.maximum(sky.directions @ (box.axes[2] @ axes), 0.0) ** 4 + 1e-4)
+        return sky.shares(normals, np.stack(weights, axis=1))
+
+    def light(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
+        """(m, 3) diffuse light, to be multiplied by the surface's colour, and (m, 3) highlights."""
+        shares = samples.carried * samples.inside[:, None]
+        view = _View(samples)
+        open_sky = shares[:, :1]
+        # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
+        seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
+        up = samples.normals @ samples.up
+        diffuse = seen * self._dome(up * 2 / 3) * (1 - view.sheen)  # the mean over the cosine lobe of a linear dome
+        mirrored = view.mirrored @ samples.up
+        highlights = open_sky * self._dome(mirrored) * view.sheen
+        creep = _creep(samples.base)
+        for number, box in enumerate(self.boxes):
+            arriving = shares[:, number] if number else samples.key_light * samples.inside
+            light = _row(box.color) * arriving[:, None]
+            wrap = creep + 0.4 * box.spread
+            cosine = (samples.normals @ box.axes[2])[:, None]
+            diffuse += light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2 * (1 - view.sheen)
+            highlights += light * view.reflection(box)
+        return diffuse, highlights
+
+    def tone(self, color: FloatArray) -> FloatArray:
+        """Linear light as linear colours 0..1 of a screen: a film's toe and shoulder."""
+        return filmic(color * np.float32(self.exposure))
+
+    def _dome(self, height: FloatArray) -> FloatArray:
+        """(m, 3) light of the dome towards unit vectors of this height (m,)."""
+        return _mixed(_row(self.ground), _row(self.sky), height[:, None])
+
+
+class _View:
+    """Samples as their viewer sees them."""
+
+    def __init__(self, samples: Samples) -> None:
+        self.normals, self.towards_eye, self.mirror = samples.normals, samples.towards_eye, samples.mirror
+        self.alpha = np.maximum(samples.roughness**2, _LEAST_ALPHA)
+        facing = _dot(self.normals, self.towards_eye)
+        self.facing = np.maximum(facing, 0.05)
+        self.mirrored = 2 * facing[:, None] * self.normals - self.towards_eye
+        self.sheen = _sheen(self.mirror, samples.roughness, self.facing)
+
+    def reflection(self, box: Softbox) -> FloatArray:
+        """(m, 3) share of a box's light that is reflected to the viewer."""
+        across, along, ahead = box.axes @ self.mirrored.T
+        ahead = np.maximum(ahead, 0.02)
+        width, height = box.size
+        place = np.stack([np.clip(across / ahead, -width, width), np.clip(along / ahead, -height, height)], axis=1)
+        light = _unit(place @ box.axes[:2] + box.axes[2])
+        half = _unit(light + self.towards_eye)
+        cosine = np.maximum(_dot(self.normals, light), 0)
+        lobe = self.alpha / (_dot(self.normals, half) ** 2 * (self.alpha**2 - 1) + 1)
+        widened = np.minimum(self.alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
+        masking = self.alpha / 2
+        unmasked = (cosine * (1 - masking) + masking) * (self.facing * (1 - masking) + masking)
+        strength = box.glare * cosine * (lobe * self.alpha / widened) ** 2 / (4 * unmasked)
+        fresnel = self.mirror + (1 - self.mirror) * ((1 - _dot(light, half)) ** 5)[:, None]
+        return np.asarray(fresnel * strength[:, None])
+
+
+def _sheen(mirror: FloatArray, roughness: FloatArray, facing: FloatArray) -> FloatArray:
+    """(m, 3) share of even light that a rough surface reflects: Karis' fit of the split-sum integral."""
+    r0, r1, r2, r3 = (a * roughness + b for a, b in ((-1, 1), (-0.0275, 0.0425), (-0.572, 1.04), (0.022, -0.04)))
+    bend = np.minimum(r0 * r0, np.exp2(-9.28 * facing)) * r0 + r1
+    scale, offset = r2 - 1.04 * bend, r3 + 1.04 * bend
+    return np.asarray(mirror * scale[:, None] + np.maximum(offset, 0)[:, None])
+
+
+def _creep(base: FloatArray) -> FloatArray:
+    """(m, 3) how far light creeps around the terminator: farthest in the colour that a surface absorbs least."""
+    return _CREEP * scatter_share(base)
+
+
+def scatter_share(base: FloatArray) -> FloatArray:
+    """(m, 3) share of diffuse light that leaves a surface away from where it entered, by its colour (m, 3).
+
+    Red light goes farthest in skin because skin absorbs it least; white things scatter all colours alike.
+    """
+    return np.asarray((base / np.maximum(base.max(axis=1, keepdims=True), 1e-4)) ** 1.5)
+
+
+def filmic(color: FloatArray) -> FloatArray:
+    """A film-like curve from light, 0 to infinity, to 0..1 (a fit of ACES by Narkowicz 2015)."""
+    return np.asarray(np.clip(color * (2.51 * color + 0.03) / (color * (2.43 * color + 0.59) + 0.14), 0, 1))
+
+
+def _mixed(low: FloatArray, high: FloatArray, height: FloatArray) -> FloatArray:
+    return np.asarray(low + (high - low) * (0.5 + 0.5 * height))
+
+
+def _row(color: Color) -> FloatArray:
+    return np.array(color, dtype=np.float32)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("mc,mc->m", a, b))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[:, None])
+
+
+PORTRAIT = Portrait(
+    boxes=(
+        Softbox(direction=(-0.62, 0.62, 0.78), color=(1.02, 0.95, 0.87), size=(0.13, 0.19)),
+        Softbox(direction=(0.95, 0.10, 0.60), color=(0.13, 0.145, 0.165), size=(0.5, 0.8)),
+        Softbox(direction=(0.75, 0.35, -0.75), color=(0.42, 0.45, 0.50), size=(0.2, 0.8), glare=0.6),
+        Softbox(direction=(-0.85, 0.35, -0.80), color=(0.20, 0.21, 0.23), size=(0.2, 0.8), glare=0.6),
+    ),
+    sky=(0.25, 0.265, 0.29),
+    ground=(0.12, 0.105, 0.095),
+)
