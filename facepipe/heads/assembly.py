@@ -8,7 +8,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
-from facepipe.heads.joints import skeleton
+from facepipe.heads.expressing import sliders
+from facepipe.heads.joints import bone_limits, skeleton
+from facepipe.heads.motions import TALK, animations
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, Skin, UvSet
 
 Shapes = Mapping[str, Mapping[float, FloatArray]]  # name -> weight, 1 the last -> (n, 3) offsets there
@@ -40,6 +42,10 @@ def make_head(identity: FloatArray) -> FaceParts:
         meters_per_unit=0.01,
         meshes=tuple(_mesh(head, name, part, points, head.shapes) for name, part in head.parts.items()),
         skeleton=skeleton(points),
+        animations=animations(frozenset(head.shapes)),
+        played=TALK,
+        sliders=sliders(frozenset(head.shapes)),
+        bone_limits=bone_limits(head.joints),
         materials=_MATERIALS,
         attribution=ATTRIBUTION,
     )
