@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from import_data import shared
+from import_data import arrays
+from solids import sheet_and_tetrahedron
 
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.deformation_transfer import Transfer
@@ -20,10 +20,7 @@ COUNT = SHEET + 5
 
 
 def triangles() -> np.ndarray:
-    corner = (np.arange(SIZE - 1)[:, None] * SIZE + np.arange(SIZE - 1)).ravel()
-    halves = [[corner, corner + 1, corner + SIZE + 1], [corner, corner + SIZE + 1, corner + SIZE]]
-    sheet = np.concatenate([np.stack(half, axis=1) for half in halves])
-    return np.concatenate([sheet, SHEET + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])])
+    return sheet_and_tetrahedron(SIZE)
 
 
 def neutral(seed: int) -> np.ndarray:
@@ -263,16 +260,9 @@ def test_unusable_input_is_refused(change: dict[str, Any], error: type[FacepipeE
         )
 
 
-@cache
-def ict() -> dict[str, Any]:
-    """Neutral, identity modes and shapes; 56 pieces, in centimetres."""
-    with np.load(shared("ict_facekit/ict_facekit.npz")) as file:
-        return {name: file[name] for name in file.files}
-
-
 def ict_case(shape: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Generic neutral, another identity, the model's own offsets of the shape (the same for all), triangles."""
-    data = ict()
+    data = arrays("ict_facekit/ict_facekit.npz")
     offsets = data["expression_deltas"][data["expression_names"].tolist().index(shape)].astype(np.float64)
     offsets[np.linalg.norm(offsets, axis=1) <= 2e-4] = 0.0  # rounding of the model's files
     generic = data["neutral"].astype(np.float64)

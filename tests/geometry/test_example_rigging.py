@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from solids import sheet_and_tetrahedron
 
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
@@ -23,10 +24,7 @@ WEIGHTS = np.array([[1.0, 1.0, 0, 0, 0, 0], [0, 0, 1.0, 0, 0, 0], [0.5, 0, 0.7, 
 
 
 def triangles() -> np.ndarray:
-    corner = (np.arange(SIZE - 1)[:, None] * SIZE + np.arange(SIZE - 1)).ravel()
-    halves = [[corner, corner + 1, corner + SIZE + 1], [corner, corner + SIZE + 1, corner + SIZE]]
-    sheet = np.concatenate([np.stack(half, axis=1) for half in halves])
-    return np.concatenate([sheet, SHEET + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])])
+    return sheet_and_tetrahedron(SIZE)
 
 
 def neutral() -> np.ndarray:

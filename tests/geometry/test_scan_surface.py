@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scan_files import volume
 from solids import ball
 
 from facepipe.core.errors import InputError
@@ -19,11 +20,6 @@ Array = np.ndarray[Any, Any]
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 BOX_TRIANGLES = np.array([[a, *two] for a, b, c, d in SIDES for two in ((b, c), (c, d))])
-
-
-def volume(points: Array, triangles: Array) -> float:
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    return float(np.einsum("tc,tc->", a, np.cross(b, c)) / 6)
 
 
 def joined(*shapes: tuple[Array, Array]) -> tuple[Array, Array]:

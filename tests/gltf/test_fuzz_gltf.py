@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from facepipe_gltf import read as gltf
+from fuzz_damage import paths_of
 from gltf_builder import Builder, Json, build, full_document, glb, make_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -402,16 +403,9 @@ ODD: list[Any] = [
 ]  # fmt: skip
 
 
-def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Paths of all values of a document, branches included."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    found = [path] if path else []
-    return found + [one for key, child in items for one in leaves(child, (*path, key))]
-
-
 _BUILDER = full_document()
 _BUILDER.glb()
-_PATHS = leaves(_BUILDER.root)
+_PATHS = paths_of(_BUILDER.root)
 
 
 @settings(max_examples=600, deadline=None, derandomize=True, database=None)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from facepipe_gltf.read import Options, read
 from faces import replace_mesh, tiny_face
+from gltf_builder import glb
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from node import node_packages
@@ -46,13 +47,6 @@ def exported(parts: FaceParts, path: Path) -> bytes:
 def unpack(data: bytes) -> tuple[Json, bytearray]:
     (size,) = struct.unpack_from("<I", data, 12)
     return json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
-
-
-def pack(document: Json, binary: bytes) -> bytes:
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
 def floats_at(document: Json, binary: bytearray, accessor: int) -> np.ndarray:
@@ -204,7 +198,7 @@ def test_a_defect_is_found_under_its_name_and_no_other(name: str, good: Path, tm
     seed, expected = DEFECTS[name]
     document, binary = unpack(good.read_bytes())
     seed(document, binary)
-    (tmp_path / "face.glb").write_bytes(pack(document, bytes(binary)))
+    (tmp_path / "face.glb").write_bytes(glb(document, bytes(binary)))
     found = facepipe_gltf.validate(tmp_path / "face.glb", khronos=False)
     assert {one.check.removeprefix("facepipe:") for one in found} == expected
     for one in found:
@@ -231,7 +225,7 @@ def test_exported_faces_are_clean(suffix: str, make: Callable[[], FaceParts], tm
 def test_a_rest_pose_is_no_permutation_in_foreign_files(tmp_path: Path) -> None:
     document, binary = unpack(exported(posed_rest(), tmp_path / "face.glb"))
     document["asset"]["generator"] = "another"
-    (tmp_path / "face.glb").write_bytes(pack(document, bytes(binary)))
+    (tmp_path / "face.glb").write_bytes(glb(document, bytes(binary)))
     assert facepipe_gltf.validate(tmp_path / "face.glb", khronos=False) == ()
 
 
@@ -244,7 +238,7 @@ def test_quantised_faces_are_clean(tmp_path: Path) -> None:
 def test_the_command_reaches_the_checks_by_suffix(good: Path, tmp_path: Path) -> None:
     document, binary = unpack(good.read_bytes())
     fewer_target_names(document, binary)
-    (tmp_path / "face.glb").write_bytes(pack(document, bytes(binary)))
+    (tmp_path / "face.glb").write_bytes(glb(document, bytes(binary)))
     assert "facepipe:GltfTargetNames" in {one.check for one in validate(tmp_path / "face.glb")}
 
 
@@ -258,7 +252,7 @@ def test_the_khronos_validator_is_run_where_it_is_installed(
     assert clean == []
     document, binary = unpack(good.read_bytes())
     document["asset"]["version"] = "9.9"
-    (tmp_path / "face.glb").write_bytes(pack(document, bytes(binary)))
+    (tmp_path / "face.glb").write_bytes(glb(document, bytes(binary)))
     found = facepipe_gltf.validate(tmp_path / "face.glb")
     assert ("khronos:UNKNOWN_ASSET_MAJOR_VERSION", "error") in {(one.check, one.severity) for one in found}
 
@@ -320,7 +314,7 @@ def test_mutated_documents_never_raise_anything_else(data: st.DataObject, good: 
                 place[key] = data.draw(JUNK)
                 break
             place = child
-    (tmp_path / "face.glb").write_bytes(pack(document, bytes(binary)))
+    (tmp_path / "face.glb").write_bytes(glb(document, bytes(binary)))
     facepipe_gltf.validate(tmp_path / "face.glb", khronos=False)
 
 

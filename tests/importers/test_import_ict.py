@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from import_data import damaged, packed, refused, shared, wrong_array
+from import_data import arrays, damaged, packed, refused, shared, wrong_array
 
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
@@ -22,12 +22,6 @@ from facepipe.parts import FaceParts, Mesh
 PACKED = "ict_facekit/ict_facekit.npz"
 SHAPES = ("jawOpen", "eyeBlink_L", "mouthSmile_R")
 MODES = ("identity003", "identity041")
-
-
-@cache
-def arrays() -> dict[str, Any]:
-    with np.load(shared(PACKED)) as file:
-        return {name: file[name] for name in file.files}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +43,7 @@ def _deformed(mesh: Mesh, name: str | None) -> np.ndarray:
 
 
 def test_every_shape_is_the_models_within_the_threshold(face: FaceParts) -> None:
-    data = arrays()
+    data = arrays(PACKED)
     names = {shape.name for mesh in face.meshes for shape in mesh.blendshapes}
     assert len(names) == 53
     for name, deltas in zip(data["expression_names"].tolist(), data["expression_deltas"], strict=True):
@@ -73,7 +67,7 @@ def test_a_higher_threshold_keeps_fewer_points(face: FaceParts) -> None:
 
 
 def test_tables_agree_with_the_packed_ones() -> None:
-    data = arrays()
+    data = arrays(PACKED)
     assert [part.title for part in topology.PARTS] == data["part_names"].tolist()
     assert [part.points for part in topology.PARTS] == [tuple(pair) for pair in data["part_vertex_range"].tolist()]
     assert [part.faces for part in topology.PARTS] == [tuple(pair) for pair in data["part_face_range"].tolist()]
@@ -84,7 +78,7 @@ def test_tables_agree_with_the_packed_ones() -> None:
 
 
 def test_meshes_keep_points_faces_uvs_and_materials(face: FaceParts) -> None:
-    data = arrays()
+    data = arrays(PACKED)
     assert [mesh.name for mesh in face.meshes][:3] == ["Head", "GumsAndTongue", "Teeth"]
     assert len(face.meshes) == 13
     assert np.abs(whole(face) - data["neutral"]).max() == 0
@@ -146,7 +140,7 @@ def test_the_anchor_is_in_the_middle_of_the_back(face: FaceParts) -> None:
 
 
 def test_identity_is_the_weighted_sum_of_modes(tmp_path: Path) -> None:
-    data = arrays()
+    data = arrays(PACKED)
     weights = tmp_path / "weights.json"
     weights.write_text(json.dumps({"identity003": 1.25, "identity041": -0.5}))
     parts = read(shared(PACKED), Options(identity=weights)).parts
@@ -159,7 +153,7 @@ def test_identity_is_the_weighted_sum_of_modes(tmp_path: Path) -> None:
 
 
 def test_a_seed_draws_the_same_person_again() -> None:
-    data = arrays()
+    data = arrays(PACKED)
     draws = np.random.Generator(np.random.PCG64(7)).standard_normal(100)
     parts = read(shared(PACKED), Options(identity_seed=7)).parts
     expected = data["neutral"] + np.tensordot(draws, data["identity_deltas"].astype(np.float64), 1)
@@ -189,7 +183,7 @@ def _write_obj(path: Path, points: np.ndarray, data: dict[str, Any]) -> None:
 
 
 def test_the_obj_folder_gives_the_same_parts_as_the_packed_form(tmp_path: Path) -> None:
-    data = arrays()
+    data = arrays(PACKED)
     neutral = data["neutral"].astype(np.float64)
     weights = tmp_path / "weights.json"
     weights.write_text(json.dumps({"identity003": 0.5, "identity041": -1.5}))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from import_data import damaged, refused, shared, wrong_array
-from packed_makehuman import PACKED, arrays, small_head
+from import_data import arrays, damaged, refused, shared, wrong_array
+from packed_makehuman import PACKED, small_head
 
 from facepipe.core.errors import InputError
 from facepipe.importers import load
@@ -39,7 +39,7 @@ def base() -> FaceParts:
 
 
 def expected_points(weights: dict[str, float]) -> np.ndarray:
-    data = arrays()
+    data = arrays(PACKED)
     points: np.ndarray = np.array(data["vertices"], dtype=np.float64)
     for name, weight in weights.items():
         target = data["target_names"].tolist().index(name)
@@ -50,7 +50,7 @@ def expected_points(weights: dict[str, float]) -> np.ndarray:
 
 def surface(points: np.ndarray) -> np.ndarray:
     """Points in the order of the face's meshes: kind after kind, without joint references."""
-    kinds = arrays()["vertex_kind"]
+    kinds = arrays(PACKED)["vertex_kind"]
     return np.asarray(np.concatenate([points[kinds == kind] for kind in range(10)]))
 
 
@@ -63,18 +63,18 @@ def test_meshes_and_targets_follow_the_formula() -> None:
     assert np.abs(all_points(base()) - surface(expected_points({}))).max() < 1e-9
     weights = {"macro/caucasian-male-old": 0.8, "chin/chin-width-incr": 1.0}
     assert np.abs(all_points(targeted()) - surface(expected_points(weights))).max() < 1e-6
-    assert sum(len(mesh.face_vertex_counts) for mesh in base().meshes) == len(arrays()["faces"])
+    assert sum(len(mesh.face_vertex_counts) for mesh in base().meshes) == len(arrays(PACKED)["faces"])
 
 
 def test_rest_of_the_base_is_the_packed_one() -> None:
     skeleton = base().skeleton
-    assert np.abs(skeleton.bind_transforms - arrays()["bone_rest_matrix"]).max() < 1e-5
-    assert np.array_equal(skeleton.parents, arrays()["bone_parent"])
+    assert np.abs(skeleton.bind_transforms - arrays(PACKED)["bone_rest_matrix"]).max() < 1e-5
+    assert np.array_equal(skeleton.parents, arrays(PACKED)["bone_parent"])
     assert skeleton.joints[18] == "root/spine05/spine04/spine03/spine02/spine01/neck01/neck02/neck03/head/jaw"
 
 
 def test_joints_after_targets_are_means_of_their_vertices() -> None:
-    data = arrays()
+    data = arrays(PACKED)
     points = expected_points({"macro/caucasian-male-old": 0.8, "chin/chin-width-incr": 1.0})
     offsets, vertices = data["bone_head_vertices_offset"], data["bone_head_vertices"]
     means = np.array([points[vertices[a:b]].mean(axis=0) for a, b in itertools.pairwise(offsets)])
@@ -116,12 +116,12 @@ def posed_by_formula(face: FaceParts, vectors: np.ndarray) -> np.ndarray:
     heads = face.skeleton.bind_transforms[:, :3, 3]
     turns = Rotation.from_rotvec(vectors.astype(np.float64)).as_matrix()
     G, q = turns.copy(), heads.copy()
-    for bone, parent in enumerate(arrays()["bone_parent"].tolist()):
+    for bone, parent in enumerate(arrays(PACKED)["bone_parent"].tolist()):
         if parent >= 0:
             G[bone] = G[parent] @ turns[bone]
             q[bone] = q[parent] + G[parent] @ (heads[bone] - heads[parent])
-    kinds = arrays()["vertex_kind"]
-    weights = np.concatenate([arrays()["skin_weights"][kinds == kind] for kind in range(10)]).astype(np.float64)
+    kinds = arrays(PACKED)["vertex_kind"]
+    weights = np.concatenate([arrays(PACKED)["skin_weights"][kinds == kind] for kind in range(10)]).astype(np.float64)
     points = all_points(face)
     moved = np.zeros(points.shape)
     for b in np.flatnonzero(weights.any(axis=0)):
@@ -144,7 +144,7 @@ def local_transforms(pose: Animation) -> np.ndarray:
 def test_pose_units_move_points_as_the_formula_says(face: Any) -> None:
     poses = face().animations
     assert len(poses) == 60
-    for pose, vectors in list(zip(poses, arrays()["poseunit_rotvec"], strict=True))[::6]:
+    for pose, vectors in list(zip(poses, arrays(PACKED)["poseunit_rotvec"], strict=True))[::6]:
         local = local_transforms(pose)
         expected = posed_by_formula(face(), vectors)
         assert np.abs(skinned(face(), local) - expected).max() < 1e-5 * HEAD_HEIGHT, pose.name
@@ -158,7 +158,7 @@ def test_pose_units_move_points_as_the_formula_says(face: Any) -> None:
 def test_sliders_turn_bones_as_pose_units_in_part(face: Any) -> None:
     """At v a pose unit turns each bone by v times its angle; a slider comes within 0.012 mm, at its end exactly."""
     parts, rig = face(), build(face())
-    names, vectors = arrays()["poseunit_names"].tolist(), arrays()["poseunit_rotvec"].astype(np.float64)
+    names, vectors = arrays(PACKED)["poseunit_names"].tolist(), arrays(PACKED)["poseunit_rotvec"].astype(np.float64)
     assert [one.name for one in parts.sliders] == names[1:]  # but for Rest
     for slider in parts.sliders[::4]:
         for value, most in ((0.07, 0.012), (0.55, 0.012), (1.0, 5e-4)):
@@ -207,7 +207,7 @@ def test_arkit_sliders_are_what_their_pose_units_do_together() -> None:
 
 
 def test_skin_weights_are_sorted_and_sum_to_one() -> None:
-    data = arrays()
+    data = arrays(PACKED)
     assert max(mesh.skin.joint_weights.shape[1] for mesh in base().meshes if mesh.skin) == 9
     dense = []
     for mesh in base().meshes:
@@ -242,7 +242,7 @@ def test_landmarks_are_mirrored_in_pairs() -> None:
     head = base().meshes[0]
     marks = head.landmarks["multipie68"].indices
     assert len(set(marks.tolist())) == 68
-    assert np.array_equal(arrays()["source_vertex_index"][:4326][marks], BASE_VERTICES)
+    assert np.array_equal(arrays(PACKED)["source_vertex_index"][:4326][marks], BASE_VERTICES)
     pairs = [(i, 16 - i) for i in range(9)] + [(17 + i, 26 - i) for i in range(5)]
     pairs += [(i, i) for i in (27, 28, 29, 30, 33, 51, 57, 62, 66)] + [(31, 35), (32, 34)]
     pairs += [(36, 45), (37, 44), (38, 43), (39, 42), (40, 47), (41, 46)]

@@ -11,14 +11,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused, shared
+from scan_files import CUBE, SIDES, read, volume
 
 from facepipe.geometry.polygons import edges
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_ply import write_ply
 from facepipe.scans import Scan
 
-CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
-SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 HALVES = [half for a, b, c, d in SIDES for half in ([a, b, c], [a, c, d])]
 POINTS = "".join(f"{x:g} {y:g} {z:g}\n" for x, y, z in CUBE)
 QUADS = "".join(f"4 {' '.join(map(str, side))}\n" for side in SIDES)
@@ -53,21 +52,11 @@ FILES = {
 }
 
 
-def read(data: bytes, folder: Path, name: str) -> Scan:
-    (folder / name).write_bytes(data)
-    return read_scan(folder / name)
-
-
-def volume(scan: Scan) -> float:
-    a, b, c = scan.points[scan.triangles].transpose(1, 0, 2)
-    return float(np.einsum("tc,tc->", a, np.cross(b, c)) / 6)
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_every_way_of_writing_it_is_the_same_closed_cube(name: str, tmp_path: Path) -> None:
     scan = read(FILES[name], tmp_path, name)
     assert len(scan.triangles) == 12
-    assert volume(scan) == pytest.approx(1.0)
+    assert volume(scan.points, scan.triangles) == pytest.approx(1.0)
     assert (edges(np.full(12, 3), scan.triangles.ravel())[1] == 2).all()
     assert {*map(tuple, scan.points)} == {*map(tuple, CUBE)}
     if name.endswith(".off"):

@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from faces import grid_mesh, replace_mesh, tiny_face
+from photo_files import png_of
 from PIL import Image
 from with_torch import tensor, torch
 
@@ -37,16 +38,10 @@ def camera_on(points: np.ndarray, size: int, dtype: torch.dtype = torch.float32)
     return Camera.at(own.axes, own.eye, own.focal, own.center, dtype=dtype)
 
 
-def png(pixels: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
-
-
 def textured(indices: bool, **changes: object) -> FaceParts:
     """A grid in the plane z = 0, its UVs from corner to corner, with a random black and white texture."""
     pixels = np.random.default_rng(0).integers(0, 2, (7, 5, 3)).astype(np.uint8) * 255
-    source = TextureInput(texture=Texture(name="t.png", data=png(pixels)))
+    source = TextureInput(texture=Texture(name="t.png", data=png_of(pixels)))
     mesh = grid_mesh(size=4)
     (uv_set,) = mesh.uv_sets
     if indices:  # the same UVs, in another order and face by face

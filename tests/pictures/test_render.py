@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import grid_mesh
+from photo_files import png_of
 from PIL import Image
 from places import SHARED
 
@@ -281,7 +282,7 @@ def test_textures_lie_where_the_uvs_put_them() -> None:
     texels = np.array([[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), (255, 255, 255)]], np.uint8)
     uv = UvSet(values=np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float), indices=np.arange(4, dtype=np.int32))
     mesh = square("Wall", 0.0, uv_sets=(uv,), material="painted", colors=np.zeros((4, 3)))
-    texture = TextureInput(texture=Texture(name="paint.png", data=_png(texels.repeat(8, 0).repeat(8, 1))))
+    texture = TextureInput(texture=Texture(name="paint.png", data=png_of(texels.repeat(8, 0).repeat(8, 1))))
     parts = FaceParts(meshes=(mesh,), materials=(Material(name="painted", diffuse_color=texture, roughness=1.0),))
     pixels = drawn(parts)
     assert pixels[16, 16].argmax() == 0
@@ -297,7 +298,7 @@ def test_alpha_test_cuts_by_the_texture() -> None:
     texels = np.zeros((8, 8, 4), np.uint8)
     texels[:, 4:, 3] = 255
     uv = UvSet(values=np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float))
-    alpha = TextureInput(texture=Texture(name="a.png", data=_png(texels)), channels="a", wrap_s="clamp")
+    alpha = TextureInput(texture=Texture(name="a.png", data=png_of(texels)), channels="a", wrap_s="clamp")
     card = Material(name="card", diffuse_color=(0.8, 0, 0), opacity=alpha, opacity_threshold=0.5)
     parts = FaceParts(meshes=(square("Card", 0.0, uv_sets=(uv,), material="card"),), materials=(card,))
     pixels = drawn(parts, background=(0.0, 0.0, 0.0))
@@ -543,14 +544,6 @@ def test_ict_looks_like_a_face() -> None:
 
 def _film() -> tuple[Material, ...]:
     return (colored("film", (0.2, 0.5, 0.2), opacity=0.4),)
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    import io
-
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
 
 
 def test_bilinear_sampling_meets_texels_and_their_means() -> None:

@@ -22,6 +22,7 @@ from faces import tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import shared
+from oracle import difference
 from payloads import REST, contents, tiny_payload
 
 import facepipe
@@ -306,11 +307,6 @@ def random_content(one: Face, frames: int | None, precision: Precision = "float3
     )
 
 
-def apart(one: Face, found: np.ndarray, expected: np.ndarray) -> float:
-    """Largest distance, in head heights."""
-    return float(np.linalg.norm(found - expected, axis=-1).max() / one.head_height)
-
-
 def beyond(one: Face, values: PayloadContent) -> bool:
     """Whether some coefficient is beyond the face's limits."""
     limits = one.parts().bone_limits
@@ -335,18 +331,18 @@ def test_a_face_is_rebuilt_on_the_stage_in_the_glb_and_by_the_deformer(face: Fac
     assert np.array_equal(rebuilt.evaluate(), face.evaluate())
     for name, one in poses.items():
         expected = np.stack([face.evaluate(coefficients=pose) for pose in one.frames])
-        assert apart(face, expected, face.evaluate()) > 0.01
+        assert difference(face, expected, face.evaluate()) > 0.01
         points = np.load(tmp_path / f"{name}.npz")["points"].reshape(expected.shape)
-        assert apart(face, points, expected) < 1e-6
+        assert difference(face, points, expected) < 1e-6
         for i, pose in enumerate(one.frames):
             transforms, _ = rebuilt.sample(name, i)
-            assert apart(face, rebuilt.evaluate(joint_transforms=transforms), expected[i]) < 1e-6
-            assert apart(face, deformer.evaluate(coefficients=pose)["points"], expected[i]) < TOLERANCE
+            assert difference(face, rebuilt.evaluate(joint_transforms=transforms), expected[i]) < 1e-6
+            assert difference(face, deformer.evaluate(coefficients=pose)["points"], expected[i]) < TOLERANCE
             found = glb.pose(name, 0.0 if one.times is None else float(one.times[i]))
             in_glb = np.concatenate([found[mesh.name] for mesh in face.meshes]) / face.meters_per_unit
             used = np.isfinite(in_glb[:, 0])  # points of no face have no vertex
             assert used.mean() > 0.9
-            assert apart(face, in_glb[used], expected[i][used]) < TOLERANCE
+            assert difference(face, in_glb[used], expected[i][used]) < TOLERANCE
 
 
 def test_the_writer_states_what_rounding_does_to_the_face(face: Face, tmp_path: Path) -> None:

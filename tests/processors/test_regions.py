@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import struct
 import zlib
@@ -17,6 +16,7 @@ from faces import grid_mesh, replace_mesh, tiny_face, with_meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused, shared
+from photo_files import png_of
 from pxr import Sdf
 from region_painter import COLORS, legend_of, paint, save
 
@@ -584,12 +584,9 @@ def refuses(capsys: pytest.CaptureFixture[str], folder: Path, face: Path, *words
 def test_damaged_maps_and_legends_read_or_say_why(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    from PIL import Image
 
     folder = tmp_path_factory.mktemp("damaged")
-    buffer = io.BytesIO()
-    Image.fromarray(LEFT_RIGHT).save(buffer, format="PNG")
-    (folder / "map.png").write_bytes(data.draw(damaged(buffer.getvalue())))
+    (folder / "map.png").write_bytes(data.draw(damaged(png_of(LEFT_RIGHT))))
     (folder / "legend.json").write_bytes(data.draw(damaged(json.dumps(legend_of(["a", "b"], outside="c")).encode())))
     refused(lambda: read_region_image(folder / "map.png"), folder / "map.png")
     refused(lambda: read_legend(folder / "legend.json"), folder / "legend.json")

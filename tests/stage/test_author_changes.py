@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import replace_mesh, with_head
-from full_faces import full_face
+from full_faces import good_face
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import bake, difference
@@ -77,16 +77,7 @@ def face(**changes: object) -> Change:
     return lambda parts: replace(parts, **changes)
 
 
-def start() -> p.FaceParts:
-    """A face with everything, that validates."""
-    parts = full_face()
-    skin, lips = parts.materials
-    assert skin.normal is not None
-    bumps = replace(skin.normal, bias=(-1.0, -1.0, -1.0, 0.0))
-    return replace(parts, materials=(replace(skin, normal=bumps), lips))
-
-
-FULL = start()
+FULL = good_face()
 HEAD, TEETH = FULL.meshes
 JAW, SMILE = HEAD.blendshapes
 HALF = JAW.inbetweens[0]
@@ -236,14 +227,14 @@ def changed(source: Path, out: Path, parts: p.FaceParts, *, flatten: bool = Fals
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("source") / "face.usda"
-    save_parts(start(), file)
+    save_parts(good_face(), file)
     return file
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_layer_is_the_change(source: Path, tmp_path: Path, name: str) -> None:
     change, expected = CASES[name]
-    parts, out = change(start()), tmp_path / "out.usda"
+    parts, out = change(good_face()), tmp_path / "out.usda"
     lines = changed(source, out, parts)
     same_content(parts, read(out))
     assert {path.name for path in specs(out)} == expected
@@ -253,7 +244,7 @@ def test_the_layer_is_the_change(source: Path, tmp_path: Path, name: str) -> Non
 
 def test_scales_are_compared_in_half_precision(source: Path, tmp_path: Path) -> None:
     """SkelAnimation holds no more of them."""
-    finer = clip(scales=np.asarray(CLIP.scales) + np.float32(1e-5))(start())
+    finer = clip(scales=np.asarray(CLIP.scales) + np.float32(1e-5))(good_face())
     assert changed(source, tmp_path / "out.usda", finer) == ()
 
 
@@ -271,7 +262,7 @@ def everything(parts: p.FaceParts) -> p.FaceParts:
 
 @pytest.mark.parametrize(("suffix", "flatten"), [(".usdc", False), (".usda", True), (".usdc", True), (".usdz", False)])
 def test_every_kind_of_file_holds_the_change(source: Path, tmp_path: Path, suffix: str, flatten: bool) -> None:
-    parts, out = everything(start()), tmp_path / f"out{suffix}"
+    parts, out = everything(good_face()), tmp_path / f"out{suffix}"
     changed(source, out, parts, flatten=flatten)
     same_content(parts, read(out))
 
@@ -279,22 +270,22 @@ def test_every_kind_of_file_holds_the_change(source: Path, tmp_path: Path, suffi
 def test_changes_of_changes(source: Path, tmp_path: Path) -> None:
     """Layer over layer, and back again to what the first one was."""
     first, second = tmp_path / "first.usda", tmp_path / "second.usda"
-    changed(source, first, everything(start()))
-    changed(first, second, start())
-    same_content(start(), read(second))
+    changed(source, first, everything(good_face()))
+    changed(first, second, good_face())
+    same_content(good_face(), read(second))
 
 
 def test_point_values(source: Path, tmp_path: Path) -> None:
     """One array over all meshes; a mesh without values gets no primvar; the same values again author nothing."""
     out, again = tmp_path / "out.usda", tmp_path / "again.usda"
     values = {tokens.SEAM_RESIDUAL: np.concatenate([RNG.random(36), np.full(9, np.nan)])}
-    assert changed(source, out, start(), primvars=values) == (f"Head: {tokens.SEAM_RESIDUAL}",)
+    assert changed(source, out, good_face(), primvars=values) == (f"Head: {tokens.SEAM_RESIDUAL}",)
     assert [path.GetPrimPath().name for path in specs(out)] == ["Head"]
-    same_content(start(), read(out))
+    same_content(good_face(), read(out))
     np.testing.assert_array_equal(
         facepipe.open(out).primvar(tokens.SEAM_RESIDUAL), values[tokens.SEAM_RESIDUAL].astype(np.float32)
     )
-    assert changed(out, again, start(), primvars=values) == ()
+    assert changed(out, again, good_face(), primvars=values) == ()
 
 
 def other_topology(parts: p.FaceParts) -> p.FaceParts:
@@ -322,19 +313,19 @@ def test_what_an_override_layer_cannot_say_is_refused(
     source: Path, tmp_path: Path, change: Change, message: str
 ) -> None:
     with pytest.raises(FacepipeError, match=message):
-        changed(source, tmp_path / "out.usda", change(start()))
+        changed(source, tmp_path / "out.usda", change(good_face()))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("values", [np.zeros(44), np.r_[np.nan, np.zeros(44)], np.r_[np.inf, np.zeros(44)]])
 def test_bad_point_values_are_refused(source: Path, tmp_path: Path, values: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"seamResidual: (NaN|values of shape)"):
-        changed(source, tmp_path / "out.usda", start(), primvars={tokens.SEAM_RESIDUAL: values})
+        changed(source, tmp_path / "out.usda", good_face(), primvars={tokens.SEAM_RESIDUAL: values})
 
 
 def edited(edit: Callable[[Usd.Stage], None], file: Path) -> Path:
     """The face as another tool might have written it."""
-    save_parts(start(), file)
+    save_parts(good_face(), file)
     stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(file)))
     edit(stage)
     stage.GetRootLayer().Export(str(file))
@@ -476,7 +467,7 @@ def test_any_changes_over_any_changes(
     """Two layers, each with a change of every kind or none; the second knows nothing of the first."""
     below = source
     for number, names in enumerate((first, second)):
-        parts, out = start(), tmp_path / f"out{number}.usda"
+        parts, out = good_face(), tmp_path / f"out{number}.usda"
         for name in names:
             parts = CASES[name][0](parts)
         changed(below, out, parts)
@@ -487,7 +478,7 @@ def test_any_changes_over_any_changes(
 def test_usdskel_deforms_the_layer_as_the_rig_does(source: Path, tmp_path: Path) -> None:
     """The oracle sees nothing of hidden shapes and inbetweens either."""
     out = tmp_path / "out.usda"
-    changed(source, out, replace(everything(start()), skeleton=start().skeleton))
+    changed(source, out, replace(everything(good_face()), skeleton=good_face().skeleton))
     face = facepipe.open(out)
     for shape in face.shapes:
         for weight in (0.3, 1.0):

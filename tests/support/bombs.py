@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gltf_builder import glb
 from photo_files import chunk, encoded, packed_png, png
 from PIL import Image
 
@@ -270,9 +271,7 @@ def gltf(accessor: str, view: str = "", size: int = 4) -> bytes:
         f'"accessors":[{{"type":"VEC3","componentType":5126,{accessor}}}],"bufferViews":[{view}],'
         f'"buffers":[{{"byteLength":{size}}}]}}'
     ).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", size, b"BIN\0") + bytes(size)
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return glb(text, bytes(size))
 
 
 def payload(folder: Path) -> Words:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from photo_files import encoded
 from PIL import Image
 
 NAMES = [
@@ -318,7 +319,7 @@ def damaged_picture(rng: random.Random, data: bytes) -> bytes:
     with Image.open(io.BytesIO(data)) as opened:
         image = opened.convert("RGB")
     if way == "chunk":
-        return _with_chunk(rng, _encoded(image, "PNG"))
+        return _with_chunk(rng, encoded(image, "PNG"))
     if way == "text":
         return rng.choice(
             [
@@ -338,12 +339,6 @@ def damaged_picture(rng: random.Random, data: bytes) -> bytes:
     return _in_mode(rng, image)
 
 
-def _encoded(image: Image.Image, kind: str, **options: Any) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, kind, **options)
-    return stream.getvalue()
-
-
 def _in_mode(rng: random.Random, image: Image.Image) -> bytes:
     size = rng.choice([image.size, (1, 1), (1, 500), (500, 1), (2, 2), (3000, 3), (64, 64)])
     image = image.resize(size)
@@ -351,9 +346,9 @@ def _in_mode(rng: random.Random, image: Image.Image) -> bytes:
     image = image.convert("L").convert(mode) if mode in ("I", "I;16", "F", "LA") else image.convert(mode)
     kind = rng.choice(["PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM", "TGA", "ICO"])
     try:
-        return _encoded(image, kind, **({"save_all": True, "append_images": [image]} if rng.random() < 0.1 else {}))
+        return encoded(image, kind, **({"save_all": True, "append_images": [image]} if rng.random() < 0.1 else {}))
     except (OSError, ValueError, KeyError):  # no such mode in that format
-        return _encoded(image.convert("RGB"), "PNG")
+        return encoded(image.convert("RGB"), "PNG")
 
 
 def _with_exif(rng: random.Random, image: Image.Image) -> bytes:
@@ -367,7 +362,7 @@ def _with_exif(rng: random.Random, image: Image.Image) -> bytes:
         text = b"Exif\0\0II*\0\x08\0\0\0"
     if rng.random() < 0.6:
         text = damaged_bytes(rng, text) or b"Exif\0\0"
-    return _encoded(image, rng.choice(["JPEG", "PNG", "WEBP"]), exif=text[:60_000])
+    return encoded(image, rng.choice(["JPEG", "PNG", "WEBP"]), exif=text[:60_000])
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:

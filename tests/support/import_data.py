@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,13 @@ def shared(path: str) -> Path:
     if not file.is_file():
         pytest.skip(f"needs ../shared/data/{path}, which is not there")
     return file
+
+
+@cache
+def arrays(path: str) -> dict[str, Any]:
+    """The arrays of an .npz of ../shared/data; skips the test where it is absent."""
+    with np.load(shared(path)) as file:
+        return {name: file[name] for name in file.files}
 
 
 def refused(read: Callable[[], object], file: Path) -> FacepipeError | None:

@@ -1,8 +1,12 @@
-"""Layers written by hand."""
+"""Layers written by hand, or edited as text."""
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 
 def prim(name: str, arcs: str = "", inside: str = "") -> str:
@@ -16,3 +20,15 @@ def write(folder: Path, layers: dict[str, str]) -> Path:
         content = text if text.startswith("#") else f'#usda 1.0\n(defaultPrim = "a0")\n{text}'
         (folder / name).write_text(content)
     return folder / next(iter(layers))
+
+
+def with_options(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
+    """An edit of the recipe's options in the text of a layer: a text that `change` gives takes their place."""
+
+    def edit(text: str) -> str:
+        (old,) = re.findall(r"facepipe:recipe:options = '(.*)'", text)
+        options = json.loads(old)
+        changed = change(options)
+        return text.replace(old, changed if isinstance(changed, str) else json.dumps(options))
+
+    return edit

@@ -80,4 +80,4 @@ def random_coefficients(rng: np.random.Generator, joints: int, translation: floa
 
 def difference(face: Face, one: np.ndarray, other: np.ndarray) -> float:
     """Largest distance between points, in head heights."""
-    return float(np.linalg.norm(one - other, axis=1).max() / face.head_height)
+    return float(np.linalg.norm(one - other, axis=-1).max() / face.head_height)

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
-import numpy as np
-from import_data import packed, shared
+from import_data import arrays, packed
 
 PACKED = "makehuman/makehuman_head.npz"
 
 
 @cache
-def arrays() -> dict[str, Any]:
-    with np.load(shared(PACKED)) as file:
-        return {name: file[name] for name in file.files}
-
-
-@cache
 def small_head() -> bytes:
     """The packed head without most of its targets: quick to damage and read."""
-    data = dict(arrays())
+    data = dict(arrays(PACKED))
     end = int(data["target_offset"][3])
     data |= {"target_names": data["target_names"][:3], "target_offset": data["target_offset"][:4]}
     data |= {"target_vertex": data["target_vertex"][:end], "target_delta": data["target_delta"][:end]}

@@ -42,6 +42,11 @@ def encoded(image: Image.Image, kind: str, **options: Any) -> bytes:
     return buffer.getvalue()
 
 
+def png_of(pixels: Array) -> bytes:
+    """The pixels as a PNG."""
+    return encoded(Image.fromarray(pixels), "PNG")
+
+
 def stored(upright: Array, orientation: int) -> Array:
     """The pixels of the file that show `upright` when seen as `orientation` says."""
     sides = SIDES[orientation]

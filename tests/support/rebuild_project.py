@@ -49,10 +49,15 @@ def put_drawer(folder: Path) -> None:
     (folder / "anna.toml").write_text(PROJECT)
 
 
-def motion(places: np.ndarray) -> np.ndarray:
-    """(n, 3) millimetres that the person's jawOpen moves places on the dome."""
+def opening(places: np.ndarray) -> np.ndarray:
+    """(n, 3) millimetres that the template's jawOpen moves places on the dome."""
     lower = 1.0 / (1.0 + np.exp((places[:, 1] + 12.0) / 4.0))
-    return GAIN * np.where(lower > 0.02, lower, 0.0)[:, None] * np.array([0.0, -6.0, -2.0])
+    return np.where(lower > 0.02, lower, 0.0)[:, None] * np.array([0.0, -6.0, -2.0])
+
+
+def motion(places: np.ndarray) -> np.ndarray:
+    """Those of the person's."""
+    return GAIN * opening(places)
 
 
 def put(folder: Path, name: str, scan: Scan, landmarks: ScanLandmarks) -> None:

@@ -1,10 +1,14 @@
-"""A cube with colours as a PLY of any form."""
+"""A cube with colours as a PLY of any form, and scans read from the bytes of files."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from facepipe.importers.scan_file import read_scan
+from facepipe.scans import Scan
 
 CODES = {"float": "f4", "double": "f8", "uchar": "u1", "ushort": "u2", "int": "i4", "uint": "u4", "short": "i2"}
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -38,3 +42,15 @@ def cube(form: str = "ascii", position: str = "float", color: str = "uchar", **r
     columns = [(name, position, CUBE[:, i]) for i, name in enumerate("xyz")]
     columns += [(name, color, PAINT[:, i] * scale) for i, name in enumerate(("red", "green", "blue"))]
     return ply(form, columns, rest.pop("faces", SIDES), **rest)
+
+
+def read(data: bytes, folder: Path, name: str = "scan.ply") -> Scan:
+    """The scan of a file with these bytes."""
+    (folder / name).write_bytes(data)
+    return read_scan(folder / name)
+
+
+def volume(points: np.ndarray, triangles: np.ndarray) -> float:
+    """Of a closed surface that faces outward."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return float(np.einsum("tc,tc->", a, np.cross(b, c)) / 6)

@@ -21,3 +21,11 @@ def ball(rings: int = 24, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     top = np.stack([np.full(around, len(rows)), number[0], np.roll(number[0], -1)], axis=1)
     bottom = np.stack([np.full(around, len(rows) + 1), np.roll(number[-1], -1), number[-1]], axis=1)
     return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1), top, bottom])
+
+
+def sheet_and_tetrahedron(size: int) -> np.ndarray:
+    """Triangles of a sheet of size x size points, and of a tetrahedron on the 4 points after them."""
+    corner = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
+    halves = [[corner, corner + 1, corner + size + 1], [corner, corner + size + 1, corner + size]]
+    sheet = np.concatenate([np.stack(half, axis=1) for half in halves])
+    return np.concatenate([sheet, size * size + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])])

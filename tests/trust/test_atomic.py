@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from places import SUPPORT
+from places import SUPPORT, names
 
 from facepipe.core import atomic, hidden_folders, locks, placing
 from facepipe.core.atomic import apart, collect, hidden_folder, replacing, replacing_folder, together, write_bytes
@@ -22,10 +22,6 @@ from facepipe.core.trust import Trust, trusting
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no such calls there")
 KEY = "0123456789abcdef"
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(one.relative_to(folder).as_posix() for one in folder.rglob("*"))
 
 
 def content(folder: Path) -> dict[str, str]:

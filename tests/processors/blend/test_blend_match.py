@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from blend_faces import by_region, kinds, misaligned, session, two
+from blend_faces import blended, by_region, kinds, misaligned, session, two
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.processors.blend import Blend, BlendSession, Weights
+from facepipe.processors.blend import BlendSession, Weights
 from facepipe.processors.blend.matching import match
 from facepipe.stage import Face
-
-
-def blended(blend: BlendSession, weights: Weights) -> Face:
-    face = Face.from_parts(blend.sources.base)
-    Blend(weights=weights)(face, blend)
-    return Face(face.stage)
 
 
 def found_table(blend: BlendSession, weights: Weights) -> np.ndarray:

@@ -16,6 +16,7 @@ from command_line import Capsys, done, failed, run
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import refused
+from layers import with_options
 from small_sources import WORDS, made, points
 
 import facepipe
@@ -95,18 +96,6 @@ def test_a_source_that_changed_is_a_warning(folder: Path, capsys: Capsys) -> Non
     assert Path("d.usda").read_bytes() == Path("e.usda").read_bytes()
 
 
-def replaced_options(change: Any) -> Any:
-    """An edit of the recipe's options in the text of a layer."""
-
-    def edit(text: str) -> str:
-        (old,) = re.findall(r"facepipe:recipe:options = '(.*)'", text)
-        options = json.loads(old)
-        changed = change(options)
-        return text.replace(old, changed if isinstance(changed, str) else json.dumps(options))
-
-    return edit
-
-
 HOSTILE = [
     (lambda text: re.sub(r".*facepipe:recipe:verb.*\n", "", text), "has no recipe"),
     (lambda text: text.replace('verb = "blend"', 'verb = "sample"'), "a recipe of 'sample'"),
@@ -122,24 +111,24 @@ HOSTILE = [
         "expected one of the sources",
     ),
     (lambda text: text.replace('["./a.usda", "./b.usda"]', "3"), "c.usda"),
-    (replaced_options(lambda options: "nothing"), "no JSON"),
-    (replaced_options(lambda options: "[" * 100_000), "no JSON"),
-    (replaced_options(lambda options: "[1]"), "options are damaged"),
-    (replaced_options(lambda options: options.pop("sources") and 0), "no 'sources', expected one"),
-    (replaced_options(lambda options: options.update(weights=3) or 0), "expected a JSON object"),
-    (replaced_options(lambda options: options["weights"].update(regions={"mouth": "ab"}) or 0), "list of numbers"),
-    (replaced_options(lambda options: options["weights"].update(regions={"mouth": [1]}) or 0), "1 weights, expected 2"),
-    (replaced_options(lambda options: options["weights"].update(regions={"nose": [1, 1]}) or 0), "no such region"),
-    (replaced_options(lambda options: options["weights"].update(default=[True, 1]) or 0), "list of numbers"),
-    (replaced_options(lambda options: options["weights"].update(gains=[10**400, 1]) or 0), "list of numbers"),
-    (replaced_options(lambda options: options["weights"].update(default=[float("nan"), 1]) or 0), "weight nan"),
-    (replaced_options(lambda options: options["weights"].update(locked={"mouth": 7}) or 0), "from 1 to 2"),
-    (replaced_options(lambda options: options["weights"].update(locked={"mouth": 1.5}) or 0), "number of a source"),
-    (replaced_options(lambda options: options.update(edges="both") or 0), "uniform, cotangent"),
-    (replaced_options(lambda options: options.update(static_mm=-1) or 0), "number from 0 to 100"),
-    (replaced_options(lambda options: options.update(static_mm="1") or 0), "a finite number"),
-    (replaced_options(lambda options: options.update(anchor=[]) or 0), "a text or null"),
-    (replaced_options(lambda options: options.update(speed=1) or 0), "option 'speed' is unknown"),
+    (with_options(lambda options: "nothing"), "no JSON"),
+    (with_options(lambda options: "[" * 100_000), "no JSON"),
+    (with_options(lambda options: "[1]"), "options are damaged"),
+    (with_options(lambda options: options.pop("sources") and 0), "no 'sources', expected one"),
+    (with_options(lambda options: options.update(weights=3)), "expected a JSON object"),
+    (with_options(lambda options: options["weights"].update(regions={"mouth": "ab"})), "list of numbers"),
+    (with_options(lambda options: options["weights"].update(regions={"mouth": [1]})), "1 weights, expected 2"),
+    (with_options(lambda options: options["weights"].update(regions={"nose": [1, 1]})), "no such region"),
+    (with_options(lambda options: options["weights"].update(default=[True, 1])), "list of numbers"),
+    (with_options(lambda options: options["weights"].update(gains=[10**400, 1])), "list of numbers"),
+    (with_options(lambda options: options["weights"].update(default=[float("nan"), 1])), "weight nan"),
+    (with_options(lambda options: options["weights"].update(locked={"mouth": 7})), "from 1 to 2"),
+    (with_options(lambda options: options["weights"].update(locked={"mouth": 1.5})), "number of a source"),
+    (with_options(lambda options: options.update(edges="both")), "uniform, cotangent"),
+    (with_options(lambda options: options.update(static_mm=-1)), "number from 0 to 100"),
+    (with_options(lambda options: options.update(static_mm="1")), "a finite number"),
+    (with_options(lambda options: options.update(anchor=[])), "a text or null"),
+    (with_options(lambda options: options.update(speed=1)), "option 'speed' is unknown"),
 ]
 
 

@@ -17,6 +17,7 @@ from command_line import Capsys, content, done, failed, run
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import refused
+from layers import with_options
 
 import facepipe
 from facepipe.cli import main
@@ -349,18 +350,6 @@ def test_digests_cover_the_buffers_of_a_gltf(folder: Path) -> None:
 
 
 # --- damaged recipes
-
-
-def with_options(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
-    """An edit of the recipe's options in the text of a layer."""
-
-    def edit(text: str) -> str:
-        (old,) = re.findall(r"facepipe:recipe:options = '(.*)'", text)
-        options = json.loads(old)
-        change(options)
-        return text.replace(old, json.dumps(options))
-
-    return edit
 
 
 WRONG: dict[str, Sequence[object]] = {

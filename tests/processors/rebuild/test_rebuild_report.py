@@ -13,13 +13,14 @@ import pytest
 import scan_domes
 from command_line import failed
 from PIL import Image
+from places import names
+from rebuild_project import put
 
 from facepipe.cli import main
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
-from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
-from facepipe.importers.scan_ply import write_ply
+from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
@@ -46,11 +47,6 @@ def _open(weight: float) -> tuple[Scan, ScanLandmarks]:
     triangles = head.face_vertex_indices.reshape(-1, 3)
     marks = placed[head.landmarks["multipie68"].indices]
     return Scan(name="open", points=placed, triangles=triangles), ScanLandmarks(points=marks)
-
-
-def _put(folder: Path, name: str, scan: tuple[Scan, ScanLandmarks]) -> None:
-    write_ply(scan[0], folder / f"{name}.ply")
-    write_scan_landmarks(scan[1], folder / f"{name}.landmarks.json")
 
 
 @dataclass(frozen=True)
@@ -82,8 +78,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("rebuild")
     save_parts(scan_domes.face(), folder / "head.usda")
     save_database(scan_domes.database(), folder / "faces.fpdb")
-    _put(folder, "neutral", scan_domes.scan(PERSON))
-    _put(folder, "open", _open(0.8))
+    put(folder, "neutral", *scan_domes.scan(PERSON))
+    put(folder, "open", *_open(0.8))
     lines = ['template = "head.usda"', 'database = "faces.fpdb"', "[neutral]", 'scan = "neutral.ply"']
     lines += ["[expressions.open]", 'scan = "open.ply"', "weights = { jawOpen = 0.8 }"]
     (folder / "p.toml").write_text("\n".join(lines), encoding="utf-8")
@@ -97,12 +93,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return Made(folder, json.loads(out.getvalue()), out.getvalue())
 
 
-def _names(folder: Path) -> list[str]:
-    return sorted(one.relative_to(folder).as_posix() for one in folder.rglob("*"))
-
-
 def test_all_files_are_there_and_none_of_a_former_report(made: Made) -> None:
-    assert _names(made.folder / "report") == FILES
+    assert names(made.folder / "report") == FILES
 
 
 def test_the_report_is_what_the_command_prints(made: Made) -> None:
@@ -157,10 +149,10 @@ def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
     shown, _ = made.rebuilt()
     scans = tuple(replace(one, scan=one.scan.with_name("gone.ply")) for one in shown.project.expressions)
     broken = replace(shown, project=replace(shown.project, expressions=scans))
-    before = _names(made.folder)
+    before = names(made.folder)
     with pytest.raises(InputError, match=r"gone\.ply"), replacing_folder(made.folder / "broken") as folder:
         broken.write(folder, {})
-    assert _names(made.folder) == before
+    assert names(made.folder) == before
 
 
 def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -> None:
@@ -175,7 +167,7 @@ def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -
     )
     steps: list[None] = []
     alone.write(tmp_path, {}, lambda: steps.append(None))
-    assert _names(tmp_path) == ["neutral.png", "report.json"]
+    assert names(tmp_path) == ["neutral.png", "report.json"]
     assert len(steps) == alone.count
 
 

@@ -12,6 +12,7 @@ import scan_domes
 from command_line import done, failed
 from faces import with_head, with_meshes
 from old_stages import old_recipe
+from rebuild_project import opening
 from scan_domes import POSE, dome, grid
 
 import facepipe
@@ -211,8 +212,8 @@ def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys:
     """The mouth of the scan is open; the recipe tells, or --weights does."""
     weight, (scan, landmarks) = 0.5, _scan()
     rows = _neutral().meshes[0].landmarks["multipie68"].indices
-    opened = replace(scan, points=scan.points + POSE.scale * weight * _opening(grid(81)[0]) @ POSE.rotation.T)
-    marks = landmarks.points + POSE.scale * weight * _opening(_OWN[rows]) @ POSE.rotation.T
+    opened = replace(scan, points=scan.points + POSE.scale * weight * opening(grid(81)[0]) @ POSE.rotation.T)
+    marks = landmarks.points + POSE.scale * weight * opening(_OWN[rows]) @ POSE.rotation.T
     write_ply(opened, folder / "anna.ply")
     write_scan_landmarks(ScanLandmarks(points=marks), folder / "anna.landmarks.json")
     off = []
@@ -224,12 +225,6 @@ def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys:
         off.append(np.linalg.norm(points - _bumped(31), axis=1).mean())
     assert off[0] == pytest.approx(off[1], abs=1e-6)
     assert off[0] < 0.5 * off[2]
-
-
-def _opening(places: np.ndarray) -> np.ndarray:
-    """(n, 3) millimetres of the template's jawOpen."""
-    lower = 1.0 / (1.0 + np.exp((places[:, 1] + 12.0) / 4.0))
-    return np.where(lower > 0.02, lower, 0.0)[:, None] * np.array([0.0, -6.0, -2.0])
 
 
 def test_a_scan_that_does_not_show_the_region_is_refused() -> None:

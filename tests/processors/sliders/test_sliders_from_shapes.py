@@ -15,7 +15,7 @@ import pytest
 from command_line import done, failed, run
 from faces import replace_mesh, tiny_face, with_meshes
 from import_data import shared
-from oracle import random_coefficients
+from oracle import difference, random_coefficients
 from places import REPOSITORY
 
 import facepipe
@@ -79,11 +79,6 @@ faces = pytest.mark.parametrize("name", MADE)
 
 def by_name(face: Face) -> dict[str, Slider]:
     return {one.name: one for one in face.sliders}
-
-
-def distance(face: Face, one: np.ndarray, other: np.ndarray) -> float:
-    """The largest, in head heights."""
-    return float(np.linalg.norm(one - other, axis=1).max()) / face.head_height
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +171,7 @@ def test_an_end_is_the_pose_that_was_reported(name: str) -> None:
         for value, end in zip(values, one.ends, strict=True):
             coefficients, _ = slide([sliders[slider]], face.skeleton.joints, {slider: value})
             points = face.evaluate(sliders={slider: value})
-            assert distance(face, points, face.evaluate(coefficients=coefficients)) <= 1e-6
+            assert difference(face, points, face.evaluate(coefficients=coefficients)) <= 1e-6
             off = np.linalg.norm(points - face.evaluate({end.shape: 1.0}), axis=1) * face.mm_per_unit
             assert np.sqrt((off**2).mean()) == pytest.approx(end.left_rms_mm, abs=1e-4)
             assert off.max() == pytest.approx(end.left_max_mm, abs=1e-3)
@@ -321,7 +316,7 @@ def test_shapes_that_bones_hardly_reach_are_left_out_or_drive_their_slider_alone
         if residual:
             assert report.sliders["jawOpen"].by == "shapes"
             assert by_name(face)["jawOpen"].shapes == (("jawOpen", 1.0),)
-            assert distance(face, face.evaluate(sliders={"jawOpen": 0.5}), face.evaluate({"jawOpen": 0.5})) < 1e-12
+            assert difference(face, face.evaluate(sliders={"jawOpen": 0.5}), face.evaluate({"jawOpen": 0.5})) < 1e-12
         else:
             assert "jawOpen" not in by_name(face)
 
