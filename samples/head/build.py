@@ -12,8 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import arcs
+import cards
+import eyes
 import numpy as np
 import numpy.typing as npt
+import skin_maps
+import strokes
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
 from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
@@ -46,6 +50,11 @@ def main() -> None:
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
     write_arrays(out / "modes.npz", {"modes": packed(model.modes)})
+    ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
+    skin_maps.main(ict, out / "skin_maps.npz")
+    cards.main(ict, out)
+    for pictures in (strokes, eyes):
+        pictures.main(out)
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)
     for path in sorted(out.iterdir()):

@@ -1,0 +1,122 @@
+"""Brows, lashes and hair: cards with the pictures of hairs, held by the skin under them.
+
+`samples/head/cards.py` makes them of the average head. Here they follow a person, and what moves that person's skin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.heads.asset import STEP, arrays
+from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, UvSet
+
+_STILL = 2e-3  # cm: smaller moves are none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cards:
+    """A set of cards: n points."""
+
+    grid: tuple[int, int, int]  # cards, rows, columns of points
+    corners: IntArray  # (n, 3) points of Head
+    shares: FloatArray  # (n, 3) barycentric
+    offsets: FloatArray  # (n, 3) from there, cm
+    uv: FloatArray  # (n, 2)
+    motion: Mapping[str, FloatArray]  # shape -> (n, 3) how it moves cards beside what holds them
+
+    def carry(self, values: FloatArray) -> FloatArray:
+        """(n, ...) values of the head (points, ...) where the cards hold on."""
+        return np.asarray(np.einsum("nk,nk...->n...", self.shares, values[self.corners]))
+
+
+@cache
+def cards(name: str) -> Cards:
+    """A set by name: brows, lashes, or a style of hair."""
+    found = {
+        key.removeprefix(f"{name}_"): value for key, value in arrays("cards").items() if key.startswith(f"{name}_")
+    }
+    two = found.pop("shares") / 255
+    rows, columns, count = found.pop("grid")
+    return Cards(
+        grid=(int(rows), int(columns), int(count)),
+        corners=found.pop("corners").astype(np.int64),
+        shares=np.column_stack([two, 1 - two.sum(axis=1)]),
+        offsets=found.pop("offsets") * STEP,
+        uv=found.pop("uv") / 65535,
+        motion={shape: offsets * STEP for shape, offsets in found.items()},
+    )
+
+
+def mesh(name: str, held: Cards, head: Mesh, region: str, material: str) -> Mesh:
+    """Cards on a head, moved by its shapes and joints.
+
+    :param region: of all points
+    """
+    counts, indices = _faces(held.grid)
+    normals = point_normals(head.points, point_triangles(head.face_vertex_counts, head.face_vertex_indices))
+    shapes = (_shape(held, shape, len(head.points)) for shape in head.blendshapes)
+    zeros = np.zeros(len(held.uv))
+    return Mesh(
+        name=name,
+        points=held.carry(head.points) + held.offsets,
+        face_vertex_counts=counts,
+        face_vertex_indices=indices,
+        normals=_unit(held.carry(normals)),
+        uv_sets=(UvSet(values=held.uv),),
+        skin=None if head.skin is None else _skin(held, head.skin),
+        blendshapes=tuple(shape for shape in shapes if shape is not None),
+        regions={one: zeros + (one == region) for one in head.regions},
+        material=material,
+        double_sided=True,
+    )
+
+
+def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
+    points = np.arange(np.prod(grid)).reshape(grid)
+    quads = [points[:, :-1, :-1], points[:, :-1, 1:], points[:, 1:, 1:], points[:, 1:, :-1]]
+    indices = np.stack(quads, axis=-1).reshape(-1, 4)
+    return np.full(len(indices), 4, np.int32), indices.ravel().astype(np.int32)
+
+
+def _shape(held: Cards, shape: Blendshape, count: int) -> Blendshape | None:
+    def offsets(values: FloatArray, weight: float) -> FloatArray:
+        whole = np.zeros((count, 3))
+        whole[shape.point_indices] = values
+        return held.carry(whole) + weight * held.motion.get(shape.name, 0.0)
+
+    moves = {one.weight: offsets(one.offsets, one.weight) for one in shape.inbetweens}
+    full = offsets(shape.offsets, 1.0)
+    moved = np.flatnonzero(np.max([np.abs(move).max(axis=1) for move in (full, *moves.values())], axis=0) > _STILL)
+    if not len(moved):
+        return None
+    return replace(
+        shape,
+        point_indices=moved.astype(np.int32),
+        offsets=full[moved],
+        normal_offsets=None,
+        inbetweens=tuple(
+            Inbetween(name=one.name, weight=one.weight, offsets=moves[one.weight][moved]) for one in shape.inbetweens
+        ),
+    )
+
+
+def _skin(held: Cards, skin: Skin) -> Skin:
+    """The strongest four of the influences of what holds each point."""
+    joints = skin.joint_indices[held.corners].reshape(len(held.shares), -1)
+    weights = (skin.joint_weights[held.corners] * held.shares[..., None]).reshape(joints.shape)
+    dense = np.zeros((len(joints), int(skin.joint_indices.max()) + 1))
+    np.add.at(dense, (np.arange(len(joints))[:, None], joints), weights)
+    strongest = np.argsort(-dense, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(dense, strongest, axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return replace(skin, joint_indices=np.where(weights > 0, strongest, 0).astype(np.int32), joint_weights=weights)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

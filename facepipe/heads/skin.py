@@ -1,0 +1,162 @@
+"""The skin's textures: colour, roughness and relief as functions of the place on the head.
+
+A tile is one square of texture coordinates: 0 the face, 1 the back of the head with neck, mouth and eye sockets. What
+is coarse is made of the place in space, so that both tiles agree where they meet; only grain is made texel by texel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from facepipe.core.arrays import FloatArray
+from facepipe.heads.asset import arrays
+from facepipe.heads.look import Look
+from facepipe.heads.pixels import enlarged, srgb, to_bytes
+
+TILES = ("face", "back")
+_BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
+_MELANIN = np.array([0.45, 0.75, 1.0])
+_SHADE = np.array([0.75, 0.95, 1.0])
+_FLESH = np.array([0.36, 0.12, 0.10])
+
+
+def masks(tile: int) -> dict[str, FloatArray]:
+    """Kinds of skin by name, (512, 512) of 0..1, top row first."""
+    values = arrays("skin_maps")[f"{TILES[tile]}_masks"].astype(np.float32) / 255
+    return {str(name): values[..., i] for i, name in enumerate(arrays("skin_maps")["names"])}
+
+
+def _places(tile: int) -> FloatArray:
+    return arrays("skin_maps")[f"{TILES[tile]}_places"].astype(np.float32)
+
+
+def _noise(look: Look, tile: int, wavelength: float, number: int) -> FloatArray:
+    """(512, 512) smooth noise of unit variance over space."""
+    lattice = np.random.default_rng((look.seed, number)).standard_normal((24, 24, 24)).astype(np.float32)
+    at = np.moveaxis(_places(tile), -1, 0) / wavelength
+    values = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
+    return np.asarray(enlarged(values, 512) / 0.5)
+
+
+def coarse(look: Look, tile: int, scalp: float) -> FloatArray:
+    """(512, 512, 3) linear colour without grain.
+
+    :param scalp: how much the hair's colour covers the scalp
+    """
+    m = masks(tile)
+    broad, middle, patch = (_noise(look, tile, size, i) for i, size in enumerate((3.2, 1.1, 0.55)))
+    light = 1 - 0.6 * look.darkness
+    warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
+    blood = (0.25 + 0.75 * look.redness) * warm + 0.05 * middle + 0.045 * patch + 0.03 * broad
+    blood = light * blood + 0.32 * m["lid"] + 0.35 * m["rim"] + 0.2 * m["under_eye"]
+    blood += (0.55 + 0.8 * look.lips) * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
+    melanin = 0.025 * broad + 0.02 * middle * (1 + look.age) + (0.16 + 0.12 * look.age) * m["under_eye"]
+    melanin += 0.10 * m["lid"] + (0.10 + 0.25 * look.darkness) * m["lips"] - 0.04 * m["neck"]
+    shade = 0.9 * m["lip_line"] * m["lips"] + 0.75 * (1 - m["open"]) ** 1.5 * (1 - m["mouth"])
+    shade += look.beard * (0.34 * m["beard"] + 0.1 * m["moustache"]) * (0.5 + 0.5 * light)
+    colors = np.log(look.skin) - sum(
+        amount[..., None] * tint for amount, tint in ((blood, _BLOOD), (melanin, _MELANIN), (shade, _SHADE))
+    )
+    colors = np.exp(colors)
+    hair = np.clip(scalp * m["scalp"] * (1 + 0.1 * middle) + 0.4 * look.brows * m["brows"], 0, 1)
+    colors = _mix(colors, look.hair_color * 0.8 + 0.03 * look.skin, hair)
+    colors = _mix(colors, _FLESH * (1 - 0.3 * look.darkness), np.maximum(m["mouth"], m["socket"]))
+    return np.asarray(colors * (1 - 0.75 * m["mouth"] * (1 - m["open"]))[..., None])
+
+
+def _mix(colors: FloatArray, other: FloatArray, share: FloatArray) -> FloatArray:
+    return np.asarray(colors + share[..., None] * (other - colors))
+
+
+def albedo(look: Look, tile: int, size: int, scalp: float) -> FloatArray:
+    """(size, size, 3) sRGB bytes."""
+    rng = np.random.default_rng((look.seed, 100 + tile))
+    m = masks(tile)
+    base = enlarged(to_bytes(srgb(coarse(look, tile, scalp))), size).astype(np.float32)
+    skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
+    grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
+    patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
+    blood = skin * np.float32(0.06 * (1 - 0.5 * look.darkness)) * enlarged(patches, size)
+    melanin = skin * (0.05 * grain + enlarged(_spots(look, tile, rng), size))
+    hairs = _hairs(look, m, size, rng, scalp)
+    for channel in range(3):
+        base[..., channel] *= np.exp(
+            -(blood * np.float32(_BLOOD[channel]) + melanin * np.float32(_MELANIN[channel]) + hairs) / 2.2
+        )
+    return np.asarray(np.clip(base, 0, 255), np.uint8)
+
+
+def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
+    """(1024, 1024) melanin of freckles, moles and the spots of age."""
+    m, size = masks(tile), 1024
+    zone = m["cheeks"] + 0.8 * m["bridge"] + 0.5 * m["nose"] + 0.25 * m["forehead"] + 0.12 * m["neck"]
+    zone = enlarged(np.clip(zone, 0, 1), size)
+    skin = enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), size)
+    result = np.zeros((size, size), np.float32)
+    kinds = (  # share of texels, radius in texels, strength
+        (0.004 * look.freckles * zone, 1.7, 0.55),
+        (0.0008 * look.freckles * zone, 3.0, 0.5),
+        (0.000012 * skin, 1.7, 1.8),
+        (0.00007 * max(look.age - 0.4, 0) * skin, 4.0, 0.45),
+    )
+    for density, radius, strength in kinds:
+        dots = (rng.random((size, size), np.float32) < density) * rng.uniform(0.3, 1.0, (size, size)).astype(np.float32)
+        if dots.any():
+            result += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
+    return np.asarray(result * (1 - 0.6 * look.darkness) * skin)
+
+
+def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Generator, scalp: float) -> FloatArray:
+    """(size, size) darkening by the dots of shaved hairs."""
+    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if 0 < scalp <= 0.7 else 0), 0, 1)
+    if not share.any():
+        return np.zeros((1, 1), np.float32)
+    dots = (rng.random((size, size), np.float32) < 0.06 * enlarged(share, size)).astype(np.float32)
+    contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
+    return np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
+
+
+def roughness(look: Look, tile: int, size: int) -> FloatArray:
+    """(size, size, 3) bytes as glTF packs them: occlusion, roughness, metallic (0)."""
+    m = masks(tile)
+    oily = 0.5 * m["forehead"] + 0.8 * m["nose"] + 0.3 * m["cheeks"] + 0.5 * m["chin"] + 0.4 * m["bridge"]
+    rough = 0.56 - 0.13 * np.clip(oily, 0, 1) - 0.14 * m["lips"] - 0.05 * m["lid"] + 0.06 * m["neck"]
+    rough += 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
+    wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
+    rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
+    occlusion = m["open"] ** 0.7
+    return np.asarray(enlarged(to_bytes(np.stack([occlusion, rough, np.zeros_like(rough)], axis=-1)), size))
+
+
+def relief(look: Look, tile: int, size: int) -> FloatArray:
+    """(size, size, 3) bytes of a tangent-space normal map."""
+    rng = np.random.default_rng((look.seed, 200 + tile))
+    m, places = masks(tile), _places(tile)
+    texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
+    texel = enlarged(np.clip(gaussian_filter(texel, 2), 0.004, 0.04), size)  # cm
+    scale = size / 2048
+    skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"])
+    pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
+    pores = enlarged(pores, size)
+    dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)
+    height = -0.013 * pores * gaussian_filter(dots, 1.4 * scale) * 4
+    grain = rng.standard_normal((size, size), np.float32)
+    fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
+    height += 0.0016 * fine * enlarged(skin, size) * (0.6 + 0.4 * pores)
+    height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * enlarged(m["lips"], size) * 2
+    height += enlarged(_lines(look, tile), size)
+    slope_u = np.gradient(height, axis=1) / texel
+    slope_v = -np.gradient(height, axis=0) / texel
+    length = 1 / np.sqrt(1 + slope_u**2 + slope_v**2)
+    return np.asarray(to_bytes(0.5 + 0.5 * np.stack([-slope_u * length, -slope_v * length, length], axis=-1)))
+
+
+def _lines(look: Look, tile: int) -> FloatArray:
+    """(512, 512) height of the lines of forehead and neck, cm."""
+    m, wave = masks(tile), _noise(look, tile, 2.6, 7)
+    y = enlarged(_places(tile)[..., 1], 512)
+    across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
+    forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
+    rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
+    return np.asarray(-0.035 * look.age * (forehead + 0.5 * rings))

@@ -1,0 +1,119 @@
+"""The materials of a person, with textures made for them."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.heads import cards, skin
+from facepipe.heads.look import Look
+from facepipe.heads.pixels import texture
+from facepipe.parts import Material, Mesh, Texture, TextureInput
+
+_NORMAL = {"scale": (2.0, 2.0, 2.0, 1.0), "bias": (-1.0, -1.0, -1.0, 0.0)}
+SCALP = {
+    "bald": 0.0,
+    "stubble": 0.5,
+    "crop": 0.9,
+    "parted": 0.9,
+    "bob": 0.9,
+    "long": 0.9,
+    "coils": 0.97,
+}  # that hair colours
+_MEAN = 0.35  # linear, of the grey in pictures of hairs
+
+
+def materials(look: Look, size: int) -> tuple[Material, ...]:
+    """Skin, eyes, mouth and hairs.
+
+    :param size: texels a side of the skin's colour and relief
+    """
+    white, iris = _picture("sclera.png"), TextureInput(texture=_picture(f"iris_{look.eyes}.jpg"))
+    dim = 1 - 0.25 * look.darkness  # the white of dark people's eyes has some pigment
+    color = TextureInput(texture=white, scale=(dim, dim, dim * 0.97, 1.0))
+    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
+    found = [
+        _skin(look, 0, size, "M_Face"),
+        _skin(look, 1, size, "M_BackHead"),
+        Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
+        Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
+        *(Material(name=f"M_Sclera{side}", diffuse_color=color, roughness=0.18) for side in ("Left", "Right")),
+        *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.4) for side in ("Left", "Right")),
+        Material(name="Pupil", diffuse_color=iris, roughness=0.4),
+        Material(
+            name="Cornea",
+            diffuse_color=color,
+            opacity=TextureInput(texture=white, channels="a"),
+            roughness=0.03,
+            ior=1.376,
+        ),
+        _hairs("Brows", brows, _brow_color(look)),
+        _hairs("Lashes", "lashes.png", np.array([0.012, 0.009, 0.008])),
+    ]
+    if look.style in HAIR:
+        found.append(_hairs("Hair", HAIR[look.style], look.hair_color, cut=0.5))
+    return tuple(found)
+
+
+HAIR = {"crop": "hair.png", "parted": "hair.png", "bob": "hair.png", "long": "hair.png", "coils": "coils.png"}
+
+
+def meshes(look: Look, head: Mesh) -> tuple[Mesh, ...]:
+    """Brows, lashes and hair on a head."""
+    found = [
+        cards.mesh("Brows", cards.cards("brows"), head, "eyebrows", "Brows"),
+        cards.mesh("Lashes", cards.cards("lashes"), head, "eyes", "Lashes"),
+    ]
+    if look.style in HAIR:
+        found.append(cards.mesh("Hair", cards.cards(look.style), head, "forehead", "Hair"))
+    return tuple(found)
+
+
+def point_colors(look: Look, head: Mesh) -> FloatArray:
+    """(n, 3) linear colours of the head's points, for a head without textures."""
+    uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
+    uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
+    tiles = np.stack([skin.coarse(look, tile, SCALP[look.style]) for tile in (0, 1)])
+    tile, size = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
+    return np.asarray(tiles[tile, ((1 - uv[:, 1]) * size).astype(int), ((uv[:, 0] - tile) * size).astype(int)])
+
+
+def _brow_color(look: Look) -> FloatArray:
+    return np.minimum(look.hair_color, 0.16) * 0.8
+
+
+def _skin(look: Look, tile: int, size: int, name: str) -> Material:
+    stem, scalp = f"skin_{skin.TILES[tile]}", SCALP[look.style]
+    packed = texture(f"{stem}_orm.jpg", skin.roughness(look, tile, size // 2))
+    return Material(
+        name=name,
+        diffuse_color=_input(texture(f"{stem}.jpg", skin.albedo(look, tile, size, scalp))),
+        roughness=_input(packed, channels="g"),
+        occlusion=_input(packed, channels="r"),
+        normal=_input(texture(f"{stem}_normal.jpg", skin.relief(look, tile, size)), **_NORMAL),
+        ior=1.4,
+    )
+
+
+def _input(image: Texture, **how: Any) -> TextureInput:
+    return TextureInput(texture=image, **how)
+
+
+def _hairs(name: str, picture: str, color: FloatArray, cut: float = 0.0) -> Material:
+    image = _picture(picture)
+    red, green, blue = np.minimum(color / _MEAN, 1.0).tolist()
+    return Material(
+        name=name,
+        diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
+        opacity=TextureInput(texture=image, channels="a"),
+        opacity_threshold=cut,
+        roughness=0.75,
+        ior=1.25,  # the sides of cards would mirror more than hairs do
+    )
+
+
+def _picture(name: str) -> Texture:
+    return Texture(name=name, data=(files("facepipe.heads") / "data" / name).read_bytes())

@@ -1,0 +1,356 @@
+"""Cards of brows, lashes and hair: thin strips whose every point is held by a triangle of the skin.
+
+usage: python samples/head/cards.py ict_facekit.npz facepipe/heads/data
+
+A set is a number of grids, all (rows, columns). Its arrays: three skin points and their shares (two of them, in
+255ths) that hold each point; the offset from there (STEP cm); texture coordinates (65535ths).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from packing import write_arrays
+from scipy.spatial import cKDTree
+from skin_maps import BACK, FACE, SOCKETS, Template, above_hairline, brow_curve, masks, step
+
+from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.heads.asset import STEP
+
+Array = Any
+DS = 0.35  # cm a step along a hair
+LASHES = {"Left": (25351, 26035), "Right": (26035, 26719)}  # points of ICT-FaceKit's lashes: six grids of 6 by 19
+LASH_SHAPE = (6, 19)
+EYE_SHAPES = ("eyeBlink", "eyeLookDown", "eyeLookUp", "eyeLookIn", "eyeLookOut", "eyeSquint", "eyeWide", "cheekSquint")
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Cards of one set before they are bound: points and texture coordinates, (cards, rows, columns, ...)."""
+
+    points: Array
+    uv: Array
+    held: Array  # where each point holds on to the skin
+
+
+class Binder:
+    """Finds what holds points."""
+
+    def __init__(self, template: Template, allowed: Array) -> None:
+        """:param allowed: (n,) points of the template that may hold any"""
+        self._template = template
+        self._triangles = template.triangles[allowed[template.triangles].all(axis=1)]
+
+    def arrays(self, name: str, grids: Grids) -> dict[str, Array]:
+        """The set's arrays."""
+        points, held = grids.points.reshape(-1, 3), grids.held.reshape(-1, 3)
+        found = closest_places(held, self._template.points, self._triangles)
+        corners = self._triangles[found.triangles]
+        shares = np.rint(255 * place_shares(found, self._template.points, self._triangles)[:, :2]).astype(np.uint8)
+        exact = np.column_stack([shares / 255, 1 - shares.sum(axis=1) / 255])
+        offsets = points - np.einsum("nk,nkc->nc", exact, self._template.points[corners])
+        return {
+            f"{name}_grid": np.array(grids.points.shape[:3], np.int32),
+            f"{name}_corners": corners.astype(np.uint16),
+            f"{name}_shares": shares,
+            f"{name}_offsets": np.rint(offsets / STEP).astype(np.int16),
+            f"{name}_uv": np.rint(65535 * grids.uv.reshape(-1, 2)).astype(np.uint16),
+        }
+
+
+class Skin:
+    """The head's outside, smooth."""
+
+    def __init__(self, template: Template) -> None:
+        used = np.unique(np.concatenate([template.used(FACE), template.used(BACK)]))
+        self._points, self._normals = template.points[used], template.normals[used]
+        self._tree = cKDTree(self._points)
+
+    def under(self, at: Array) -> tuple[Array, Array]:
+        """Heights (n,) of places above the skin, and the normals (n, 3) there."""
+        away, near = self._tree.query(at, k=6)
+        share = 1 / (away + 1e-3) ** 2
+        share /= share.sum(axis=1, keepdims=True)
+        normals = np.einsum("nk,nkc->nc", share, self._normals[near])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.einsum("nk,nkc,nc->n", share, at[:, None] - self._points[near], normals), normals
+
+
+def brow_grids(template: Template, skin: Skin) -> Grids:
+    """Two layers for each brow; the right one mirrored."""
+    rows, columns = 7, 24
+    line, _ = brow_curve(template.points)
+    at = np.interp(np.linspace(-0.06, 1.08, columns), np.linspace(0, 1, len(line)), np.arange(len(line)))
+    middle = np.column_stack([np.interp(at, np.arange(len(line)), line[:, c]) for c in range(3)])
+    middle[0], middle[-1] = 2 * middle[1] - middle[2], 2 * middle[-2] - middle[-3]
+    across = np.linspace(-1, 1, rows)[:, None, None]
+    along = np.gradient(middle, axis=0)
+    points = []
+    for layer in (0.025, 0.07):
+        flat = (
+            middle + across * 0.62 * np.cross(skin.under(middle)[1], along / np.linalg.norm(along, axis=1)[:, None])
+        ).reshape(-1, 3)
+        for _ in range(3):
+            height, normals = skin.under(flat)
+            flat = flat + (layer - height)[:, None] * normals
+        points.append(flat.reshape(rows, columns, 3))
+    u, v = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
+    uv = np.stack([u, v], axis=-1)
+    left, right = np.array(points), np.array(points)[:, :, ::-1] * [-1, 1, 1]
+    both = np.concatenate([left, right])
+    return Grids(both, np.concatenate([[uv] * 2, [uv[:, ::-1]] * 2]), both)
+
+
+def lash_grids(data: Any) -> Grids:
+    """ICT-FaceKit's own strips: three of the upper and three of the lower lid of each eye, roots first."""
+    points, uv = _lashes(data, data["neutral"])
+    return Grids(points, uv, np.broadcast_to(points[:, :1], points.shape))
+
+
+def _lashes(data: Any, values: Array) -> tuple[Array, Array]:
+    corners = int(data["face_vertex_counts"].sum()) - 4 * (26384 - 25304)
+    place = np.zeros((len(data["neutral"]), 2))
+    place[data["face_vertex_indices"][corners:]] = data["uv"][data["face_uv_indices"][corners:]]
+    grids, uvs = [], []
+    for first, last in LASHES.values():
+        for start in range(first, last, np.prod(LASH_SHAPE)):
+            one = slice(start, start + int(np.prod(LASH_SHAPE)))
+            rank = np.round(18 * _unit(place[one, 0])) - 100 * np.round(5 * _unit(place[one, 1]))
+            order = start + np.argsort(rank)
+            grids.append(values[order].reshape(*LASH_SHAPE, 3))
+            lower = (start - first) // int(np.prod(LASH_SHAPE)) >= 3
+            u, v = np.meshgrid(np.linspace(0, 1, 19), np.linspace(0.002, 0.498, 6) + (0 if lower else 0.5))
+            uvs.append(np.stack([u, v], axis=-1))
+    return np.array(grids, float), np.array(uvs)
+
+
+def _unit(values: Array) -> Array:
+    return (values - values.min()) / np.ptp(values)
+
+
+def lash_motion(data: Any, arrays: dict[str, Array]) -> dict[str, Array]:
+    """How the shapes of the eyes move lashes beside what holds them."""
+    names, found = list(data["expression_names"]), {}
+    corners = arrays["lashes_corners"].astype(int)
+    shares = arrays["lashes_shares"] / 255
+    shares = np.column_stack([shares, 1 - shares.sum(axis=1)])
+    for name in EYE_SHAPES:
+        for side in ("Left", "Right"):
+            move = data["expression_deltas"][names.index(f"{name}_{side[0]}")].astype(float)
+            own = _lashes(data, move)[0].reshape(-1, 3) - np.einsum("nk,nkc->nc", shares, move[corners])
+            own[np.linalg.norm(own, axis=1) < 3 * STEP] = 0.0  # rounding noise of the source
+            found[f"lashes_{name}{side}"] = np.rint(own / STEP).astype(np.int16)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Style:
+    """How hair is combed. Lengths in cm."""
+
+    direction: Callable[[Array], Array]  # of places (n, 3), any length
+    length: Callable[[Array], Array]  # at roots
+    height: Callable[[Array], Array]  # above the skin, at roots
+    spacing: tuple[float, ...]  # between the roots of each layer, from the skin outwards
+    width: float
+    rows: int
+    falls: bool = False  # down from the head; else it lies on it to its end
+    end: float | None = None  # height at which it is cut, instead of the length
+    wave: float = 0.0
+    spread: float = 0.15  # how far cards turn from the combed way
+    edge: float = 0.0  # how far above the hairline roots begin
+
+
+WHORL = np.array([0.8, 13.8, -3.8])
+
+
+def crop_direction(at: Array) -> Array:
+    """Away from the whorl."""
+    away = at - WHORL
+    return away / np.linalg.norm(away, axis=1, keepdims=True) + [0, 0, 0.25]
+
+
+def parted_direction(at: Array) -> Array:
+    """Away from a parting on the left, swept back from the forehead."""
+    side = np.where(at[:, :1] > 3.1, 1.0, -1.0)
+    low = step(11.5, 8.0, at[:, 1])[:, None]
+    behind = step(0.0, -5.0, at[:, 2])[:, None]
+    top = np.column_stack([side, 0 * side, -0.55 + 0 * side])
+    down = np.column_stack([0.15 * side, -1 + 0 * side, -0.45 + 0 * side])
+    return top * (1 - low) * (1 - behind) + down * np.maximum(low, behind) + crop_direction(at) * 0.15
+
+
+def bob_direction(at: Array) -> Array:
+    """Down on both sides of a parting in the middle."""
+    side = np.where(at[:, :1] > 0.25, 1.0, -1.0)
+    behind = step(1.0, -5.0, at[:, 2])[:, None]
+    front = step(4.0, 8.0, at[:, 2])[:, None]
+    low = step(12.5, 7.0, at[:, 1])[:, None]
+    return np.concatenate(
+        [side * (1 - 0.6 * behind) * (1 - 0.9 * low), -0.3 - low, -0.25 - 0.5 * behind - 0.5 * front * (1 - 0.3 * low)],
+        axis=1,
+    )
+
+
+def over_ears(at: Array) -> Array:
+    """(n,) how far from the middle hair must be to pass over the ears."""
+    away = (np.column_stack([at[:, 1] - 0.8, at[:, 2] + 0.1]) / (3.0, 2.4)) ** 2
+    return 9.75 * np.exp(-(away.sum(axis=1) ** 2))
+
+
+def tall(at: Array) -> Array:
+    """(n,) 1 on top of the head, 0 at its sides and back."""
+    return step(7.5, 12.5, at[:, 1]) * step(-8.0, -2.0, at[:, 2])
+
+
+STYLES = {
+    "crop": Style(
+        direction=crop_direction, length=lambda at: 1.7 + 1.8 * tall(at), height=lambda at: 0.3 + 0.8 * tall(at),
+        spacing=(0.8, 0.8, 1.1), width=1.0, rows=5, spread=0.32, edge=0.1,
+    ),
+    "parted": Style(
+        direction=parted_direction, length=lambda at: 2.6 + 5.4 * tall(at), height=lambda at: 0.4 + 1.6 * tall(at),
+        spacing=(0.85, 0.9, 1.3), width=1.1, rows=7, spread=0.16, edge=0.1,
+    ),
+    "bob": Style(
+        direction=bob_direction, length=lambda at: 34 + 0 * at[:, 1],
+        height=lambda at: 0.9 + 0.7 * tall(at), spacing=(0.9, 0.95, 1.5), width=1.8, rows=12, falls=True, end=-7.5,
+        wave=0.12, spread=0.05,         edge=0.1,
+    ),
+    "long": Style(
+        direction=bob_direction, length=lambda at: 40 + 0 * at[:, 1],
+        height=lambda at: 1.0 + 0.8 * tall(at), spacing=(0.9, 0.95, 1.4), width=1.8, rows=14, falls=True, end=-11.8,
+        wave=0.3, spread=0.06, edge=0.1,
+    ),
+}  # fmt: skip
+
+
+def roots(template: Template, allowed: Array, spacing: float, rng: Any) -> Array:
+    """Places on the triangles of allowed points (n,), at least `spacing` apart."""
+    triangles = template.triangles[allowed[template.triangles].all(axis=1)]
+    a, b, c = (template.points[triangles[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = rng.choice(len(triangles), 30_000, p=area / area.sum())
+    u, v = rng.random((2, len(chosen), 1))
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+    places = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+    kept = np.ones(len(places), bool)
+    for one, near in enumerate(cKDTree(places).query_ball_point(places, spacing)):
+        if kept[one]:
+            kept[[other for other in near if other > one]] = False
+    return places[kept]
+
+
+def combed(skin: Skin, style: Style, root: Array, layer: float, rng: Any) -> tuple[Array, Array]:
+    """Middle lines (n, rows, 3) of cards from their roots, and the directions (n, rows, 3) across them."""
+    count = len(root)
+    length = style.length(root) * rng.uniform(0.8, 1.1, count)
+    reach = style.height(root) * (0.35 + 0.65 * layer) * rng.uniform(0.8, 1.15, count)
+    reach *= 0.3 + 0.7 * step(0.0, 2.5, above_hairline(root))
+    turn = rng.normal(0, style.spread, (count, 3))
+    at, line, across = root.copy(), [], []
+    for number in range(int(np.ceil(length.max() / DS)) + 2):
+        height, normal = skin.under(at)
+        way = style.direction(at)
+        way = way / np.linalg.norm(way, axis=1, keepdims=True) + turn
+        way -= step(4.0, 1.5, height)[:, None] * (way * normal).sum(axis=1, keepdims=True) * normal
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        side = np.cross(way, normal) + 0.25 * turn
+        line.append(at)
+        across.append(side / np.linalg.norm(side, axis=1, keepdims=True))
+        at = at + DS * way
+        height, normal = skin.under(at)
+        risen = np.interp(
+            number * DS / np.minimum(length, 9.0), [0, 0.12, 0.45, 1], [0.05, 0.55, 1.0, 0.8 + 0.2 * style.falls]
+        )
+        lift = reach * risen - height
+        if style.falls:  # off the head it hangs freely
+            lift = np.maximum(lift, 0.3 * lift * step(0.0, 0.5, normal[:, 1]))
+        at = at + lift[:, None] * normal
+        if style.falls:
+            at[:, 0] = np.copysign(np.maximum(np.abs(at[:, 0]), over_ears(at)), at[:, 0])
+    line, across = np.array(line), np.array(across)
+    if style.end is not None:
+        end = style.end + rng.normal(0, 0.35, count) + 1.2 * layer * rng.random(count)
+        length = np.maximum((line[..., 1] > end).sum(axis=0) * DS, 2.0)
+    at = np.linspace(0, 1, style.rows)[:, None] * np.minimum(length / DS, len(line) - 1.01)
+    low, share = at.astype(int), (at % 1)[..., None]
+    each = np.arange(count)
+    line, across = (one[low, each] * (1 - share) + one[low + 1, each] * share for one in (line, across))
+    bend = style.wave * np.sin(0.75 * DS * at + rng.uniform(0, 6.3, count)) * np.minimum(DS * at / 9, 1)
+    return np.moveaxis(line + bend[..., None] * across, 0, 1), np.moveaxis(across, 0, 1)
+
+
+def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Grids:
+    """Layers of cards: dense ones on the skin, then locks, then thin ones."""
+    rng = np.random.default_rng(21)
+    points, uvs = [], []
+    above = above_hairline(template.points)
+    for number, spacing in enumerate(style.spacing):
+        layer = number / (len(style.spacing) - 1)
+        root = roots(template, (scalp > 0.5) & (above > style.edge + 0.25 * number), spacing, rng)
+        line, across = combed(skin, style, root, layer, rng)
+        half = 0.5 * style.width * rng.uniform(0.75, 1.2, (len(root), 1, 1)) * (1.15 - 0.3 * layer)
+        points.append(np.stack([line - half * across, line + half * across], axis=2))
+        column = (number + (rng.random(len(root)) < 0.25) + (number == 2)).clip(0, 3)
+        column[above_hairline(root) < 0.7] = 2  # a soft edge
+        u = (column[:, None] + np.where(rng.random(len(root))[:, None] < 0.5, [0.03, 0.97], [0.97, 0.03])) / 4
+        v = np.linspace(0.005, 0.995, style.rows)
+        uvs.append(np.stack(np.broadcast_arrays(u[:, None, :], v[None, :, None]), axis=-1))
+    points = np.concatenate(points)
+    held = np.broadcast_to(points.mean(axis=2, keepdims=True), points.shape)
+    return Grids(points, np.concatenate(uvs), held)
+
+
+def coil_grids(template: Template, skin: Skin, scalp: Array) -> Grids:
+    """Patches of curls, three deep, that lie roughly along the head."""
+    rng = np.random.default_rng(22)
+    points, uvs, held = [], [], []
+    for number, height in enumerate((0.35, 0.9, 1.5, 2.0)):
+        root = roots(template, scalp > 0.6 + 0.1 * number, 0.62 + 0.06 * number, rng)
+        normal = skin.under(root)[1]
+        axis = rng.normal(0, 1, (len(root), 3)) + 1e-3
+        normal = normal + rng.normal(0, 0.28 + 0.1 * number, normal.shape)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        first = np.cross(normal, axis)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(normal, first)
+        middle = root + (height * rng.uniform(0.75, 1.15, len(root)))[:, None] * normal
+        half = rng.uniform(0.8, 1.15, (len(root), 1))
+        square = [[middle - half * first - half * second, middle + half * first - half * second],
+                  [middle - half * first + half * second, middle + half * first + half * second]]  # fmt: skip
+        points.append(np.moveaxis(np.array(square), 2, 0))
+        patch = rng.integers(0, 2, len(root)) + 2 * (number == 3)
+        corner = np.stack([patch % 2, 1 - patch // 2], axis=-1)[:, None, None, :]
+        grid = np.stack(np.meshgrid([0.02, 0.98], [0.02, 0.98]), axis=-1)
+        uvs.append((corner + grid) / 2)
+        held.append(np.broadcast_to(root[:, None, None], points[-1].shape))
+    return Grids(*(np.concatenate(one) for one in (points, uvs, held)))
+
+
+def main(source: Path, folder: Path) -> None:
+    """Make and save all sets."""
+    template, data = Template(source), np.load(source)
+    skin, scalp = Skin(template), masks(template)["scalp"]
+    face = np.zeros(len(template.points), bool)
+    face[np.setdiff1d(template.used(FACE), template.used(SOCKETS))] = True
+    arrays = Binder(template, face).arrays("brows", brow_grids(template, skin))
+    arrays |= Binder(template, face).arrays("lashes", lash_grids(data))
+    arrays |= lash_motion(data, arrays)
+    for name, style in STYLES.items():
+        grids = hair_grids(template, skin, style, scalp)
+        print(name, grids.points.shape)
+        arrays |= Binder(template, scalp > 0.3).arrays(name, grids)
+    grids = coil_grids(template, skin, scalp)
+    print("coils", grids.points.shape)
+    arrays |= Binder(template, scalp > 0.3).arrays("coils", grids)
+    write_arrays(folder / "cards.npz", arrays)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,147 @@
+"""Pictures of hairs with alpha for the cards of brows, lashes and hair: grey, coloured where they are used.
+
+usage: python samples/head/strokes.py facepipe/heads/data
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+Array = Any
+FINE = 2  # samples a texel and direction
+
+
+@dataclass
+class Canvas:
+    """Strokes drawn one over the other, (height, width) in texels."""
+
+    height: int
+    width: int
+    value: Array = field(init=False)
+    alpha: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        shape = (self.height * FINE, self.width * FINE)
+        self.value, self.alpha = np.full(shape, 0.5, np.float32), np.zeros(shape, np.float32)
+
+    def stroke(self, x: Array, y: Array, width: Array, value: Array, strength: float = 1.0) -> None:
+        """A hair through places (m,) in texels; `width` in texels and `value` (grey) along it."""
+        count = int(4 * FINE * (np.abs(np.diff(x)).sum() + np.abs(np.diff(y)).sum())) + 2
+        t, fine = np.linspace(0, 1, len(x)), np.linspace(0, 1, count)
+        x, y, width, value = (np.interp(fine, t, one) for one in np.broadcast_arrays(x, y, width, value))
+        reach = int(np.ceil(width.max() * FINE / 2 + 1))
+        for dy in range(-reach, reach + 1):
+            for dx in range(-reach, reach + 1):
+                column, row = np.floor(x * FINE).astype(int) + dx, np.floor(y * FINE).astype(int) + dy
+                away = np.hypot(column + 0.5 - x * FINE, row + 0.5 - y * FINE)
+                cover = strength * np.clip(width * FINE / 2 - away + 0.5, 0, 1)
+                seen = (cover > 0) & (row >= 0) & (row < self.alpha.shape[0])
+                seen &= (column >= 0) & (column < self.alpha.shape[1])
+                at = row[seen], column[seen]
+                self.value[at] += (cover[seen] > 0.5) * (value[seen] - self.value[at])
+                self.alpha[at] = np.maximum(self.alpha[at], cover[seen])
+
+    def save(self, path: Path) -> None:
+        """As PNG: grey in red, green and blue, which go on beyond the hairs' edges."""
+        from scipy.ndimage import distance_transform_edt
+
+        nearest = distance_transform_edt(self.alpha < 0.5, return_distances=False, return_indices=True)
+        value = self.value[tuple(nearest)]
+        shape = (self.height, FINE, self.width, FINE)
+        grey, alpha = (one.reshape(shape).mean(axis=(1, 3)) for one in (value, self.alpha))
+        pixels = np.stack([grey, alpha], axis=-1)
+        Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8), "LA").save(path, compress_level=9)
+
+
+def brows(fullness: float) -> Canvas:
+    """A left brow: u from the nose outwards, v up; it fills the middle two thirds of the height."""
+    rng, canvas = np.random.default_rng(11), Canvas(224, 896)
+    count = int(240 + 420 * fullness)
+    for t, s in zip(rng.beta(1.15, 1.35, count), rng.uniform(-1, 1, count), strict=True):
+        half = 62 * np.interp(t, [0, 0.1, 0.45, 0.8, 1.0], [0.75, 1.0, 0.95, 0.62, 0.25]) * (0.72 + 0.28 * fullness)
+        x, y = 40 + 790 * t, 118 - s * half * (0.85 if t > 0.1 else 1.0)
+        angle = np.interp(t, [0, 0.12, 0.35, 0.7, 1], [1.45, 1.0, 0.52, 0.2, -0.12]) - 0.42 * max(s, -0.4) * min(
+            4 * t, 1
+        )
+        angle += rng.normal(0, 0.10)
+        length = rng.uniform(0.75, 1.15) * np.interp(t, [0, 0.2, 0.8, 1], [58, 84, 88, 60])
+        u = np.linspace(0, 1, 8)
+        bend = angle - 0.35 * u * np.sign(angle)
+        xs, ys = x + np.cumsum(np.cos(bend)) * length / 8, y - np.cumsum(np.sin(bend)) * length / 8
+        width = np.interp(u, [0, 0.25, 1], [2.0, 2.9, 0.5]) * (0.8 + 0.3 * fullness) * rng.uniform(0.75, 1.1)
+        fade = np.interp(t, [0, 0.08, 0.9, 1], [0.55, 1, 1, 0.7])
+        canvas.stroke(xs, ys, width, rng.uniform(0.45, 0.85), fade)
+    return canvas
+
+
+def lashes() -> Canvas:
+    """Upper lashes in the upper half, lower ones in the lower; roots at the bottom of each, tips up."""
+    rng, canvas = np.random.default_rng(12), Canvas(512, 1024)
+    for floor, count, long, thick in ((256, 78, 215, 6.5), (512, 50, 150, 4.2)):
+        for root in (np.arange(count) + rng.uniform(0.1, 0.9, count)) / count:
+            clump = (np.round(root * count / 3) * 3 + 0.5) / count
+            tip = root + 0.45 * (clump - root) + rng.normal(0, 0.004) + 0.02 * (root - 0.5)
+            edge = np.interp(root, [0, 0.12, 0.6, 0.92, 1], [0.35, 0.7, 1, 0.95, 0.5])
+            u = np.linspace(0, 1, 12)
+            length = long * edge * rng.uniform(0.72, 1.05)
+            xs = 1024 * (root + (tip - root) * u**1.5)
+            width = thick * (1 - u) ** 0.7 * rng.uniform(0.7, 1.05) + 0.5
+            canvas.stroke(xs, floor - 3 - length * u, width, 0.5)
+    return canvas
+
+
+COLUMNS = ((190, 0.9, 8.5), (120, 0.85, 8.5), (64, 0.8, 7.0), (26, 0.85, 5.0))  # hairs, shortest, width in texels
+
+
+def hair() -> Canvas:
+    """Four columns of straight hair, roots at the bottom: dense, of locks, sparse, single hairs."""
+    rng, canvas = np.random.default_rng(13), Canvas(1024, 1024)
+    for number, (count, shortest, thick) in enumerate(COLUMNS):
+        locks = rng.uniform(0.08, 0.92, 9)
+        for start in rng.permutation(np.linspace(0.06, 0.94, count)):
+            lock = locks[np.abs(locks - start).argmin()]
+            u = np.linspace(0, 1, 24)
+            length = 960 * (shortest + (1 - shortest) * rng.random()) * (1 - 0.22 * rng.random() ** 2)
+            start_y = 1022 - 70 * rng.random() ** 2 * (number > 0)
+            wave = 0.012 * np.sin(u * rng.uniform(3, 6) + rng.uniform(0, 6.3)) * u
+            x = start + (lock - start) * 0.55 * u**1.6 * (number > 0) + (lock - start) * 0.3 * u**2.5 + wave
+            shade = rng.uniform(0.42, 0.9) * np.interp(u, [0, 0.25, 1], [0.5, 0.95, 1.02])
+            canvas.stroke(
+                256 * (number + x), start_y - length * u, thick * np.interp(u, [0, 0.6, 1], [1, 0.85, 0.12]), shade
+            )
+    return canvas
+
+
+def coils() -> Canvas:
+    """Four patches of tight curls, for cards that lie along the head or stand on it."""
+    rng, canvas = np.random.default_rng(14), Canvas(512, 512)
+    for patch in range(4):
+        middle = np.array([256 * (patch % 2) + 128, 256 * (patch // 2) + 128])
+        for _ in range(120 if patch < 2 else 60):
+            at = middle + rng.normal(0, 40, 2).clip(-84, 84)
+            radius, turn, drift = rng.uniform(7, 17), rng.uniform(0, 6.3), rng.normal(0, 16, 2)
+            u = np.linspace(0, 1, 40)
+            angle = turn + u * rng.uniform(7, 16)
+            x = at[0] + radius * np.cos(angle) * (1 - 0.4 * u) + drift[0] * u
+            y = at[1] + radius * np.sin(angle) * (1 - 0.4 * u) + drift[1] * u
+            canvas.stroke(x, y, np.interp(u, [0, 0.8, 1], [4.2, 3.4, 0.8]), rng.uniform(0.4, 0.95))
+    return canvas
+
+
+def main(folder: Path) -> None:
+    """Draw and save."""
+    for number, fullness in enumerate((0.15, 0.5, 0.9)):
+        brows(fullness).save(folder / f"brows{number}.png")
+    lashes().save(folder / "lashes.png")
+    hair().save(folder / "hair.png")
+    coils().save(folder / "coils.png")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,134 @@
+"""Skin, eyes and hairs of the head in the box."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from facepipe.heads import cards, skin, surfaces
+from facepipe.heads.assembly import make_head
+from facepipe.heads.look import EYES, STYLES, Look
+from facepipe.parts import FaceParts, TextureInput
+
+SETS = ("brows", "lashes", *surfaces.HAIR)
+SIZE = 256
+
+
+@pytest.fixture(scope="module")
+def head() -> FaceParts:
+    return make_head(np.zeros(100))
+
+
+def _seam(head: FaceParts) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates of the head's points that lie in both tiles: (m, 2) in each."""
+    mesh = head.meshes[0]
+    places = {}
+    for tile in (0, 1):
+        uv = mesh.uv_sets[0].values[mesh.uv_sets[0].indices]
+        here = np.floor(uv[:, 0]) == tile
+        places[tile] = dict(zip(mesh.face_vertex_indices[here].tolist(), uv[here] - [tile, 0], strict=True))
+    inner = {point for point, (u, v) in places[1].items() if v > 0.7 and abs(u - 0.5) > 0.22}  # of mouth and sockets
+    shared = sorted((places[0].keys() & places[1].keys()) - inner)
+    return tuple(np.array([places[tile][point] for point in shared]) for tile in (0, 1))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("tone", [1.0, 5.5, 10.0])
+def test_the_two_tiles_have_one_colour_where_they_meet(head: FaceParts, tone: float) -> None:
+    look, size = Look(tone=tone, style="bald"), 1024
+    seams = _seam(head)
+    assert len(seams[0]) > 100
+    colors = []
+    for tile, uv in enumerate(seams):
+        pixels = skin.albedo(look, tile, size, 0.0).astype(float)
+        column, row = (uv[:, 0] * size).astype(int), ((1 - uv[:, 1]) * size).astype(int)
+        colors.append(pixels[row.clip(0, size - 1), column.clip(0, size - 1)])
+    apart = np.abs(colors[0] - colors[1]).mean(axis=1)
+    assert np.median(apart) < 3  # of 255
+    assert np.percentile(apart, 95) < 8
+
+
+def test_skin_darkens_with_the_tone_and_lips_are_redder_than_cheeks() -> None:
+    lips = skin.masks(0)["lips"] > 0.9
+    cheeks = skin.masks(0)["cheeks"] > 0.7
+    colors = [skin.coarse(Look(tone=float(tone)), 0, 0.0) for tone in range(1, 11)]
+    levels = [color[cheeks].mean() for color in colors]
+    assert (np.diff(levels) < 0).all()
+    for color in colors:
+        assert (
+            color[lips][:, 0].mean() / color[lips][:, 1].mean()
+            > color[cheeks][:, 0].mean() / color[cheeks][:, 1].mean()
+        )
+
+
+def test_the_same_look_gives_the_same_bytes_and_another_seed_others() -> None:
+    first, again, other = (surfaces.materials(Look(seed=seed), SIZE)[0].diffuse_color for seed in (1, 1, 2))
+    pictures = [one.texture.data for one in (first, again, other) if isinstance(one, TextureInput)]
+    assert pictures[0] == pictures[1] != pictures[2]
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_every_material_that_a_mesh_asks_for_is_there(head: FaceParts, style: str) -> None:
+    look = Look(style=style)
+    meshes = (*head.meshes, *surfaces.meshes(look, head.meshes[0]))
+    asked = {one.material for mesh in meshes for one in mesh.material_faces} | {mesh.material for mesh in meshes}
+    assert asked - {None} <= {one.name for one in surfaces.materials(look, SIZE)}
+    assert ("Hair" in asked) == (style in surfaces.HAIR)
+
+
+@pytest.mark.parametrize("eyes", EYES)
+def test_an_eye_is_clear_before_the_iris_and_white_around_it(eyes: str) -> None:
+    cornea = next(one for one in surfaces.materials(Look(eyes=eyes), SIZE) if one.name == "Cornea")
+    assert isinstance(cornea.opacity, TextureInput)
+    alpha = np.asarray(Image.open(io.BytesIO(cornea.opacity.texture.data)))[..., 3] / 255
+    middle = len(alpha) // 2
+    assert alpha[middle, middle] < 0.1
+    assert alpha[middle, middle + int(0.15 * len(alpha)) :].min() == 1.0
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_cards_are_held_by_points_of_the_head(head: FaceParts, name: str) -> None:
+    held = cards.cards(name)
+    np.testing.assert_allclose(held.shares.sum(axis=1), 1.0)
+    assert held.shares.min() > -1e-9
+    assert held.corners.max() < len(head.meshes[0].points)
+    assert np.linalg.norm(held.offsets, axis=1).max() < 25.0
+    moved = held.carry(head.meshes[0].points + np.array([1.0, 2.0, 3.0])) - held.carry(head.meshes[0].points)
+    np.testing.assert_allclose(moved, np.tile([1.0, 2.0, 3.0], (len(moved), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["brows", "lashes"])
+def test_brows_and_lashes_are_on_the_skin_and_the_same_on_both_sides(head: FaceParts, name: str) -> None:
+    made = cards.mesh("Cards", cards.cards(name), head.meshes[0], "eyes", "Cards")
+    roots = made.points.reshape(*cards.cards(name).grid, 3)[:, 0 if name == "lashes" else slice(None)]
+    assert np.abs(cards.cards(name).offsets.reshape(*cards.cards(name).grid, 3)[:, 0]).max() < 0.12
+    left, right = roots[roots[..., 0] > 0], roots[roots[..., 0] < 0] * [-1, 1, 1]
+    assert len(left) == len(right)
+    order = [np.lexsort(side.round(1).T) for side in (left, right)]
+    assert np.abs(np.sort(left[order[0]], axis=0) - np.sort(right[order[1]], axis=0)).max() < 0.05
+
+
+def test_lashes_come_down_with_the_lid(head: FaceParts) -> None:
+    made = cards.mesh("Lashes", cards.cards("lashes"), head.meshes[0], "eyes", "Lashes")
+    blink = next(shape for shape in made.blendshapes if shape.name == "eyeBlinkLeft")
+    points = made.points.copy()
+    points[blink.point_indices] += blink.offsets
+    before, after = (one.reshape(*cards.cards("lashes").grid, 3)[:3] for one in (made.points, points))  # left, upper
+    upward = [(one[:, -1, 9] - one[:, 0, 9])[:, 1].mean() for one in (before, after)]
+    assert upward[1] < upward[0] - 0.3
+    assert (after - before)[..., 1].mean() < -0.5
+    right = blink.point_indices[made.points[blink.point_indices, 0] < 0]
+    assert len(right) == 0
+
+
+def test_hair_follows_the_skull(head: FaceParts) -> None:
+    wide = make_head(np.eye(100)[0] * 2.5).meshes[0]
+    for style in surfaces.HAIR:
+        held = cards.cards(style)
+        average, person = (cards.mesh("Hair", held, mesh, "forehead", "Hair") for mesh in (head.meshes[0], wide))
+        move = person.points - average.points
+        np.testing.assert_allclose(move, held.carry(wide.points - head.meshes[0].points), atol=1e-9)
+        assert average.skin is not None
+        np.testing.assert_allclose(average.skin.joint_weights.sum(axis=1), 1.0)
