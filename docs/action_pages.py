@@ -45,7 +45,8 @@ def section(verb: str) -> str:
     of = {role: [one for one in fields if one.role == role] for role in ("source", "option", "beside")}
     result = f" OUT: {kind.output}." if issubclass(kind, FileAction) else ""
     parts = [f"## {verb}", f"{kind.summary[0].upper()}{kind.summary[1:]}.{_call(verb)}{result}"]
-    parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in of["source"])))
+    if of["source"]:
+        parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in of["source"])))
     options = [_option(one) for one in of["option"] if one.name not in kind.own_flags] + list(_own_flags(kind))
     if options:
         parts.append(_table(("option", "Python", "type", "default", "range", "what"), options))

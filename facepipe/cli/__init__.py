@@ -27,7 +27,6 @@ from facepipe.core.trust import Trust, trust, trusting
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {
     "demo": "a sample face from USD to validated GLB, ONNX and pictures",
-    "sample": "make the built-in sample head",
     "import": "make a face stage of a real face",
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",

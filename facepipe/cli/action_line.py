@@ -102,6 +102,8 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
 def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
     add, staged = parser.add_argument, issubclass(kind, StageAction)
     result = kind.output if issubclass(kind, FileAction) else _STAGE
+    if not any(one.stands_alone for one in fields_of(kind)):
+        add("out", nargs="?", type=Path, metavar="OUT", help=f"{result} (or -o OUT)")
     add("-o", "--output", type=Path, metavar="OUT", help=result)
     edited = ", or with --edit RESULT," if staged else ""
     add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
@@ -120,6 +122,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     warn(kept.warnings if kept else ())
     read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
+    arguments.output = arguments.output or getattr(arguments, "out", None)
     in_place = isinstance(action, InPlaceAction) and arguments.output is None
     out = action.base if in_place else output_or_edited(arguments, inputs)
     check_result(kind, out, inputs, overwrite=arguments.force)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe import registry
-from facepipe.cli.sample_command import make_sample, seed
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
 from facepipe.processors.inspect_action import report_of, text_of
@@ -39,7 +38,7 @@ SHEET = (
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     parser.add_argument("folder", nargs="?", type=Path, default=Path("facepipe-demo"), metavar="DIR", help="where to")
-    parser.add_argument("--seed", type=seed, default=0, help="which sample head (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="which sample head (default 0)")
     parser.add_argument("--force", action="store_true", help="overwrite the files of an earlier demo")
 
 
@@ -61,9 +60,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _made(folder: Path, seed: int) -> int:
     """Make the files in `folder`; the number of errors found in them."""
+    from facepipe.performing import perform
+    from facepipe.processors.sample_action import Sample
+
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
-        make_sample(path["head.usda"], seed)
+        perform(Sample(seed=seed), path["head.usda"])
         bar.update()
         face = _inspected(path["head.usda"])
         for name in ("head.glb", "head.onnx"):

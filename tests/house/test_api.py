@@ -101,7 +101,7 @@ def test_nothing_is_overwritten_unasked_and_no_input_ever(folder: Path) -> None:
         assert {one.name: one.stat().st_mtime_ns for one in folder.iterdir()} == before
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", sorted({*names()} - {*facepipe.__all__}))  # sample gives the face, no report
 def test_a_function_says_what_it_takes(name: str) -> None:
     function = given(name)
     assert function is not None

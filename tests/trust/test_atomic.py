@@ -415,9 +415,6 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what a shell's background ignores
         "from facepipe.cli import main\n"
-        "from facepipe.core.atomic import write_bytes\n"
-        "from facepipe.cli import sample_command\n"
-        "sample_command.make_sample = lambda out, seed: write_bytes(out, b'head')\n"
         "os.fsync = lambda file: os.kill(os.getpid(), getattr(signal, sys.argv[1]))\n"
         "sys.exit(main(['sample', 'head.usda']))\n"
     )

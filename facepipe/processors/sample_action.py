@@ -1,0 +1,44 @@
+"""Make the built-in head: one topology, a different person for every seed.
+
+example: facepipe sample head.usda --seed 3
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from facepipe.core.reports import Report
+from facepipe.declare import option
+from facepipe.kinds import FileAction, Job, action
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleReport(Report):
+    """What was made."""
+
+    points: int
+    shapes: int
+    joints: int
+
+
+@action("sample", "make the built-in head")
+@dataclass(frozen=True, kw_only=True)
+class Sample(FileAction[SampleReport]):
+    """The action."""
+
+    output = "face stage to write: .usda .usdc .usd .usdz"
+    suffixes = (".usd", ".usda", ".usdc", ".usdz")
+
+    seed: int = option(0, "which person; 0 is the average head", 0, 10**9)
+
+    def write(self, job: Job) -> SampleReport:
+        from facepipe.heads import make
+        from facepipe.stage import save_parts
+
+        parts = make(self.seed)
+        save_parts(parts, job.out)
+        return SampleReport(
+            points=sum(len(mesh.points) for mesh in parts.meshes),
+            shapes=len({shape.name for mesh in parts.meshes for shape in mesh.blendshapes}),
+            joints=len(parts.skeleton.joints),
+        )
