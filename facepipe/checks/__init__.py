@@ -14,6 +14,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import Finding
 from facepipe.registry import exporter, suffixes
 from facepipe.stage.files import SUFFIXES, open_stage, quiet_diagnostics
+from facepipe.stage.levels import lower_levels
 
 __all__ = ["CHECKS", "Check", "Finding", "check_stage", "register", "validate", "validate_stage"]
 
@@ -38,10 +39,13 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
 
 def validate_stage(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
-    """Check a USD file by our checks and by USD's own validators.
+    """Check a USD file by our checks and by USD's own validators, at each of its levels of detail.
 
     :raises InputError: no such file, or no readable USD
     """
     with quiet_diagnostics():
         stage = open_stage(path, strict=False)
-        return tuple(check_stage(stage) + check_built_in(stage))
+        found = check_stage(stage) + check_built_in(stage)
+        for level in lower_levels(stage):
+            found += [one for one in check_stage(level) + check_built_in(level) if one not in found]
+        return tuple(found)

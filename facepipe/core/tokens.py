@@ -57,6 +57,7 @@ LANDMARKS_PREFIX = "facepipe:landmarks:"
 SLIDER_PREFIX = "facepipe:slider:"
 CONTROL_PREFIX = "facepipe:control:"  # of rigs that facepipe doesn't know: numbers with time samples
 
+LEVELS = "lod"  # the variant set of a face's levels of detail: lod0, lod1 ...
 MATERIALS_SCOPE = "Materials"
 ANIMATIONS_SCOPE = "Animations"
 PHOTOS_SCOPE = "Photos"

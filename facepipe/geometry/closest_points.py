@@ -60,12 +60,7 @@ class SurfaceSearch:
     def closest(self, points: FloatArray) -> ClosestPlaces:
         """The nearest place to each of `points` (m, 3)."""
         points = np.asarray(points, np.float64)
-        found = ClosestPlaces(
-            np.full(len(points), np.inf),
-            np.zeros(len(points), np.int64),
-            np.zeros((len(points), 3)),
-            np.zeros(len(points), np.int64),
-        )
+        found = _nothing(len(points))
         if len(points):
             for group in self._groups:
                 _search(found, points, self._corners, group)
@@ -87,6 +82,21 @@ class _Group:
         return cls(members, sizes[members], cKDTree(centres[members]))
 
 
+def closest_among(
+    points: FloatArray, surface_points: FloatArray, triangles: IntArray, owners: IntArray, candidates: IntArray
+) -> ClosestPlaces:
+    """The nearest place to each of `points` (m, 3) on triangles of its own; infinitely far for a point without any.
+
+    :param owners: (p,) places in `points`
+    :param candidates: (p,) triangles that these may lie on
+    """
+    found = _nothing(len(points))
+    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)]
+    for part in np.array_split(np.arange(len(owners)), -(-len(owners) // _PAIRS) or 1):
+        _improve(found, np.asarray(points, np.float64), corners, owners[part], candidates[part])
+    return found
+
+
 def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
     """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1."""
     corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[found.triangles]]
@@ -105,6 +115,12 @@ def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: In
     areas[corner] = np.eye(3)[found.features[corner] - CORNER]
     total = areas.sum(axis=1, keepdims=True)
     return np.where(total > 0, areas / np.where(total > 0, total, 1.0), 1.0 / 3.0)
+
+
+def _nothing(count: int) -> ClosestPlaces:
+    """No place yet for `count` points."""
+    numbers = np.zeros((2, count), np.int64)
+    return ClosestPlaces(np.full(count, np.inf), numbers[0], np.zeros((count, 3)), numbers[1])
 
 
 def _by_size(sizes: FloatArray) -> list[IntArray]:

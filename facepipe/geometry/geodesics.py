@@ -143,3 +143,11 @@ def graph_distances(
     numbers = np.arange(count, count + len(sources))
     found = dijkstra(whole, directed=True, indices=numbers, limit=limit + shift)[:, :count]
     return np.asarray(np.maximum(found - shift, 0.0))
+
+
+def nearest_sources(graph: Any, sources: IntArray) -> IntArray:
+    """(n,) which of `sources` is nearest to each point over a `surface_graph`; -1 where no path leads."""
+    from scipy.sparse.csgraph import dijkstra
+
+    nearest = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)[2]
+    return np.where(nearest < 0, -1, nearest).astype(np.int64)

@@ -112,7 +112,7 @@ class Face:
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
         own = told_apart(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
         with self._trail():
-            bindings, materials = self._bindings(), dict(self._material_names)
+            bindings, materials = self._bindings(), dict(self.material_names)
             return self._finite(
                 tuple(
                     read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
@@ -160,7 +160,7 @@ class Face:
     def materials(self) -> tuple[Material, ...]:
         """Its UsdPreviewSurface materials, with their textures."""
         with self._trail():
-            read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self._material_names.items())
+            read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self.material_names.items())
             return self._finite(tuple(material for material in read if material is not None))
 
     @cached_property
@@ -183,6 +183,27 @@ class Face:
     def attach_joint(self) -> str | None:
         """Joint of a body skeleton that the root joints hang under."""
         return self._text(tokens.ATTACH_JOINT) or None
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """Names of its levels of detail, finest first, itself included; none for most faces."""
+        from facepipe.stage.levels import level_names
+
+        return level_names(self.prim)
+
+    def at_level(self, number: int) -> Face:
+        """The face at one of its levels, 0 the finest, on a stage of its own over the same layers.
+
+        :raises InputError: no such level
+        """
+        from facepipe.stage.levels import stage_at
+
+        names = self.levels
+        if not 0 <= number < len(names):
+            expected = f"expected 0 to {len(names) - 1}" if names else "the face has none (`facepipe lod` makes some)"
+            raise InputError(self.where, f"no level of detail {number}, {expected}")
+        stage = stage_at(self.stage, self.prim.GetPath(), names[number])
+        return Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
 
     def landmarks(self, scheme: str = "multipie68") -> tuple[Mesh, Landmarks]:
         """The mesh that has landmarks of `scheme`, and these.
@@ -383,7 +404,8 @@ class Face:
         return prims_below(self.prim, self.where)
 
     @cached_property
-    def _material_names(self) -> dict[str, str]:
+    def material_names(self) -> dict[str, str]:
+        """Prim path of each material -> what it is called."""
         prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
         paths = [str(one.GetPath()) for one in prims]
         return dict(zip(paths, told_apart(prims, paths), strict=True))

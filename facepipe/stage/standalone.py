@@ -10,6 +10,7 @@ from pxr import Usd, UsdUtils
 from facepipe.core.atomic import together
 from facepipe.stage.assets import asset_values, copy_refusal, name_of, read_image
 from facepipe.stage.files import check_suffix, save_layer
+from facepipe.stage.levels import flattened
 from facepipe.stage.textures import TextureFolder, texture_home
 
 
@@ -21,7 +22,7 @@ def save_standalone(stage: Usd.Stage, path: str | os.PathLike[str]) -> None:
     target = Path(path)
     check_suffix(target)
     images = _images(stage)
-    layer = stage.Flatten()
+    layer = flattened(stage)
     with texture_home(target) as home, together(target):
         folder = TextureFolder(home)
         copies = {resolved: folder.add(name_of(resolved), data) for resolved, data in images.items()}

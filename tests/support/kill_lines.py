@@ -243,6 +243,7 @@ LINES: dict[str, Line] = {
         uses=("a.usda", "map.png", "legend.json"),
         more=("out.png",),
     ),
+    "lod": _out("lod", "a.usda", "--triangles", "20,10", "-o", "out.usda", uses=("a.usda",)),
     "blend": _out(
         *("blend", "a.usda", "b.usda", "-o", "out.usda", "--heatmap", "out.png"),
         uses=("a.usda", "b.usda"),

@@ -1,0 +1,124 @@
+"""The surface of a whole face in fewer triangles: the skin and all else each in their share of the budget."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.geometry.polygons import components, edges, point_areas
+from facepipe.geometry.seams import welded_points
+from facepipe.parts import Mesh
+from facepipe.processors.lod.motion import motion_of
+from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
+from facepipe.processors.lod.wedges import mesh_of, wedges_of
+from facepipe.rig import Rig
+
+_SAME = 1e-6  # border points nearer than this share of the face's size are one
+
+
+class Surface:
+    """The meshes of a face in wedges, one mesh after another."""
+
+    def __init__(self, meshes: Sequence[Mesh], rig: Rig) -> None:
+        """:param rig: of these meshes"""
+        self._wedges = [wedges_of(mesh) for mesh in meshes]
+        self._starts = np.cumsum([0, *(len(one.points) for one in self._wedges)])
+        firsts = rig.mesh_offsets
+        self._point = _joined(one.points + first for one, first in zip(self._wedges, firsts, strict=False))
+        self._triangles = _joined(one.triangles + start for one, start in zip(self._wedges, self._starts, strict=False))
+        self._marks = _joined(_marks(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
+        self._rig = rig
+        self._simplify = Simplifier()
+        self._motion = motion_of(rig, MOST_ATTRIBUTES)[self._point]
+        self._fixed = np.isin(self._point, np.concatenate([self._marks, _strongest(rig), self._rings()]))
+
+    @property
+    def full(self) -> IntArray:
+        """(t, 3) wedges of the full face's triangles."""
+        return self._triangles
+
+    @property
+    def triangles(self) -> IntArray:
+        """(t, 3) points of the same."""
+        return self.points_of(self._triangles)
+
+    @cached_property
+    def is_skin(self) -> BoolArray:
+        """(t,) triangles of the connected part that has most landmarks; without landmarks, of the largest."""
+        points, triangles = self._rig.points, self.triangles
+        pairs, uses = edges(np.full(len(triangles), 3), triangles.ravel())
+        border = np.isin(np.arange(len(points)), pairs[uses == 1])
+        sewn = welded_points(points, border, _SAME * float(np.ptp(points, axis=0).max()))
+        part = components(len(points), sewn[pairs])[sewn]
+        areas = point_areas(points, triangles)
+        sizes = np.bincount(part[self._marks]) if len(self._marks) else np.bincount(part, areas)
+        return np.asarray(part[triangles[:, 0]] == sizes.argmax())
+
+    def level(self, count: int, skin_share: float, above: IntArray) -> IntArray:
+        """(t, 3) wedges of at most `count` triangles, or of what can be reached.
+
+        :param skin_share: of the triangles that the skin gets, or more where all else needs fewer than the rest
+        :param above: the level above, which a mesh that would have no triangle left takes its own from
+        """
+        found = self._level(count, skin_share, np.ones(len(self._triangles), bool))
+        lost = ~np.isin(self._mesh(above), self._mesh(found))
+        if not lost.any():
+            return found
+        others = ~np.isin(self._mesh(self._triangles), self._mesh(above[lost]))
+        return np.concatenate([self._level(count - int(lost.sum()), skin_share, others), above[lost]])
+
+    def _level(self, count: int, skin_share: float, chosen: BoolArray) -> IntArray:
+        parts = self.is_skin & chosen, ~self.is_skin & chosen
+        skin, others = (int(part.sum()) for part in parts)
+        for_skin = min(skin, max(round(count * skin_share), count - others))
+        most = for_skin, min(count - for_skin, others)
+        return _joined(map(self._simplified, parts, most))
+
+    def _mesh(self, wedges: IntArray) -> IntArray:
+        """(t,) number of the mesh of each triangle (t, 3) of wedges."""
+        return np.searchsorted(self._starts, wedges[:, 0], side="right") - 1
+
+    def _rings(self) -> IntArray:
+        """Points off the skin where materials meet: the rims of iris and pupil are seen from afar."""
+        materials = _joined(one.materials for one in self._wedges)
+        pairs = np.unique(np.stack([self._point, materials], axis=1), axis=0)
+        points, counts = np.unique(pairs[:, 0], return_counts=True)
+        return np.setdiff1d(points[counts > 1], self.triangles[self.is_skin])
+
+    def skin_triangles(self, level: IntArray) -> int:
+        """How many triangles of a level are of the skin."""
+        return int(np.isin(level[:, 0], self._triangles[self.is_skin]).sum())
+
+    def points_of(self, level: IntArray) -> IntArray:
+        """(t, 3) points of a level's wedges."""
+        return np.asarray(self._point[level])
+
+    def meshes(self, level: IntArray) -> tuple[Mesh, ...]:
+        """Each mesh at a level; one without triangles as it is."""
+        own = [level[self._mesh(level) == i] - self._starts[i] for i in range(len(self._wedges))]
+        return tuple(mesh_of(one, rows) if len(rows) else one.mesh for one, rows in zip(self._wedges, own, strict=True))
+
+    def _simplified(self, chosen: BoolArray, most: int) -> IntArray:
+        triangles = self._triangles[chosen]
+        if most >= len(triangles):
+            return triangles
+        return self._simplify(self._rig.points[self._point], self._motion, triangles, self._fixed, most)
+
+
+def _marks(mesh: Mesh) -> IntArray:
+    """Landmarks and anchor."""
+    own = [np.asarray(one.indices, np.int64) for one in mesh.landmarks.values()]
+    return _joined([*own, np.array([] if mesh.anchor is None else [mesh.anchor], np.int64)])
+
+
+def _strongest(rig: Rig) -> IntArray:
+    """The point that each sculpt moves most: no level lacks a shape."""
+    moving = [one for one in rig.targets if len(one.offsets)]
+    return np.array([one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving], np.int64)
+
+
+def _joined(arrays: Iterable[IntArray]) -> IntArray:
+    return np.concatenate(list(arrays))

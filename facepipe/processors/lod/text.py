@@ -1,0 +1,31 @@
+"""What `facepipe lod` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from facepipe.core.texts import table
+from facepipe.processors.lod.errors import Distances
+from facepipe.processors.lod.make import LodReport
+
+
+def lod_text(report: LodReport, out: Path) -> str:
+    """The levels as a table."""
+    rows: list[list[object]] = [["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "joints"]]
+    for one in report.levels:
+        rest, *moved = ({"rest": one.errors.rest}, one.errors.shapes, one.errors.joints)
+        counts = (f"{count:,}" for count in (one.triangles, one.skin_triangles, one.points))
+        rows.append([one.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
+    return "\n".join(
+        [f"{out}: {report.triangles:,} triangles, and", table(rows), "mean / 95 % of the points, worst first"]
+    )
+
+
+def _worst(distances: Mapping[str, Distances]) -> str:
+    """The largest mean and 95th percentile, and whose they are."""
+    if not distances:
+        return "-"
+    names = [max(distances, key=lambda name: getattr(distances[name], key)) for key in ("mean_mm", "p95_mm")]
+    mean, p95 = distances[names[0]].mean_mm, distances[names[1]].p95_mm
+    return f"{mean:.2f} / {p95:.2f} ({', '.join(dict.fromkeys(name.rpartition('/')[2] for name in names))})"

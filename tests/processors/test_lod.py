@@ -1,0 +1,335 @@
+"""Lower levels of a face: points of the face itself that do what they did, in fewer triangles."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Capsys, done, failed
+from import_data import shared
+from level_faces import MILLIMETRES, OPEN, face_with_lips
+from oracle import bake
+from pxr import Usd
+from scipy.spatial import cKDTree
+
+import facepipe
+from facepipe.cli import main
+from facepipe.core.errors import InputError
+from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.polygons import edges, point_triangles
+from facepipe.parts import FaceParts, Mesh, Skeleton
+from facepipe.stage import Face, save_parts
+
+COUNTS = (1200, 500, 200)
+
+
+@pytest.fixture(scope="module")
+def levels(tmp_path_factory: pytest.TempPathFactory) -> Face:
+    folder = tmp_path_factory.mktemp("levels")
+    save_parts(face_with_lips(), folder / "face.usda")
+    facepipe.lod(folder / "face.usda", out=folder / "lods.usda", triangles=COUNTS)
+    return facepipe.open(folder / "lods.usda")
+
+
+def rows_of(values: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Which of the rows `among` each of `values` is."""
+    distances, rows = cKDTree(among).query(values)
+    assert distances.max() < 1e-5
+    return rows
+
+
+def origins(face: Face, level: Face) -> np.ndarray:
+    """The point of the face that each point of a level is: they lie at one place, closed and open."""
+    return rows_of(*(np.hstack([one.evaluate(), one.evaluate({"open": 1.0})]) for one in (level, face)))
+
+
+def test_a_level_has_the_triangles_that_were_asked_for(levels: Face) -> None:
+    assert levels.levels == ("lod0", "lod1", "lod2", "lod3")
+    for number, count in enumerate(COUNTS, 1):
+        meshes = levels.at_level(number).meshes
+        found = [len(mesh.face_vertex_counts) for mesh in meshes]
+        assert 0.9 * count <= sum(found) <= count
+        assert found[0] >= 0.6 * sum(found) - 2
+        assert all((mesh.face_vertex_counts == 3).all() for mesh in meshes)
+
+
+def test_the_first_level_is_the_face(levels: Face) -> None:
+    base = facepipe.open(Path(levels.stage.GetRootLayer().realPath).with_name("face.usda"))
+    for one in (levels, levels.at_level(0)):
+        assert [mesh.name for mesh in one.meshes] == [mesh.name for mesh in base.meshes]
+        np.testing.assert_array_equal(one.evaluate({"open": 1.0}), base.evaluate({"open": 1.0}))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_points_of_a_level_do_what_they_did(levels: Face, number: int) -> None:
+    """In shapes, inbetweens and turns of joints; UsdSkel agrees."""
+    level = levels.at_level(number)
+    own = origins(levels, level)
+    turn = np.tile([0.0] * 6 + [1.0] * 3, (2, 1))
+    turn[1, 3:6] = 0.4, 0.1, -0.2
+    for weight in (0.3, 0.5, 1.0):
+        posed, full = (one.evaluate({"open": weight}, coefficients=turn) for one in (level, levels))
+        np.testing.assert_allclose(posed, full[own], atol=1e-5)
+    np.testing.assert_allclose(bake(level, {"open": 0.3}), level.evaluate({"open": 0.3}), atol=1e-4)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_level_keeps_what_points_and_corners_have(levels: Face, number: int) -> None:
+    level = levels.at_level(number)
+    own = origins(levels, level)[: len(level.meshes[0].points)]
+    full, mesh = levels.meshes[0], level.meshes[0]
+    assert own[mesh.anchor] == full.anchor
+    for scheme, marks in full.landmarks.items():
+        np.testing.assert_array_equal(own[mesh.landmarks[scheme].indices], marks.indices)
+        assert mesh.landmarks[scheme].names == marks.names
+    for name, mask in full.regions.items():
+        np.testing.assert_array_equal(mesh.regions[name], mask[own])
+    np.testing.assert_array_equal(own[mesh.point_subsets["lips"]], np.intersect1d(own, full.point_subsets["lips"]))
+    for of_level, of_face in zip(level.meshes, levels.meshes, strict=True):
+        assert corners(of_level) <= corners(of_face)
+
+
+def corners(mesh: Mesh) -> set[tuple[object, ...]]:
+    """Place, UVs and material of each corner."""
+    materials = np.empty(len(mesh.face_vertex_counts), object)
+    for one in mesh.material_faces:
+        materials[one.faces] = one.material
+    columns = [np.round(mesh.points[mesh.face_vertex_indices], 4)]
+    columns += [np.round(uv.values[uv.indices], 5) for uv in mesh.uv_sets if uv.indices is not None]
+    rows = np.hstack(columns).tolist()
+    return {(*row, material) for row, material in zip(rows, np.repeat(materials, mesh.face_vertex_counts), strict=True)}
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_seams_have_no_gaps_and_lips_stay_two(levels: Face, number: int) -> None:
+    """An edge that one face has is of the border or of a lip; both lips have the same."""
+    level = levels.at_level(number)
+    mesh = level.meshes[0]
+    pairs, uses = edges(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    open_edges = mesh.points[pairs[uses == 1]]
+    rim = (np.abs(open_edges[..., :2]).max(axis=2) == 32).all(axis=1)
+    lips = (open_edges[..., 1] == 0).all(axis=1) & ~rim
+    assert (rim | lips).all()
+    assert (uses <= 2).all()
+    opened = level.evaluate({"open": 1.0})[: len(mesh.points)]
+    lower = opened[pairs[uses == 1]][lips][..., 1].min(axis=1) < 0
+    assert lower.any()
+    assert not lower.all()
+    gap = opened[:, 1] - mesh.points[:, 1]
+    assert gap.min() < -0.9 * OPEN  # the lip that drops drops as far
+
+
+def test_the_rim_of_the_iris_stays(levels: Face) -> None:
+    def rim(mesh: Mesh) -> set[tuple[float, ...]]:
+        found = [corner[:3] for corner in corners(mesh) if corner[3] == "iris"]
+        other = {corner[:3] for corner in corners(mesh) if corner[3] == "white"}
+        return {one for one in found if one in other}  # type: ignore[misc]
+
+    assert rim(levels.at_level(3).meshes[1]) == rim(levels.meshes[1]) != set()
+
+
+def test_errors_are_those_of_the_surfaces(tmp_path: Path) -> None:
+    """A place on a level is never nearer than the nearest one; binding across the lips would be 36 mm off."""
+    save_parts(face_with_lips(), tmp_path / "face.usda")
+    report = facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=COUNTS)
+    face = facepipe.open(tmp_path / "lods.usda")
+    means = []
+    for number, one in enumerate(report.levels, 1):
+        level = face.at_level(number)
+        for weights, said in (({}, one.errors.rest), ({"open": 1.0}, one.errors.shapes["open"])):
+            moves = np.linalg.norm(face.evaluate(weights) - face.evaluate(), axis=1) * MILLIMETRES
+            moved = moves >= (0.1 if weights else 0.0)
+            nearest = closest_places(face.evaluate(weights)[moved], level.evaluate(weights), triangles(level))
+            mean = nearest.distances.mean() * MILLIMETRES
+            assert said.points == moved.sum()
+            assert mean <= said.mean_mm + 1e-9 <= said.p95_mm <= said.max_mm
+            assert said.mean_mm < mean + 1
+        assert one.errors.lost == 0
+        assert one.errors.joints["head/jaw"].points > 0
+        means.append(one.errors.shapes["open"].mean_mm)
+    assert means == sorted(means)
+    assert report.levels[0].errors.shapes["open"].p95_mm < 2
+
+
+def triangles(face: Face) -> np.ndarray:
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in face.meshes)])
+    own = (point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices) for mesh in face.meshes)
+    return np.concatenate([one + start for one, start in zip(own, starts, strict=False)])
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_standalone_files_keep_the_levels(levels: Face, tmp_path: Path, suffix: str) -> None:
+    levels.save(tmp_path / f"whole{suffix}")
+    whole = facepipe.open(tmp_path / f"whole{suffix}")
+    assert whole.levels == levels.levels
+    for number in range(4):
+        one, other = (face.at_level(number) for face in (whole, levels))
+        assert one.meshes[0].material_faces[0].material == other.meshes[0].material_faces[0].material
+        np.testing.assert_array_equal(one.evaluate({"open": 0.7}), other.evaluate({"open": 0.7}))
+    assert [one for one in facepipe.validate(tmp_path / f"whole{suffix}") if one.severity != "info"] == []
+    levels.at_level(2).save(tmp_path / f"alone{suffix}")
+    alone = facepipe.open(tmp_path / f"alone{suffix}")
+    assert alone.levels == ()
+    np.testing.assert_array_equal(alone.evaluate(), levels.at_level(2).evaluate())
+
+
+def test_later_changes_of_the_face_leave_levels_whole(levels: Face, tmp_path: Path) -> None:
+    """Points authored over the face are of its own mesh."""
+    with levels.deriving(tmp_path / "wide.usda") as face:
+        from facepipe.stage.author_changes import author_changes
+
+        parts = face.parts()
+        wide = tuple(dataclasses.replace(mesh, points=mesh.points * np.float32([1.1, 1, 1])) for mesh in parts.meshes)
+        author_changes(face, dataclasses.replace(parts, meshes=wide))
+    changed = facepipe.open(tmp_path / "wide.usda")
+    assert np.abs(changed.evaluate() - levels.evaluate()).max() > 1
+    np.testing.assert_array_equal(changed.at_level(1).evaluate(), levels.at_level(1).evaluate())
+
+
+def test_a_level_is_validated_too(levels: Face, tmp_path: Path) -> None:
+    levels.save(tmp_path / "whole.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "whole.usda"))
+    sets = stage.GetDefaultPrim().GetVariantSet("lod")
+    sets.SetVariantSelection("lod2")
+    with sets.GetVariantEditContext():
+        stage.GetPrimAtPath("/Lips/Face_lod2").GetAttribute("faceVertexIndices").Set([0, 1, 99999])
+    sets.SetVariantSelection("lod0")
+    stage.GetRootLayer().Save()
+    assert any("Face_lod2" in one.where for one in facepipe.validate(tmp_path / "whole.usda"))
+
+
+def test_levels_are_made_again(tmp_path: Path, capsys: Capsys) -> None:
+    save_parts(face_with_lips(), tmp_path / "face.usda")
+    out = tmp_path / "lods.usda"
+    said = done(capsys, "lod", tmp_path / "face.usda", "--triangles", "900,300", "-o", out)
+    assert "lod1" in said
+    assert "open" in said
+    done(capsys, "lod", "--edit", out, "--triangles", "600", "--force")
+    assert facepipe.open(out).levels == ("lod0", "lod1")
+    wide = face_with_lips()
+    mesh = dataclasses.replace(wide.meshes[0], points=wide.meshes[0].points * np.float32([1.5, 1, 1]))
+    save_parts(dataclasses.replace(wide, meshes=(mesh, wide.meshes[1])), tmp_path / "face.usda")
+    done(capsys, "cook", out, quiet=False)
+    level = facepipe.open(out).at_level(1)
+    assert np.ptp(level.meshes[0].points[:, 0]) == pytest.approx(96)
+    report = json.loads(done(capsys, "lod", "--edit", out, "-o", tmp_path / "other.usda", "--json", "--no-triangles"))
+    shares = [one["triangles"] / report["triangles"] for one in report["levels"]]
+    np.testing.assert_allclose(shares, [0.4, 0.15, 0.05], atol=0.01)
+
+
+def test_a_share_for_the_skin(tmp_path: Path) -> None:
+    save_parts(face_with_lips(), tmp_path / "face.usda")
+    for share in (0.5, 0.9):
+        report = facepipe.lod(
+            tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=(400,), skin_share=share, overwrite=True
+        )
+        assert report.levels[0].skin_triangles == pytest.approx(share * 400, abs=4)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--triangles", "500,many"), "--triangles 500,many: expected whole numbers, as in 20000,8000,2500"),
+        (("--triangles", "500,500"), "level of 500 triangles: expected fewer than 500"),
+        (("--triangles", "99999"), "level of 99,999 triangles: expected fewer than"),
+        (("--triangles", "0"), "level of 0 triangles: expected some"),
+        (("--skin-share", "2"), "option skin_share: is 2.0, expected a number from 0 to 1"),
+    ],
+)
+def test_what_can_not_be_made_is_refused(tmp_path: Path, capsys: Capsys, words: tuple[str, ...], said: str) -> None:
+    save_parts(face_with_lips(), tmp_path / "face.usda")
+    assert said in failed(capsys, "lod", tmp_path / "face.usda", *words, "-o", tmp_path / "o.usda", folder=tmp_path)
+
+
+def test_faces_of_few_things_have_levels_too(tmp_path: Path) -> None:
+    """Without shapes and joints, with a mesh that has points alone; but not without triangles."""
+    parts = face_with_lips()
+    bare = tuple(dataclasses.replace(mesh, skin=None, blendshapes=()) for mesh in parts.meshes)
+    none = np.zeros(0, np.int32)
+    cloud = dataclasses.replace(
+        bare[1], name="Cloud", face_vertex_counts=none, face_vertex_indices=none, material_faces=()
+    )
+    face = tmp_path / "face.usda"
+    save_parts(dataclasses.replace(parts, skeleton=Skeleton(), meshes=(*bare, cloud)), face)
+    facepipe.lod(face, out=tmp_path / "lods.usda", triangles=(500,))
+    level = facepipe.open(tmp_path / "lods.usda").at_level(1)
+    assert [len(mesh.face_vertex_counts) > 0 for mesh in level.meshes] == [True, True, False]
+    assert len(level.meshes[2].points) == len(cloud.points)
+    save_parts(dataclasses.replace(parts, skeleton=Skeleton(), meshes=(cloud,)), face)
+    with pytest.raises(InputError, match="no triangles, expected a surface"):
+        facepipe.lod(face, out=tmp_path / "lods.usda", overwrite=True)
+
+
+def test_levels_of_levels_are_refused(levels: Face, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has levels of detail, expected a face without"):
+        facepipe.lod(levels.stage.GetRootLayer().realPath, out=tmp_path / "lods.usda")
+    with pytest.raises(InputError, match="no level of detail 4, expected 0 to 3"):
+        levels.at_level(4)
+
+
+def test_without_wasmtime_one_line_says_what_to_install(
+    tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    save_parts(face_with_lips(), tmp_path / "face.usda")
+    line = failed(capsys, "lod", tmp_path / "face.usda", "-o", tmp_path / "o.usda", folder=tmp_path)
+    assert "pip install 'facepipe[lod]'" in line
+
+
+def worst(path: Path, tmp_path: Path, counts: tuple[int, ...]) -> list[tuple[float, float]]:
+    """The largest mean and 95th percentile over all shapes, of each level; no level has findings."""
+    report = facepipe.lod(path, out=tmp_path / "lods.usdc", triangles=counts)
+    assert report.warnings == ()
+    assert facepipe.validate(tmp_path / "lods.usdc") == ()
+    shapes = [one.errors.shapes.values() for one in report.levels]
+    return [(max(one.mean_mm for one in each), max(one.p95_mm for one in each)) for each in shapes]
+
+
+def test_ict_facekit_moves_as_before(tmp_path: Path) -> None:
+    assert main(["import", "ict", str(shared("ict_facekit/ict_facekit.npz")), str(tmp_path / "ict.usdc")]) == 0
+    fine, (mean, p95) = worst(tmp_path / "ict.usdc", tmp_path, (20000, 8000))
+    assert fine < (mean, p95)
+    assert mean <= 0.5
+    assert p95 <= 2.0
+    face = facepipe.open(tmp_path / "lods.usdc")
+    assert set(face.at_level(2).shapes) == set(face.shapes)
+    assert [mesh.name for mesh in face.at_level(2).meshes] == [mesh.name for mesh in face.meshes]
+
+
+def test_makehuman_turns_its_joints_as_before(tmp_path: Path) -> None:
+    data = str(shared("makehuman/makehuman_head.npz"))
+    assert main(["import", "makehuman", data, str(tmp_path / "mh.usdc"), "--sliders", "arkit"]) == 0
+    report = facepipe.lod(tmp_path / "mh.usdc", out=tmp_path / "lods.usdc", triangles=(4000,))
+    (level,) = report.levels
+    assert level.errors.rest.mean_mm < 0.3
+    assert np.median([one.mean_mm for one in level.errors.joints.values() if one.points]) < 0.5
+    assert facepipe.validate(tmp_path / "lods.usdc") == ()
+
+
+def flat_shaded() -> FaceParts:
+    """The same with a normal for each corner, smooth but for a crease along y = 10."""
+    parts = face_with_lips()
+    mesh = parts.meshes[0]
+    points = mesh.points[mesh.face_vertex_indices]
+    normals = np.stack([points[:, 0] / 30, points[:, 1] / 30, np.ones(len(points))], axis=1)
+    above = np.repeat(mesh.points[mesh.face_vertex_indices.reshape(-1, 4)].mean(axis=1)[:, 1] > 10, 4)
+    normals[above, 1] += 2
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return dataclasses.replace(parts, meshes=(dataclasses.replace(mesh, normals=normals.astype(np.float32)),))
+
+
+def test_creases_of_normals_stay(tmp_path: Path) -> None:
+    save_parts(flat_shaded(), tmp_path / "face.usda")
+    report = facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=(300,))
+    assert report.levels[0].triangles <= 300
+    mesh = facepipe.open(tmp_path / "lods.usda").at_level(1).meshes[0]
+    assert mesh.normals is not None
+    middle = mesh.points[mesh.face_vertex_indices.reshape(-1, 3)].mean(axis=1)[:, 1]
+    above = np.repeat(middle > 10, 3)
+    slope = mesh.normals[:, 1] / mesh.normals[:, 2] - mesh.points[mesh.face_vertex_indices][:, 1] / 30
+    assert slope[above].min() > 1.9
+    assert abs(slope[~above]).max() < 0.1
