@@ -18,7 +18,7 @@ from facepipe.stage.author_animations import author_animation, author_source, au
 from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.author_photos import author_photo_changes, check_photos
-from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_slider, check_sliders
+from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_sliders, check_sliders
 from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.read_slider_network import check_face_network
@@ -73,8 +73,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     _author_below(stage, root, parts, textures or {})
     check_sliders(parts.name, parts.sliders)
     check_face_network(parts.name, parts)
-    for slider in parts.sliders:
-        author_slider(prim, slider)
+    author_sliders(prim, parts.sliders)
     if parts.slider_network is not None:
         author_slider_network(prim, parts.slider_network)
     if parts.recipe:

@@ -13,7 +13,7 @@ from facepipe.core import tokens
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
 from facepipe.stage.api_schemas import put, put_value, remove_schema
-from facepipe.stage.author_skeleton import author_limits, author_recipe, author_slider
+from facepipe.stage.author_skeleton import author_limits, author_recipe, author_sliders
 from facepipe.stage.differences import same
 from facepipe.stage.opinions import editable
 from facepipe.stage.values import to_matrices
@@ -84,12 +84,14 @@ def author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[S
     """Author on the face prim the sliders that differ, and hide those that are gone; a line for each."""
     before, after = ({slider.name: slider for slider in sliders} for sliders in (old, new))
     changed = [slider for slider in new if not same(slider, before.get(slider.name))]
+    anew = []
     for slider in changed:
         own = before.get(slider.name)
         if own is not None and same(replace(slider, value=own.value), own):
             put_value(prim, f"{tokens.SLIDER_PREFIX}{slider.name}:value", slider.value)
         else:
-            author_slider(prim, slider)
+            anew.append(slider)
+    author_sliders(prim, anew)
     removed = [name for name in before if name not in after]
     for name in removed:
         for attribute in prim.GetAuthoredPropertiesInNamespace(f"{tokens.SLIDER_PREFIX}{name}"):

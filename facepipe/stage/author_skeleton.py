@@ -54,16 +54,23 @@ def check_sliders(where: object, sliders: Sequence[Slider]) -> None:
         raise InputError(f"{where} -> slider {found[0]}", found[1])
 
 
-def author_slider(prim: Usd.Prim, slider: Slider) -> None:
-    """Apply a slider to the face prim.
+def author_sliders(prim: Usd.Prim, sliders: Sequence[Slider]) -> None:
+    """Apply sliders to the face prim.
 
     :raises InputError: a name that USD can't hold, or damaged curves
     """
-    check_property_name(prim.GetPath(), "slider", slider.name, tokens.SLIDER_API)
-    fault = curves_fault(slider)
-    if fault:
-        raise InputError(f"{prim.GetPath()} -> slider {slider.name}", fault)
-    apply_schema(prim, tokens.SLIDER_API, slider.name)
+    for slider in sliders:
+        check_property_name(prim.GetPath(), "slider", slider.name, tokens.SLIDER_API)
+        fault = curves_fault(slider)
+        if fault:
+            raise InputError(f"{prim.GetPath()} -> slider {slider.name}", fault)
+    for slider in sliders:  # all before any attribute: USD composes the prim's definition anew after each
+        apply_schema(prim, tokens.SLIDER_API, slider.name)
+    for slider in sliders:
+        _author_slider(prim, slider)
+
+
+def _author_slider(prim: Usd.Prim, slider: Slider) -> None:
     prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
     for name in ("group", "default", "minimum", "maximum"):
         put_value(prim, prefix + name, getattr(slider, name))
