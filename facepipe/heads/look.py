@@ -12,7 +12,7 @@ from facepipe.parts import Color
 # Albedo of Monk's ten tones under even light, sRGB 0..255: the swatches show lit skin, which is lighter.
 _TONES = (
     (229, 188, 170), (225, 181, 160), (219, 174, 147), (209, 161, 131), (193, 143, 111),
-    (165, 116, 83), (137, 92, 66), (107, 71, 52), (80, 54, 42), (60, 42, 35),
+    (165, 116, 83), (137, 92, 66), (107, 71, 52), (86, 58, 45), (67, 47, 38),
 )  # fmt: skip
 
 EYES = ("dark", "brown", "hazel", "green", "grey", "blue")

@@ -77,7 +77,7 @@ def albedo(look: Look, tile: int, size: int, scalp: float) -> FloatArray:
     skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
-    blood = skin * np.float32(0.06 * (1 - 0.5 * look.darkness)) * enlarged(patches, size)
+    blood = skin * np.float32(0.03) * enlarged(patches, size)
     melanin = skin * (0.05 * grain + enlarged(_spots(look, tile, rng), size))
     hairs = _hairs(look, m, size, rng, scalp)
     for channel in range(3):
@@ -136,7 +136,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
     texel = enlarged(np.clip(gaussian_filter(texel, 2), 0.004, 0.04), size)  # cm
     scale = size / 2048
-    skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"])
+    skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"]) * (1 - 0.7 * m["neck"])
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
     pores = enlarged(pores, size)
     dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)

@@ -32,7 +32,7 @@ def materials(look: Look, size: int) -> tuple[Material, ...]:
     :param size: texels a side of the skin's colour and relief
     """
     white, iris = _picture("sclera.png"), TextureInput(texture=_picture(f"iris_{look.eyes}.jpg"))
-    dim = 1 - 0.25 * look.darkness  # the white of dark people's eyes has some pigment
+    dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
     color = TextureInput(texture=white, scale=(dim, dim, dim * 0.97, 1.0))
     brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
     found = [
@@ -82,7 +82,7 @@ def point_colors(look: Look, head: Mesh) -> FloatArray:
 
 
 def _brow_color(look: Look) -> FloatArray:
-    return np.minimum(look.hair_color, 0.16) * 0.8
+    return np.asarray(look.hair_color * min(1.0, 0.12 / look.hair_color.max()) * 0.8)
 
 
 def _skin(look: Look, tile: int, size: int, name: str) -> Material:
@@ -110,7 +110,7 @@ def _hairs(name: str, picture: str, color: FloatArray, cut: float = 0.0) -> Mate
         diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
         opacity=TextureInput(texture=image, channels="a"),
         opacity_threshold=cut,
-        roughness=0.75,
+        roughness=0.85,
         ior=1.25,  # the sides of cards would mirror more than hairs do
     )
 

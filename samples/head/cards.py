@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from packing import write_arrays
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 from skin_maps import BACK, FACE, SOCKETS, Template, above_hairline, brow_curve, masks, step
 
@@ -196,10 +197,17 @@ def bob_direction(at: Array) -> Array:
     )
 
 
+def outward(at: Array, normals: Array) -> Array:
+    """(n, 3) the skin's normals, and away from the neck's axis below."""
+    radial = at * [1, 0, 1] + [0, 0, 1.5]
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    return normals + step(5.0, 2.0, at[:, 1])[:, None] * (radial - normals)
+
+
 def over_ears(at: Array) -> Array:
     """(n,) how far from the middle hair must be to pass over the ears."""
-    away = (np.column_stack([at[:, 1] - 0.8, at[:, 2] + 0.1]) / (3.0, 2.4)) ** 2
-    return 9.75 * np.exp(-(away.sum(axis=1) ** 2))
+    away = (np.column_stack([at[:, 1] - 0.8, at[:, 2] + 0.1]) / (3.6, 3.0)) ** 2
+    return 9.3 * np.exp(-(away.sum(axis=1) ** 2))
 
 
 def tall(at: Array) -> Array:
@@ -218,12 +226,12 @@ STYLES = {
     ),
     "bob": Style(
         direction=bob_direction, length=lambda at: 34 + 0 * at[:, 1],
-        height=lambda at: 0.9 + 0.7 * tall(at), spacing=(0.9, 0.95, 1.5), width=1.8, rows=12, falls=True, end=-7.5,
+        height=lambda at: 0.9 + 0.5 * tall(at), spacing=(0.9, 0.95, 1.5), width=1.8, rows=12, falls=True, end=-7.5,
         wave=0.12, spread=0.05,         edge=0.1,
     ),
     "long": Style(
         direction=bob_direction, length=lambda at: 40 + 0 * at[:, 1],
-        height=lambda at: 1.0 + 0.8 * tall(at), spacing=(0.9, 0.95, 1.4), width=1.8, rows=14, falls=True, end=-11.8,
+        height=lambda at: 1.0 + 0.5 * tall(at), spacing=(0.9, 0.95, 1.4), width=1.8, rows=14, falls=True, end=-11.8,
         wave=0.3, spread=0.06, edge=0.1,
     ),
 }  # fmt: skip
@@ -258,6 +266,8 @@ def combed(skin: Skin, style: Style, root: Array, layer: float, rng: Any) -> tup
         height, normal = skin.under(at)
         way = style.direction(at)
         way = way / np.linalg.norm(way, axis=1, keepdims=True) + turn
+        if style.falls:
+            normal = outward(at, normal)
         way -= step(4.0, 1.5, height)[:, None] * (way * normal).sum(axis=1, keepdims=True) * normal
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         side = np.cross(way, normal) + 0.25 * turn
@@ -265,6 +275,8 @@ def combed(skin: Skin, style: Style, root: Array, layer: float, rng: Any) -> tup
         across.append(side / np.linalg.norm(side, axis=1, keepdims=True))
         at = at + DS * way
         height, normal = skin.under(at)
+        if style.falls:
+            normal = outward(at, normal)
         risen = np.interp(
             number * DS / np.minimum(length, 9.0), [0, 0.12, 0.45, 1], [0.05, 0.55, 1.0, 0.8 + 0.2 * style.falls]
         )
@@ -274,7 +286,8 @@ def combed(skin: Skin, style: Style, root: Array, layer: float, rng: Any) -> tup
         at = at + lift[:, None] * normal
         if style.falls:
             at[:, 0] = np.copysign(np.maximum(np.abs(at[:, 0]), over_ears(at)), at[:, 0])
-    line, across = np.array(line), np.array(across)
+    line = gaussian_filter1d(np.array(line), 1.5, axis=0, mode="nearest")
+    across = gaussian_filter1d(np.array(across), 1.5, axis=0, mode="nearest")
     if style.end is not None:
         end = style.end + rng.normal(0, 0.35, count) + 1.2 * layer * rng.random(count)
         length = np.maximum((line[..., 1] > end).sum(axis=0) * DS, 2.0)
@@ -295,7 +308,15 @@ def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Gr
         layer = number / (len(style.spacing) - 1)
         root = roots(template, (scalp > 0.5) & (above > style.edge + 0.25 * number), spacing, rng)
         line, across = combed(skin, style, root, layer, rng)
-        half = 0.5 * style.width * rng.uniform(0.75, 1.2, (len(root), 1, 1)) * (1.15 - 0.3 * layer)
+        half = np.interp(np.arange(style.rows) / style.rows, [0, 0.15], [0.6, 1])[:, None]
+        half = (
+            half
+            * np.where(above_hairline(root) < 0.7, 0.6, 1)[:, None, None]
+            * 0.5
+            * style.width
+            * rng.uniform(0.75, 1.2, (len(root), 1, 1))
+            * (1.15 - 0.3 * layer)
+        )
         points.append(np.stack([line - half * across, line + half * across], axis=2))
         column = (number + (rng.random(len(root)) < 0.25) + (number == 2)).clip(0, 3)
         column[above_hairline(root) < 0.7] = 2  # a soft edge
