@@ -15,7 +15,14 @@ _TONES = (
     (165, 116, 83), (137, 92, 66), (107, 71, 52), (86, 58, 45), (67, 47, 38),
 )  # fmt: skip
 
-EYES = ("dark", "brown", "hazel", "green", "grey", "blue")
+IRIS: dict[str, Color] = {  # linear, of its middle ring
+    "dark": (0.030, 0.014, 0.008),
+    "brown": (0.085, 0.037, 0.014),
+    "hazel": (0.095, 0.055, 0.018),
+    "green": (0.075, 0.092, 0.042),
+    "grey": (0.11, 0.13, 0.145),
+    "blue": (0.062, 0.11, 0.17),
+}
 HAIR: dict[str, Color] = {  # linear
     "black": (0.008, 0.0065, 0.006),
     "dark": (0.022, 0.013, 0.009),
@@ -41,7 +48,7 @@ class Look:
     freckles: float = 0.0
     beard: float = 0.0  # stubble and its shade
     brows: float = 0.5  # how full they are
-    eyes: str = "brown"  # one of EYES
+    eyes: str = "brown"  # one of IRIS
     hair: str = "dark"  # one of HAIR
     style: str = "crop"  # one of STYLES
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
@@ -9,9 +10,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads import cards, skin
-from facepipe.heads.look import Look
+from facepipe.heads.look import IRIS, Look
 from facepipe.heads.pixels import texture
-from facepipe.parts import Material, Mesh, Texture, TextureInput
+from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
 
 _NORMAL = {"scale": (2.0, 2.0, 2.0, 1.0), "bias": (-1.0, -1.0, -1.0, 0.0)}
 SCALP = {
@@ -23,6 +24,10 @@ SCALP = {
     "long": 0.9,
     "coils": 0.97,
 }  # that hair colours
+MOUTH = (
+    Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
+    Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
+)
 _MEAN = 0.35  # linear, of the grey in pictures of hairs
 
 
@@ -38,8 +43,7 @@ def materials(look: Look, size: int) -> tuple[Material, ...]:
     found = [
         _skin(look, 0, size, "M_Face"),
         _skin(look, 1, size, "M_BackHead"),
-        Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
-        Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
+        *MOUTH,
         *(Material(name=f"M_Sclera{side}", diffuse_color=color, roughness=0.18) for side in ("Left", "Right")),
         *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.4) for side in ("Left", "Right")),
         Material(name="Pupil", diffuse_color=iris, roughness=0.4),
@@ -61,15 +65,36 @@ def materials(look: Look, size: int) -> tuple[Material, ...]:
 HAIR = {"crop": "hair.png", "parted": "hair.png", "bob": "hair.png", "long": "hair.png", "coils": "coils.png"}
 
 
+def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
+    """A bare head with colours, brows, lashes and hair.
+
+    :param size: texels a side of the skin's textures; None: colours at points and no textures, so no cards of hairs
+    """
+    head, *others = face.meshes
+    if size is None:
+        colored = replace(head, colors=point_colors(look, head))
+        return replace(face, meshes=(colored, *others), materials=plain(look))
+    return replace(face, meshes=(head, *others, *meshes(look, head)), materials=materials(look, size))
+
+
 def meshes(look: Look, head: Mesh) -> tuple[Mesh, ...]:
     """Brows, lashes and hair on a head."""
-    found = [
-        cards.mesh("Brows", cards.cards("brows"), head, "eyebrows", "Brows"),
-        cards.mesh("Lashes", cards.cards("lashes"), head, "eyes", "Lashes"),
-    ]
-    if look.style in HAIR:
-        found.append(cards.mesh("Hair", cards.cards(look.style), head, "forehead", "Hair"))
-    return tuple(found)
+    kinds = [("Brows", "brows", "eyebrows"), ("Lashes", "lashes", "eyes")]
+    kinds += [("Hair", look.style, "forehead")] * (look.style in HAIR)
+    return tuple(cards.mesh(name, cards.cards(kind), head, region, name) for name, kind, region in kinds)
+
+
+def plain(look: Look) -> tuple[Material, ...]:
+    """Materials without textures; the skin's white is that of the colours at points."""
+    white, iris = (0.5, 0.46, 0.42), IRIS[look.eyes]
+    return (
+        *(Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in ("M_Face", "M_BackHead")),
+        *MOUTH,
+        *(Material(name=f"M_Sclera{side}", diffuse_color=white, roughness=0.18) for side in ("Left", "Right")),
+        *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.3) for side in ("Left", "Right")),
+        Material(name="Pupil", diffuse_color=(0.002, 0.002, 0.002), roughness=0.1),
+        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), opacity=0.05, roughness=0.03, ior=1.376),
+    )
 
 
 def point_colors(look: Look, head: Mesh) -> FloatArray:

@@ -14,16 +14,8 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
+from facepipe.heads.look import IRIS
 from facepipe.heads.pixels import srgb, to_bytes
-
-COLORS = {  # linear, of the iris's middle ring
-    "brown": (0.085, 0.037, 0.014),
-    "dark": (0.030, 0.014, 0.008),
-    "hazel": (0.095, 0.055, 0.018),
-    "green": (0.075, 0.092, 0.042),
-    "blue": (0.062, 0.11, 0.17),
-    "grey": (0.11, 0.13, 0.145),
-}
 
 # Of the texture's side, from its middle: the asset's texture coordinates are discs around the eye's axis.
 _PUPIL, _IRIS = 0.125, 0.415  # on the inner ball
@@ -100,7 +92,7 @@ def _step(low: float, high: float, value: FloatArray) -> FloatArray:
 
 def main(folder: Path) -> None:
     """Draw and save."""
-    for seed, (name, color) in enumerate(COLORS.items()):
+    for seed, (name, color) in enumerate(IRIS.items()):
         Image.fromarray(iris(color, seed, 512)).save(folder / f"iris_{name}.jpg", quality=90, subsampling=0)
     Image.fromarray(white(1024)).save(folder / "sclera.png", compress_level=9)
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from facepipe.heads import cards, skin, surfaces
 from facepipe.heads.assembly import make_head
-from facepipe.heads.look import EYES, STYLES, Look
+from facepipe.heads.look import IRIS, STYLES, Look
 from facepipe.parts import FaceParts, TextureInput
 
 SETS = ("brows", "lashes", *surfaces.HAIR)
@@ -72,13 +72,15 @@ def test_the_same_look_gives_the_same_bytes_and_another_seed_others() -> None:
 @pytest.mark.parametrize("style", STYLES)
 def test_every_material_that_a_mesh_asks_for_is_there(head: FaceParts, style: str) -> None:
     look = Look(style=style)
-    meshes = (*head.meshes, *surfaces.meshes(look, head.meshes[0]))
-    asked = {one.material for mesh in meshes for one in mesh.material_faces} | {mesh.material for mesh in meshes}
-    assert asked - {None} <= {one.name for one in surfaces.materials(look, SIZE)}
-    assert ("Hair" in asked) == (style in surfaces.HAIR)
+    for size in (SIZE, None):
+        made = surfaces.dressed(head, look, size)
+        asked = {one.material for mesh in made.meshes for one in mesh.material_faces}
+        asked |= {mesh.material for mesh in made.meshes}
+        assert asked - {None} <= {one.name for one in made.materials}
+        assert ("Hair" in asked) == (size is not None and style in surfaces.HAIR)
 
 
-@pytest.mark.parametrize("eyes", EYES)
+@pytest.mark.parametrize("eyes", IRIS)
 def test_an_eye_is_clear_before_the_iris_and_white_around_it(eyes: str) -> None:
     cornea = next(one for one in surfaces.materials(Look(eyes=eyes), SIZE) if one.name == "Cornea")
     assert isinstance(cornea.opacity, TextureInput)
@@ -132,3 +134,14 @@ def test_hair_follows_the_skull(head: FaceParts) -> None:
         np.testing.assert_allclose(move, held.carry(wide.points - head.meshes[0].points), atol=1e-9)
         assert average.skin is not None
         np.testing.assert_allclose(average.skin.joint_weights.sum(axis=1), 1.0)
+
+
+def test_without_textures_the_skin_is_coloured_at_its_points(head: FaceParts) -> None:
+    look = Look(tone=6.0)
+    made = surfaces.dressed(head, look, None)
+    assert not any(isinstance(value, TextureInput) for one in made.materials for value in vars(one).values())
+    colors = made.meshes[0].colors
+    assert colors is not None
+    lips = [made.meshes[0].landmarks["multipie68"].indices[number] for number in (62, 66)]
+    np.testing.assert_allclose(np.median(colors, axis=0), look.skin, rtol=0.35)
+    assert (colors[lips, 0] / colors[lips, 1] > 1.15 * look.skin[0] / look.skin[1]).all()
