@@ -22,6 +22,7 @@ COMBINED = (20, 0.5)  # and that a combination may have
 SHAPES = (5, 9)  # of a combination, by a weight from 0 to 1 each
 PRESSED = dict.fromkeys(("mouthPressLeft", "mouthPressRight"), 1.0)  # lips without the gap that they have at rest
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+WIDEST = 2.5  # standard deviations
 PARTLY = (0.25, 0.5, 0.75)
 
 Weights = Mapping[str, float]
@@ -87,8 +88,8 @@ def mouth_sheet(average: Subject) -> Sheet:
 
 
 def eye_sheets(average: Subject) -> tuple[Sheet, ...]:
-    """The eyeballs behind lids, open and closed."""
-    poses = [average.neutral, average.points(dict.fromkeys(BLINKS, 1.0))]
+    """The eyeballs behind closed lids: the rims that rest on them are between lids then, and do not count."""
+    poses = [average.points(dict.fromkeys(BLINKS, 1.0))]
     head = average.triangles("Head")
     return tuple(Sheet.of(head, average.triangles(f"Eyeball{side}"), poses) for side in ("Left", "Right"))
 
@@ -111,10 +112,11 @@ def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
 
 
 def person(seed: int) -> Subject:
-    """A person of the head in the box; 0 is the average head."""
-    from facepipe.heads import make
+    """A person of the head in the box, all modes drawn from N(0, 1) up to 2.5; 0 is the average head."""
+    from facepipe.heads.assembly import make_head
 
-    return Subject(make(seed))
+    draws = np.random.Generator(np.random.PCG64(seed)).standard_normal(100)
+    return Subject(make_head(np.clip(draws, -WIDEST, WIDEST) * (seed > 0)))
 
 
 def raw_person(source: Path, seed: int) -> Subject:

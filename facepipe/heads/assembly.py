@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
 from facepipe.heads.expressing import sliders
+from facepipe.heads.eye_fit import Shapes, fit_eyes
 from facepipe.heads.joints import bone_limits, skeleton
 from facepipe.heads.motions import TALK, animations
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, Skin, UvSet
-
-Shapes = Mapping[str, Mapping[float, FloatArray]]  # name -> weight, 1 the last -> (n, 3) offsets there
 
 _SKIN = (0.60, 0.37, 0.28)
 _MATERIALS = (
@@ -37,10 +34,11 @@ def make_head(identity: FloatArray) -> FaceParts:
     """
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
+    points, shapes = fit_eyes(points, head.shapes)
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,
-        meshes=tuple(_mesh(head, name, part, points, head.shapes) for name, part in head.parts.items()),
+        meshes=tuple(_mesh(head, name, part, points, shapes) for name, part in head.parts.items()),
         skeleton=skeleton(points),
         animations=animations(frozenset(head.shapes)),
         played=TALK,

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import skin_maps
 import strokes
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
+from lids import lids
 from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
 from packing import packed, write_arrays
@@ -50,6 +51,7 @@ def main() -> None:
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
     write_arrays(out / "modes.npz", {"modes": packed(model.modes)})
+    write_arrays(out / "lids.npz", lids(model, mirror))
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
     cards.main(ict, out)

@@ -1,0 +1,195 @@
+"""Eyes of a person: round eyeballs where the lids want them, and lids that slide over them and meet in a blink.
+
+Identity modes move lids and eyeballs each in their own way, and linear shapes of lids cut the eyeball of one person
+and leave that of another open. Rings of points go around each eye: 0 behind the margin, 1 to 4 the margin, then out
+over the lid (`samples/head/lids.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.balls import fit_ball
+from facepipe.heads.asset import arrays, asset
+
+Shapes = Mapping[str, Mapping[float, FloatArray]]
+
+_SIDES = ("Left", "Right")
+_WAYS = (0.25, 0.5, 0.75)
+# by ring
+_LEAST = np.array([-1, 0.0, 0.025, 0.08, 0.14, 0.17, 0.17, 0.17, 0.17, 0.15, 0.1, -1, -1])  # cm over the eyeball
+_FOLLOW = np.array([0.6, 0.95, 1, 1, 1, 0.95, 0.81, 0.6, 0.42, 0.27, 0.17, 0.09, 0.03])  # of the margin's motion
+_MARGIN = 4  # the last ring of the margin
+_TOUCH = (2, 3)  # rings that lie on the eyeball as it does in the average head
+_SOFT = 0.015  # cm, over which lids begin to be lifted
+_OVER = 0.04  # cm that the upper margin goes below the lower, so that no gap shows
+_TAPER = 0.04  # of the eye's width from each corner, where margins meet anyway
+_INSIDE = 3.0  # how much more it weighs that a lid is inside the eyeball than that it is off it
+_STEPS = 6  # of Gauss and Newton
+_STILL = 1e-6  # radians; an arc below that is straight
+_NEAREST = 3  # points of the eyeball that say how far it reaches in a direction
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Eye:
+    """An eye of the average head, with k points of lids."""
+
+    ball: slice  # the eyeball's points
+    centre: FloatArray  # (3,)
+    directions: cKDTree  # of the eyeball's points from the centre
+    radii: FloatArray  # and how far they are
+    lids: IntArray  # (k,) points
+    rings: IntArray  # (k,)
+    upper: npt.NDArray[np.bool_]  # (k,)
+    corners: IntArray  # (2,) rows of lids
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ball:
+    """The eyeball of a person: the average one, moved and scaled."""
+
+    eye: _Eye
+    centre: FloatArray
+    scale: float
+
+    def above(self, lids: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Unit directions (k, 3) of points from the centre, and how far (k,) they lie over the eyeball."""
+        offsets = lids - self.centre
+        lengths = np.linalg.norm(offsets, axis=1)
+        directions = offsets / lengths[:, None]
+        away, near = self.eye.directions.query(directions, k=_NEAREST)
+        weights = 1.0 / (away + 1e-3)
+        reach = (weights * self.eye.radii[near]).sum(axis=1) / weights.sum(axis=1)
+        return directions, lengths - self.scale * reach
+
+    def lifted(self, lids: FloatArray) -> FloatArray:
+        """Lids (k, 3) that lie over the eyeball as much as they must."""
+        directions, height = self.above(lids)
+        least = _LEAST[self.eye.rings]
+        lift = np.where(least < 0, 0.0, _SOFT * np.logaddexp(0.0, (least - height) / _SOFT))
+        return lids + lift[:, None] * directions
+
+
+def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
+    """Points (n, 3) of a person with eyeballs that fit the lids, and the shapes with blinks of the person's own.
+
+    :param shapes: name -> weight, 1 the last -> (n, 3) offsets there
+    """
+    points, shapes = points.copy(), dict(shapes)
+    for side, ball in zip(_SIDES, _balls(points), strict=True):
+        eye = ball.eye
+        points[eye.ball] = ball.centre + ball.scale * (asset().points[eye.ball] - eye.centre)
+        points[eye.lids] = ball.lifted(points[eye.lids])
+        name = f"eyeBlink{side}"
+        shapes[name] = _blink(points, shapes[name], ball)
+    return points, shapes
+
+
+def _blink(points: FloatArray, ways: Mapping[float, FloatArray], ball: _Ball) -> Mapping[float, FloatArray]:
+    """The blink of a person, with inbetweens on which the lids slide over the eyeball."""
+    eye, start = ball.eye, points[ball.eye.lids]
+    end = ball.lifted(_met(eye, ball.lifted(start + ways[1.0][eye.lids])))
+    found = {}
+    for share in (*_WAYS, 1.0):
+        offsets = ways[share].astype(np.float64)
+        offsets[eye.lids] = ball.lifted(_turned(start, end, ball.centre, share)) - start
+        found[share] = offsets
+    found[1.0][eye.lids] = end - start
+    return found
+
+
+def _balls(points: FloatArray) -> tuple[_Ball, ...]:
+    """Both eyeballs of a person, of one size."""
+    eyes, average = _eyes(), asset().points
+    spreads = [(one[eye.ball] - one[eye.ball].mean(axis=0)).std() for one in (points, average) for eye in eyes]
+    scale = float((spreads[0] + spreads[1]) / (spreads[2] + spreads[3]))
+    balls = []
+    for eye in eyes:
+        moved = (points[eye.ball] - average[eye.ball]).mean(axis=0)
+        balls.append(_touching(_Ball(eye=eye, centre=eye.centre + moved, scale=scale), points[eye.lids]))
+    return tuple(balls)
+
+
+def _touching(ball: _Ball, lids: FloatArray) -> _Ball:
+    """The eyeball moved a little, so that the lids (k, 3) lie on it as the average ones do on theirs."""
+    eye, start = ball.eye, ball.centre
+    own = np.isin(eye.rings, _TOUCH)
+    goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(asset().points[eye.lids])[1][own]
+    for _ in range(_STEPS):
+        directions, height = ball.above(lids)
+        miss = height[own] - goal
+        weights = np.where(miss < 0, _INSIDE, 1.0)
+        rows = np.vstack([directions[own] * weights[:, None], np.eye(3)])
+        step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre))[0]
+        ball = replace(ball, centre=ball.centre + step)
+    return ball
+
+
+def _met(eye: _Eye, lids: FloatArray) -> FloatArray:
+    """Blinking lids (k, 3) with the upper margin brought onto the lower one, and the lid drawn after it."""
+    inner, outer = lids[eye.corners]
+    axis = (outer - inner) / ((outer - inner) @ (outer - inner))
+    down = np.cross(axis, [0.0, 0.0, 1.0])
+    down *= -np.sign(down[1]) / np.linalg.norm(down)
+    along, met = (lids - inner) @ axis, lids.copy()
+    for ring in range(len(_FOLLOW)):
+        upper, lower = (_by(along, (eye.rings == min(ring, _MARGIN)) & one) for one in (eye.upper, ~eye.upper))
+        there = _at(along[upper], along[lower], lids[lower])
+        ends = along[upper] - along[lower[0]], along[lower[-1]] - along[upper]
+        taper = np.clip(np.minimum(*ends) / _TAPER, 0.0, 1.0)[:, None]
+        way = (there - lids[upper]) * taper
+        way += _OVER * taper * down - (way @ axis)[:, None] * (outer - inner)
+        own = upper if ring <= _MARGIN else np.flatnonzero((eye.rings == ring) & eye.upper)
+        met[own] += _FOLLOW[ring] * _at(along[own], along[upper], way)
+    return met
+
+
+def _by(along: FloatArray, chosen: npt.NDArray[np.bool_]) -> IntArray:
+    """The rows that are chosen, along the eye."""
+    rows = np.flatnonzero(chosen)
+    return rows[np.argsort(along[rows], kind="stable")]
+
+
+def _at(along: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    """(k, 3) values between those (m, 3) at `known` (m,)."""
+    return np.stack([np.interp(along, known, column) for column in values.T], axis=1)
+
+
+def _turned(start: FloatArray, end: FloatArray, centre: FloatArray, share: float) -> FloatArray:
+    """(k, 3) points that went `share` of their way from start to end, on arcs around the centre."""
+    lengths = [np.linalg.norm(one - centre, axis=1, keepdims=True) for one in (start, end)]
+    a, b = (start - centre) / lengths[0], (end - centre) / lengths[1]
+    angle = np.maximum(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)), _STILL)[:, None]
+    turned = (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
+    return np.asarray(centre + ((1 - share) * lengths[0] + share * lengths[1]) * turned)
+
+
+@cache
+def _eyes() -> tuple[_Eye, ...]:
+    head, found = asset(), arrays("lids")
+    eyes = []
+    for side, lids, shell in zip(_SIDES, found["lids"], found["eye_shells"], strict=True):
+        ball = head.parts[f"Eyeball{side}"].points
+        centre = fit_ball(head.points[ball]).centre
+        offsets = head.points[shell] - centre
+        radii = np.linalg.norm(offsets, axis=1)
+        eyes.append(
+            _Eye(
+                ball=ball,
+                centre=centre,
+                directions=cKDTree(offsets / radii[:, None]),
+                radii=radii,
+                lids=lids,
+                rings=found["lid_rings"],
+                upper=found["lid_upper"],
+                corners=found["eye_corners"],
+            )
+        )
+    return tuple(eyes)

@@ -1,0 +1,57 @@
+"""Eyes of drawn people: round balls of one size, under lids that slide over them and meet."""
+
+from __future__ import annotations
+
+import benchmark_modules
+import numpy as np
+import pytest
+
+from facepipe.heads.asset import arrays, asset
+from facepipe.heads.eye_fit import fit_eyes
+
+assert benchmark_modules.BENCHMARKS.is_dir()
+
+from head_contacts import blink, eye_sheets, person  # noqa: E402
+
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+def drawn(seed: int) -> np.ndarray:
+    weights = np.clip(np.random.Generator(np.random.PCG64(seed)).standard_normal(100), -2.5, 2.5)
+    return asset().points + np.tensordot(weights.astype(np.float32), asset().modes, axes=1)
+
+
+@pytest.mark.parametrize("seed", [3, 6, 14])
+def test_a_blink_hides_the_eyeballs_which_never_come_through_lids(seed: int) -> None:
+    found = blink(person(seed), eye_sheets(person(0)))
+    assert found.shown <= 0.01
+    assert found.through.cells == 0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_eyeballs_are_the_average_ones_moved_and_scaled_alike(seed: int) -> None:
+    points, _ = fit_eyes(drawn(seed), asset().shapes)
+    balls = [asset().parts[f"Eyeball{side}"].points for side in ("Left", "Right")]
+    spans = [np.ptp(points[ball], axis=0) / np.ptp(asset().points[ball], axis=0) for ball in balls]
+    np.testing.assert_allclose(spans, spans[0][0], rtol=1e-6)
+    assert 0.8 < spans[0][0] < 1.25
+
+
+def test_nothing_but_eyes_changes() -> None:
+    before = drawn(4)
+    points, shapes = fit_eyes(before, asset().shapes)
+    eyes = [np.arange(part.points.start, part.points.stop) for name, part in asset().parts.items() if "Eyeball" in name]
+    kept = np.setdiff1d(np.arange(len(points)), np.concatenate([arrays("lids")["lids"].ravel(), *eyes]))
+    np.testing.assert_array_equal(points[kept], before[kept])
+    for name, ways in asset().shapes.items():
+        assert set(shapes[name]) == set(ways)
+        for weight, offsets in ways.items():
+            np.testing.assert_array_equal(shapes[name][weight][kept], offsets[kept])
+
+
+def test_both_eyes_of_the_average_head_blink_alike() -> None:
+    points, shapes = fit_eyes(asset().points, asset().shapes)
+    left, right = arrays("lids")["lids"]
+    for weight in (0.25, 0.5, 0.75, 1.0):
+        ends = [(points + shapes[f"eyeBlink{side}"][weight])[own] for side, own in (("Left", left), ("Right", right))]
+        assert np.linalg.norm(ends[0] * FLIP - ends[1], axis=1).max() < 0.05
