@@ -61,7 +61,8 @@ def coarse(look: Look, tile: int, scalp: float) -> FloatArray:
     colors = np.exp(colors)
     hair = np.clip(scalp * m["scalp"] * (1 + 0.1 * middle) + 0.4 * look.brows * m["brows"], 0, 1)
     colors = _mix(colors, look.hair_color * 0.8 + 0.03 * look.skin, hair)
-    colors = _mix(colors, _FLESH * (1 - 0.3 * look.darkness), np.maximum(m["mouth"], m["socket"]))
+    colors = _mix(colors, look.skin * (0.95, 0.66, 0.62), m["socket"])
+    colors = _mix(colors, _FLESH * (1 - 0.3 * look.darkness), m["mouth"])
     return np.asarray(colors * (1 - 0.75 * m["mouth"] * (1 - m["open"]))[..., None])
 
 
@@ -97,7 +98,7 @@ def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
     kinds = (  # share of texels, radius in texels, strength
         (0.004 * look.freckles * zone, 1.7, 0.55),
         (0.0008 * look.freckles * zone, 3.0, 0.5),
-        (0.000012 * skin, 1.7, 1.8),
+        (0.000006 * skin, 1.7, 1.8),
         (0.00007 * max(look.age - 0.4, 0) * skin, 4.0, 0.45),
     )
     for density, radius, strength in kinds:

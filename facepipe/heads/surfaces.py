@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -14,6 +16,7 @@ from facepipe.heads.look import IRIS, Look
 from facepipe.heads.pixels import texture
 from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
 
+SKIN = ("M_Face", "M_BackHead")  # of the tiles
 _NORMAL = {"scale": (2.0, 2.0, 2.0, 1.0), "bias": (-1.0, -1.0, -1.0, 0.0)}
 SCALP = {
     "bald": 0.0,
@@ -24,10 +27,6 @@ SCALP = {
     "long": 0.9,
     "coils": 0.97,
 }  # that hair colours
-MOUTH = (
-    Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
-    Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
-)
 _MEAN = 0.35  # linear, of the grey in pictures of hairs
 
 
@@ -40,10 +39,12 @@ def materials(look: Look, size: int) -> tuple[Material, ...]:
     dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
     color = TextureInput(texture=white, scale=(dim, dim, dim * 0.97, 1.0))
     brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
+    with ThreadPoolExecutor(len(SKIN)) as pool:
+        skins = pool.map(partial(_skin, look, size), range(len(SKIN)))
     found = [
-        _skin(look, 0, size, "M_Face"),
-        _skin(look, 1, size, "M_BackHead"),
-        *MOUTH,
+        *skins,
+        Material(name="M_GumsTongue", diffuse_color=_input(_picture("gums.jpg")), roughness=0.3),
+        Material(name="M_Teeth", diffuse_color=_input(_picture("teeth.jpg")), roughness=0.22),
         *(Material(name=f"M_Sclera{side}", diffuse_color=color, roughness=0.18) for side in ("Left", "Right")),
         *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.4) for side in ("Left", "Right")),
         Material(name="Pupil", diffuse_color=iris, roughness=0.4),
@@ -88,8 +89,9 @@ def plain(look: Look) -> tuple[Material, ...]:
     """Materials without textures; the skin's white is that of the colours at points."""
     white, iris = (0.5, 0.46, 0.42), IRIS[look.eyes]
     return (
-        *(Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in ("M_Face", "M_BackHead")),
-        *MOUTH,
+        *(Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN),
+        Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
+        Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
         *(Material(name=f"M_Sclera{side}", diffuse_color=white, roughness=0.18) for side in ("Left", "Right")),
         *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.3) for side in ("Left", "Right")),
         Material(name="Pupil", diffuse_color=(0.002, 0.002, 0.002), roughness=0.1),
@@ -110,11 +112,11 @@ def _brow_color(look: Look) -> FloatArray:
     return np.asarray(look.hair_color * min(1.0, 0.12 / look.hair_color.max()) * 0.8)
 
 
-def _skin(look: Look, tile: int, size: int, name: str) -> Material:
+def _skin(look: Look, size: int, tile: int) -> Material:
     stem, scalp = f"skin_{skin.TILES[tile]}", SCALP[look.style]
     packed = texture(f"{stem}_orm.jpg", skin.roughness(look, tile, size // 2))
     return Material(
-        name=name,
+        name=SKIN[tile],
         diffuse_color=_input(texture(f"{stem}.jpg", skin.albedo(look, tile, size, scalp))),
         roughness=_input(packed, channels="g"),
         occlusion=_input(packed, channels="r"),

@@ -14,6 +14,7 @@ from typing import Any
 import arcs
 import cards
 import eyes
+import mouth
 import numpy as np
 import numpy.typing as npt
 import skin_maps
@@ -57,6 +58,7 @@ def main() -> None:
     cards.main(ict, out)
     for pictures in (strokes, eyes):
         pictures.main(out)
+    mouth.main(arguments.data, out)
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)
     for path in sorted(out.iterdir()):
