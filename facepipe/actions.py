@@ -2,11 +2,12 @@
 
 A plug-in has entry points in the group ``facepipe.processors``: a verb -> the class that is declared with
 `facepipe.kinds.action`. Its commands, recipes and Python functions are as those of facepipe itself; the verbs of
-facepipe's own commands are taken.
+facepipe's own commands and groups are taken. A verb of two words is a command of a group: ``studio lift``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import re
@@ -15,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.kinds import Action, StageAction
+from facepipe.declare import fields_of
+from facepipe.kinds import Action, FileAction, InPlaceAction, StageAction
 from facepipe.registry import loaded
 
 GROUP = "facepipe.processors"
+# flags that commands have, and arguments of functions, beside those of fields
+_TAKEN = {"edit", "flatten", "force", "help", "json", "out", "output", "overwrite", "replace", "root", "trust-models"}
 _DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
 
 
@@ -33,10 +37,16 @@ def _own() -> dict[str, tuple[str, str]]:
     return found
 
 
-def summaries() -> dict[str, str]:
-    """Verb -> what it does, of all actions; of a plug-in that can't be used, why."""
-    own = {verb: summary for verb, (_, summary) in _own().items()}
-    others = {entry.name: _summary(entry) for entry in entry_points(group=GROUP)}
+def _others() -> dict[str, EntryPoint]:
+    """Verb -> entry point of each action of a plug-in."""
+    taken = {*_own(), *_own_groups()}
+    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in taken}
+
+
+def summaries(group: str = "") -> dict[str, str]:
+    """Verb -> what it does, of all actions, or those of a group; of a plug-in that can't be used, why."""
+    own = {verb: summary for verb, (_, summary) in _own().items() if verb.startswith(group)}
+    others = {verb: _summary(entry) for verb, entry in _others().items() if verb.startswith(group)}
     return dict(sorted({**others, **own}.items()))
 
 
@@ -47,10 +57,15 @@ def _summary(entry: EntryPoint) -> str:
         return f"({error})"
 
 
+def _own_groups() -> dict[str, str]:
+    return {verb.split()[0]: module.rpartition(".")[0] for verb, (module, _) in _own().items() if " " in verb}
+
+
 def groups() -> dict[str, str]:
-    """First word of this package's verbs of two words -> their text of --help: the docstring of their package."""
-    packages = {verb.split()[0]: module.rpartition(".")[0] for verb, (module, _) in _own().items() if " " in verb}
-    return {name: importlib.import_module(one).__doc__ or name for name, one in sorted(packages.items())}
+    """First word of verbs of two words -> their text of --help: in this package the docstring of theirs."""
+    own = {name: importlib.import_module(one).__doc__ or name for name, one in _own_groups().items()}
+    others = {verb.split()[0]: "Actions of plug-ins." for verb in _others() if " " in verb}
+    return dict(sorted({**others, **own}.items()))
 
 
 def function_name(verb: str) -> str:
@@ -58,9 +73,9 @@ def function_name(verb: str) -> str:
     return re.sub("[- ]", "_", verb)
 
 
-def verb_of(name: str) -> str:
-    """The verb whose function `name` is; what a plug-in would call it, where none of this package has it."""
-    return next((verb for verb in _own() if function_name(verb) == name), name.replace("_", "-"))
+def verb_of(name: str) -> str | None:
+    """The verb whose function `name` is; None where there is none."""
+    return next((verb for verb in (*_own(), *_others()) if function_name(verb) == name), None)
 
 
 def find_action(verb: str) -> type[Action[Any]] | None:
@@ -72,7 +87,8 @@ def find_action(verb: str) -> type[Action[Any]] | None:
         module = importlib.import_module(_own()[verb][0])
         kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Action))
         return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
-    return next((_of_others(entry) for entry in entry_points(group=GROUP, name=verb)), None)
+    entry = _others().get(verb)
+    return None if entry is None else _of_others(entry)
 
 
 def _of_others(entry: EntryPoint) -> type[Action[Any]]:
@@ -83,10 +99,34 @@ def _of_others(entry: EntryPoint) -> type[Action[Any]]:
         raise InputError(where, "is no action of that verb, expected one")
     if found.__abstractmethods__:
         raise InputError(where, f"has no {min(found.__abstractmethods__)}, expected it of such an action")
+    _check_fields(found, where)
     return found
+
+
+def _check_fields(kind: type[Action[Any]], where: str) -> None:
+    """:raises InputError: fields that can't be read, called as flags of every command, or without a source"""
+    try:
+        fields = fields_of(kind)
+    except (TypeError, NameError, AttributeError) as error:
+        raise InputError(where, f"has fields that can't be read, expected a dataclass: {error}") from None
+    for one in fields:
+        if _TAKEN & {one.name.replace("_", "-"), one.shown.removeprefix("--")}:
+            raise InputError(f"{where} -> {one.name}", "is called as what every command has, expected another name")
+    made_of_nothing = issubclass(kind, FileAction) and not issubclass(kind, InPlaceAction)
+    if not made_of_nothing and all(one.role != "source" for one in fields):
+        raise InputError(where, "has no source, expected one")
 
 
 def cookable(verb: str) -> type[StageAction[Any]] | None:
     """The action that makes a face of the recipe of a verb again; None where there is none."""
     kind = find_action(verb)
     return kind if kind is not None and issubclass(kind, StageAction) else None
+
+
+def cookables() -> tuple[str, ...]:
+    """The verbs whose faces can be made again; those of plug-ins that can't be used are left out."""
+    found = []
+    for verb in sorted({*_own(), *_others()}):
+        with contextlib.suppress(InputError):
+            found += [verb] if cookable(verb) else []
+    return tuple(found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,17 +54,25 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, overwrite: bool = False
     return open_face(out)
 
 
-def _check(out: Path, inputs: tuple[Path, ...], *, overwrite: bool) -> None:
+def _check(out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
     from facepipe.stage.outputs import check_output
 
     check_output(out, inputs, overwrite=overwrite)
 
 
 def given(name: str) -> Callable[..., Report] | None:
-    """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action."""
-    from facepipe.actions import find_action, verb_of
+    """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action.
 
-    kind: Any = find_action(verb_of(name))
+    :raises AttributeError: it is that of a plug-in that can't be used
+    """
+    from facepipe.actions import find_action, verb_of
+    from facepipe.core.errors import InputError
+
+    verb = verb_of(name)
+    try:
+        kind: Any = None if verb is None else find_action(verb)
+    except InputError as error:
+        raise AttributeError(f"facepipe.{name}: {error}") from None
     return None if kind is None else _function(kind)
 
 
@@ -95,13 +103,12 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
             return report
         given_out, overwrite = values.get("out"), values.get("overwrite", False)
         if given_out is None and isinstance(action, InPlaceAction):
-            check_result(kind, action.base, (), overwrite=True)
+            check_result(action, action.base, (), overwrite=True)
             return perform(action, action.base).report
-        out = Path(str(given_out))
-        beside = [getattr(action, one.name) for one in fields if one.role == "beside"]
-        for path in (out, *(one for one in beside if one is not None)):
-            _check(path, files_of(action), overwrite=overwrite)
-        check_result(kind, out, files_of(action), overwrite=overwrite)
+        out, read = Path(str(given_out)), [values[one.name] for one in fields if one.is_read and one.name in values]
+        inputs = [*files_of(action), *(Path(one) for one in read if isinstance(one, str | os.PathLike))]
+        _check(out, inputs, overwrite=overwrite)
+        check_result(action, out, inputs, overwrite=overwrite)
         return perform(action, out, flatten=values.get("flatten", False)).report
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)
@@ -141,6 +148,8 @@ def _value(field: Field, value: Any) -> Any:
         return None
     if field.is_read and field.parse is not None and isinstance(value, str | os.PathLike):
         return field.parse(Path(value))
+    if field.listed and isinstance(value, str | os.PathLike):
+        value = (value,)  # one of several
     if field.value is not None and isinstance(value, Mapping):
         return field.value.load(value, field.name)
     if field.role == "option" or field.split is not None:

@@ -190,10 +190,26 @@ class Field:
         """Whether it takes many words."""
         return any(typing.get_origin(kind) in (tuple, Mapping) or kind in (tuple, Mapping) for kind in self.kinds)
 
+    @property
+    def listed(self) -> bool:
+        """Whether its values are tuples."""
+        return all(typing.get_origin(kind) is tuple for kind in self.kinds if kind is not type(None))
+
+    @property
+    def word_kind(self) -> type:
+        """What a word of the command line is read as: what the items of a tuple are, where nothing else parses them."""
+        items = [item for kind in self.kinds for item in typing.get_args(kind)]
+        return next((one for one in (Path, float, int) if one in items and (one is Path or self.parse is None)), str)
+
     def check(self, value: object) -> None:
-        """:raises InputError: out of range, not finite, or none of its choices"""
+        """:raises InputError: out of range, not finite, or none of its choices; of a tuple or mapping, one in it"""
         if value is None and self.default is None:
             return
+        items = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
+        for one in items:
+            self._check(one)
+
+    def _check(self, value: object) -> None:
         if self.choices and value not in self.choices:
             expected = ", ".join(map(str, self.choices))
             raise InputError(f"option {self.name}", f"is {value!r}, expected one of {expected}")
@@ -323,20 +339,22 @@ def schema_of(kind: type[DataclassInstance]) -> dict[str, Any]:
 
 
 def _field_schema(one: Field) -> dict[str, Any]:
-    ways = [{} if one.value else _kind_schema(kind) for kind in one.kinds]
+    limits: dict[str, Any] = {} if one.low is None or one.high is None else {"minimum": one.low, "maximum": one.high}
+    limits |= {"enum": [*one.choices, *([None] if one.default is None else [])]} if one.choices else {}
+    ways = [{} if one.value else _kind_schema(kind, limits) for kind in one.kinds]
     found = dict(ways[0]) if len(ways) == 1 else {} if {} in ways else {"anyOf": ways}
     found |= {"description": one.said} if one.said else {}
-    found |= {} if one.low is None or one.high is None else {"minimum": one.low, "maximum": one.high}
-    found |= {"enum": [*one.choices, *([None] if one.default is None else [])]} if one.choices else {}
+    found |= {} if one.several else limits
     return found if one.needed else {**found, "default": one.dump(one.default)}
 
 
-def _kind_schema(kind: Any) -> dict[str, Any]:
+def _kind_schema(kind: Any, limits: dict[str, Any]) -> dict[str, Any]:
+    """:param limits: of numbers and texts in lists and objects"""
     of = typing.get_args(kind)
     if typing.get_origin(kind) is tuple:
-        return {"type": "array", "items": _kind_schema(of[0])}
+        return {"type": "array", "items": _kind_schema(of[0], limits) | limits}
     if typing.get_origin(kind) is Mapping:
-        return {"type": "object", "additionalProperties": _kind_schema(of[1])}
+        return {"type": "object", "additionalProperties": _kind_schema(of[1], limits) | limits}
     if kind is Path:
         return {"type": "string", "format": "path"}
     name = _JSON_TYPES.get(type(of[0]) if _is_literal(kind) else kind)

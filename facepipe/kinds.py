@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
+from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges, fields_of
 
 if TYPE_CHECKING:
@@ -92,9 +93,14 @@ class Action(ABC, Generic[R]):
 
     @property
     def base(self) -> Path:
-        """The first file that it is done to."""
+        """The first file that it is done to.
+
+        :raises InputError: there is none
+        """
         first = next(one for one in fields_of(type(self)) if one.role == "source")
         value = getattr(self, first.name)
+        if not value:
+            raise InputError(first.shown, f"none given, expected {first.help.split(';')[0]}")
         return Path(value[0] if isinstance(value, tuple) else value)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -24,7 +25,7 @@ from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.files import SUFFIXES, relative_path
-from facepipe.stage.outputs import check_output
+from facepipe.stage.outputs import check_output, check_report_folder
 from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)
@@ -97,23 +98,40 @@ def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -
     return said
 
 
-def check_result(kind: type[Action[Any]], out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Check that a result can have a name, and what is written with it, by an exporter or the action.
+def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Check before any work that a result can have a name, and what is written with it and beside it.
 
-    :raises InputError: no suffix that it can have, or a file that may not be overwritten
+    :raises InputError: a suffix that it can't have, or a file or folder that may not be written
     """
-    if issubclass(kind, FileAction):
-        if out.suffix.lower() not in kind.suffixes:
-            raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
-        for one in kind.with_it(out):
+    for one in _with_it(type(action), out):
+        if one != out:
             check_output(one, inputs, overwrite=overwrite)
-        return
-    suffix, exported = out.suffix.lower(), [f".{one}" for one in suffixes()]
+    for field, path in _beside(action):
+        if not field.suffix:
+            taken, known = [*inputs, out], re.compile(field.holds)
+            check_report_folder(path, overwrite=overwrite, taken=taken, known=known, command=action.verb)
+            continue
+        check_output(path, inputs, overwrite=overwrite)
+        if path.suffix.lower() != field.suffix:
+            raise InputError(path, f"suffix '{path.suffix}', expected {field.suffix}")
+        if path.absolute() == out.absolute():
+            raise InputError(path, "is the output too, expected another file")
+
+
+def _with_it(kind: type[Action[Any]], out: Path) -> Sequence[Path]:
+    """The files that an exporter or the action writes for a result.
+
+    :raises InputError: a suffix that it can't have
+    """
+    suffix = out.suffix.lower()
+    if issubclass(kind, FileAction):
+        if suffix not in kind.suffixes:
+            raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
+        return kind.with_it(out)
+    exported = [f".{one}" for one in suffixes()]
     if suffix not in (*SUFFIXES, *exported):
         raise InputError(out, f"suffix '{suffix}', expected one of {' '.join((*SUFFIXES, *exported))}")
-    there = [one for one in outputs(out) if one.exists()] if suffix in exported else []
-    if there and not overwrite:
-        raise InputError(there[0], "exists and would be written too, expected a new file (or --force)")
+    return outputs(out) if suffix in exported else ()
 
 
 @contextmanager

@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import functools
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.actions import find_action, groups, summaries
-from facepipe.cli.parser import Parser, add_field, output_of, output_or_edited
+from facepipe.cli.parser import Parser, add_field, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
@@ -54,13 +53,13 @@ class ActionGroup:
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the actions, and the arguments of the one that `words` name."""
         actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser)
-        for verb, summary in summaries().items():
-            group, _, name = verb.partition(" ")
-            if group == self.name and name:
-                line = ActionLine(_kind(verb)) if name in words else None
-                own = actions.add_parser(name, help=summary, description=line.__doc__ if line else None)
-                if line:
-                    line.configure(own)
+        for verb, summary in summaries(f"{self.name} ").items():
+            name = verb.partition(" ")[2]
+            line = ActionLine(_kind(verb)) if name in words else None
+            help = summary.replace("%", "%%")
+            own = actions.add_parser(name, help=help, description=line.__doc__ if line else None)
+            if line:
+                line.configure(own)
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Do the action, print its report; the exit code."""
@@ -104,7 +103,7 @@ def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
     result = kind.output if issubclass(kind, FileAction) else _STAGE
     if not any(one.stands_alone for one in fields_of(kind)):
         add("out", nargs="?", type=Path, metavar="OUT", help=f"{result} (or -o OUT)")
-    add("-o", "--output", type=Path, metavar="OUT", help=result)
+    add("-o", "--output", type=Path, metavar="OUT", help=result.replace("%", "%%"))
     edited = ", or with --edit RESULT," if staged else ""
     add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
     if staged:
@@ -125,8 +124,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     arguments.output = arguments.output or getattr(arguments, "out", None)
     in_place = isinstance(action, InPlaceAction) and arguments.output is None
     out = action.base if in_place else output_or_edited(arguments, inputs)
-    check_result(kind, out, inputs, overwrite=arguments.force)
-    _check_beside(action, arguments, [*inputs, *([arguments.edit] if kept else [])], out)
+    check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
     flatten = arguments.flatten or (kept is not None and kept.standalone)
     waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
     done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
@@ -204,25 +202,3 @@ def _joined(old: Any, given: Any) -> Any:
     if isinstance(old, Mapping) and isinstance(given, Mapping) and given:
         return {**old, **given}
     return tuple(given) if isinstance(given, list) else given
-
-
-def _check_beside(action: Action[Any], arguments: argparse.Namespace, inputs: list[Path], out: Path) -> None:
-    """Before any work: what is to be written beside the result can be.
-
-    :raises InputError: as `output_of`, another suffix, or `out` itself
-    """
-    from facepipe.cli.report_folder import check_report_folder
-
-    for one in fields_of(type(action)):
-        path = getattr(action, one.name) if one.role == "beside" else None
-        if path is None:
-            continue
-        if not one.suffix:
-            known = re.compile(one.holds)
-            check_report_folder(path, force=arguments.force, taken=[*inputs, out], known=known, command=action.verb)
-            continue
-        output_of(argparse.Namespace(output=path, force=arguments.force), inputs)
-        if path.suffix.lower() != one.suffix:
-            raise InputError(path, f"suffix '{path.suffix}', expected {one.suffix}")
-        if path.absolute() == out.absolute():
-            raise InputError(path, "is the output too, expected another file")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-import typing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -82,8 +81,8 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     absent: dict[str, Any] = {"dest": field.name, "default": argparse.SUPPRESS}
     if field.stands_alone:
         place: dict[str, Any] = {"nargs": "*", "default": ()} if field.several else {"nargs": "?"}
-        kind = Path if Path in field.kinds or _paths_of(field) else str
-        parser.add_argument(field.name, type=kind, metavar=field.shown, help=field.help, **place)
+        kind = Path if Path in field.kinds else field.word_kind
+        parser.add_argument(field.name, type=kind, metavar=field.shown, help=field.help.replace("%", "%%"), **place)
         return
     settings = {**_settings(field), **absent}
     if settings.get("action") == "store_true":
@@ -95,7 +94,7 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     if field.words > 1:
         settings |= {"nargs": field.words, "metavar": tuple(field.metavar.split())}
     elif field.several:
-        settings |= {"action": _Several, "type": Path if _paths_of(field) else str, "field": field}
+        settings |= {"action": _Several, "type": field.word_kind, "field": field}
         settings["help"] += "; may be given again"
         settings |= {"nargs": "+"} if field.words else {}
     parser.add_argument(field.shown, **settings)
@@ -120,10 +119,6 @@ class _Several(argparse.Action):
             setattr(namespace, self.dest, (self._field.parse or tuple)(self._words))
         except InputError as error:
             raise InputError(f"{option} {error.where}", error.what) from None
-
-
-def _paths_of(field: Field) -> bool:
-    return any(Path in typing.get_args(kind) for kind in field.kinds)
 
 
 def _settings(field: Field) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from facepipe.actions import cookable, summaries
+from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.older_recipes import verb_now
@@ -190,7 +190,7 @@ def read_node(path: Path) -> Node:
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)
     if cookable(verb_now(recipe.verb)) is None:
-        verbs = ", ".join(filter(cookable, summaries()))
+        verbs = ", ".join(cookables())
         raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {verbs}")
     sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)
     for number, source in enumerate(sources, 1):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,14 @@ from jsonschema import Draft202012Validator
 
 from facepipe.actions import find_action, summaries
 from facepipe.core.errors import InputError
-from facepipe.declare import Field, fields_of, schema_of
+from facepipe.declare import Field, fields_of, option, schema_of
 from facepipe.kinds import FOUND, StageAction
 from facepipe.performing import recipe_to
 
 # a source of any action; `rebuild` alone reads it
 _PROJECT = 'template = "smile.toml"\ndatabase = "smile.toml"\n[neutral]\nscan = "smile.toml"\n'
 # JSON of all types; what a field's range and choices add comes to them
-_ANY = (None, True, False, 0, 1, 5, -1, 0.5, 1e12, "", "auto", [], ["a"], [1.5], {}, {"a": 1.5}, {"a": "b"})
+_ANY = (None, True, False, 0, 1, 5, -1, 0.5, 1e12, "", "auto", [], ["a"], [1, 9], [1.5], {}, {"a": 1.5}, {"a": "b"})
 
 
 def action_of(verb: str) -> type[StageAction[Any]]:
@@ -48,10 +50,20 @@ def test_what_a_recipe_holds_is_valid(verb: str, tmp_path: Path) -> None:
     assert not Draft202012Validator(schema).is_valid({**found, "unknown": 1})
 
 
-@pytest.mark.parametrize("verb", summaries())
-def test_values_are_valid_that_a_recipe_can_have(verb: str) -> None:
-    schema, tried = schema_of(action_of(verb)), 0
-    for one in fields_of(action_of(verb)):
+@dataclass(frozen=True, kw_only=True)
+class Lists:
+    """Ranges and choices of what is in lists and objects; the kinds of our actions have few."""
+
+    sizes: tuple[float, ...] = option((), "sizes", 0.0, 1.5)
+    sides: tuple[str, ...] = option((), "sides", choices=("a", "b"))
+    weights: Mapping[str, float] = option(dict, "weights", 0.0, 1.0)
+    steps: tuple[int, ...] | None = option(None, "steps", 1, 5)
+
+
+@pytest.mark.parametrize("kind", [*map(find_action, summaries()), Lists], ids=[*summaries(), "lists"])
+def test_values_are_valid_that_a_recipe_can_have(kind: type[Any]) -> None:
+    schema, tried = schema_of(kind), 0
+    for one in fields_of(kind):
         validator = Draft202012Validator(schema["properties"][one.name])
         for value in candidates(one):
             assert validator.is_valid(value) == admits(one, value), (one.name, value)

@@ -8,9 +8,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from command_line import content
 
 import facepipe
 from facepipe.api import given, names
@@ -74,6 +76,27 @@ def test_exports_do_what_the_command_does(folder: Path) -> None:
         with pytest.raises(facepipe.InputError, match=re.escape(message)):
             facepipe.export("a.usda", "b.glb", **{wrong: True})
     assert not Path("b.glb").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        pytest.param({"heatmap": "c.jpg"}, "c.jpg: suffix '.jpg', expected .png", id="a picture of another suffix"),
+        pytest.param({"sources": []}, "SOURCE: none given", id="no sources"),
+        pytest.param({"sources": "abc"}, "abc: suffix ''", id="a source that is a name alone"),
+    ],
+)
+def test_what_the_command_refuses_the_function_does(folder: Path, given: dict[str, Any], message: str) -> None:
+    before = content(folder)
+    with pytest.raises(facepipe.InputError, match=re.escape(message)):
+        facepipe.blend(**{"sources": ["a.usda", "b.usda"], "out": "c.usda", **given})
+    assert content(folder) == before
+
+
+def test_a_file_alone_is_a_list_of_one(folder: Path) -> None:
+    for name, sources in {"one.usda": "a.usda", "list.usda": ["a.usda"]}.items():
+        facepipe.blend(sources, out=name)
+    assert Path("one.usda").read_bytes() == Path("list.usda").read_bytes()
 
 
 def test_a_result_from_a_file_that_is_imported_is_cooked_again(folder: Path) -> None:

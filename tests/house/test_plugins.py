@@ -121,13 +121,39 @@ drop = xyz_plugin.lift:Lift
 burst = xyz_plugin.burst:Burst
 skin = xyz_plugin.lift:Lift
 demo = xyz_plugin.lift:Lift
+database = xyz_plugin.lift:Lift
+studio lift = xyz_plugin.studio:Lift
+plain = xyz_plugin.plain:Lift
+clash = xyz_plugin.clash:Lift
+empty = xyz_plugin.empty:Lift
 """
 POINTS = sum(len(mesh.points) for mesh in tiny_face().meshes)
+
+
+def changed(verb: str, *changes: tuple[str, str]) -> str:
+    """The action under another verb, with parts of its text replaced."""
+    text = ACTION.replace('"lift"', f'"{verb}"')
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
 MODULES = {
     "__init__": "",
     "write": EXPORTER,
     "read": IMPORTER,
     "lift": ACTION,
+    "studio": changed(
+        "studio lift",
+        ('a face up"', 'a face up by 1%"'),
+        ('"face stage"', '"face stage, 100%"'),
+        ("    by_mm", '    more_mm: tuple[float, ...] = option((), "more", 0.0, 100.0, "mm")\n    by_mm'),
+        ("self.by_mm /", "(self.by_mm + sum(self.more_mm)) /"),
+    ),
+    "plain": changed("plain", ("@dataclass(frozen=True, kw_only=True)\nclass Lift(", "class Lift(")),
+    "clash": changed("clash", ("by_mm", "output")),
+    "empty": changed("empty", ('    face: Path = source("face stage")\n', "")),
     "burst": "raise OSError('no\\nlicence')",
 }
 
@@ -242,25 +268,63 @@ def test_an_action_of_others_is_done_in_python(folder: Path) -> None:
     assert (folder / "up.usda").read_bytes() == (folder / "same.usda").read_bytes()
 
 
+def test_a_verb_of_two_words_is_a_command_of_a_group(folder: Path) -> None:
+    save_parts(tiny_face(), folder / "face.usda")
+    assert re.search(r"^    lift +move a face up by 1%$", run(folder, "studio", "--help").stdout, re.MULTILINE)
+    assert "face stage, 100%" in run(folder, "studio", "lift", "--help").stdout
+    words = ("studio", "lift", "face.usda", "--by-mm", "5", "--more-mm", "1", "--more-mm", "0.5")
+    done = run(folder, *words, "-o", "up.usda")
+    assert (done.returncode, done.stderr) == (0, "")
+    moved = facepipe.open(folder / "up.usda").evaluate() - facepipe.open(folder / "face.usda").evaluate()
+    np.testing.assert_allclose(moved, np.tile([0.0, 0.65, 0.0], (POINTS, 1)), atol=1e-4)
+    assert "up.usda: studio lift: up to date" in run(folder, "cook", "up.usda").stdout
+    done = run(folder, *words, "--more-mm", "200", "-o", "far.usda")
+    assert done.stderr == "facepipe: option more_mm: is 200.0, expected a number from 0 to 100\n"
+
+    program = "import facepipe; facepipe.studio_lift('face.usda', by_mm=5.0, more_mm=(1.0, 0.5), out='same.usda')"
+    assert python(folder, program).returncode == 0
+    assert (folder / "up.usda").read_bytes() == (folder / "same.usda").read_bytes()
+
+
+def test_functions_of_actions_that_cannot_be_used_are_no_attributes(folder: Path) -> None:
+    assert python(folder, "import facepipe; print(hasattr(facepipe, 'burst'))").stdout == "False\n"
+    done = python(folder, "import facepipe; facepipe.burst")
+    line = "AttributeError: facepipe.burst: plug-in burst (xyz_plugin.burst:Burst): can't be loaded: no licence\n"
+    assert done.stderr.endswith(line)
+
+
 def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_else_breaks(folder: Path) -> None:
     wrong = {
         "sink": "(xyz_plugin.nothing:Sink): can't be loaded: No module named 'xyz_plugin.nothing'",
         "drop": "(xyz_plugin.lift:Lift): is no action of that verb, expected one",
         "burst": "(xyz_plugin.burst:Burst): can't be loaded: no licence",
+        "plain": "(xyz_plugin.plain:Lift): has fields that can't be read, expected a dataclass: must be called with a "
+        "dataclass type or instance",
+        "clash": "(xyz_plugin.clash:Lift) -> output: is called as what every command has, expected another name",
+        "empty": "(xyz_plugin.empty:Lift): has no source, expected one",
     }
     listing = run(folder, "--help")
     assert listing.returncode == 0, listing.stderr
     commands = listing.stdout.partition("commands:\n")[2].partition("\n\n")[0]
     listed = dict(line.split(maxsplit=1) for line in commands.splitlines())
     broken = {verb: f"(plug-in {verb} {line})" for verb, line in wrong.items()}
-    assert listed == {**commands_of(), "lift": "move a face up", **broken}  # skin and demo are ours
+    own = {**commands_of(), "lift": "move a face up", "studio": "actions of plug-ins"}
+    assert listed == {**own, **broken}  # skin, demo and database are ours
 
     save_parts(tiny_face(), folder / "face.usda")
     for verb, line in wrong.items():
         done = run(folder, verb, "face.usda", "-o", "up.usda")
         assert (done.returncode, done.stdout, done.stderr) == (2, "", f"facepipe: plug-in {verb} {line}\n")
     assert "skeleton" in run(folder, "skin", "--help").stdout
+    assert "add" in run(folder, "database", "--help").stdout
     assert run(folder, "inspect", "face.usda").returncode == 0
+
+    assert run(folder, "lift", "face.usda", "-o", "up.usda").returncode == 0
+    other = (folder / "up.usda").read_text().replace('recipe:verb = "lift"', 'recipe:verb = "fly"')
+    (folder / "up.usda").write_text(other)
+    line = run(folder, "cook", "up.usda").stderr
+    assert line.startswith("facepipe: up.usda -> recipe: is of 'fly', expected one of animate, ")
+    assert " lift, " in line
 
 
 def test_our_own_plug_ins_are_those_that_types_are_checked_of() -> None:

@@ -456,6 +456,13 @@ def test_bad_input_is_one_line_and_nothing_is_written(name: str, tmp_path: Path,
     assert expected in error
 
 
+def test_a_clip_is_not_overwritten_by_what_is_written_with_a_result(tmp_path: Path, capsys: Capsys) -> None:
+    clip, face = text('[{"jawOpen": 1}, {"jawOpen": 0}]', "take.onnx.json")(tmp_path), tmp_path / "face.usda"
+    save_parts(boned(), face)
+    error = failed(capsys, "animate", face, clip, "-o", tmp_path / "take.onnx", "--force", folder=tmp_path)
+    assert "take.onnx.json: is an input, expected another output file" in error
+
+
 def test_a_name_that_is_taken(tmp_path: Path, capsys: Capsys) -> None:
     clip, face = text("jawOpen\n0\n1\n")(tmp_path), tmp_path / "face.usda"
     save_parts(
