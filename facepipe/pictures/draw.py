@@ -8,18 +8,20 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.pictures.columns import joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
-from facepipe.pictures.scatter import spread
+from facepipe.pictures.scatter import open_share, smoothed, spread
 from facepipe.pictures.shade import Shaded, Shader
 from facepipe.pictures.textures import linear_to_srgb
 
 Image8 = npt.NDArray[np.uint8]
 
-SAMPLES_PER_BAND = 1_500_000
+SAMPLES_PER_BAND = 1_000_000
 _SMOOTH = 0.94  # cosine between triangles, below which a pixel that shows both shades each of them
 _STEP = 8.0  # pixels of depth within one pixel, beyond which it shows two things
+_HOLLOW = 5.0  # mm; width of the hollows that keep soft light away, too narrow for the maps of the sky
 _SCATTERED = 2.5  # mm; standard deviation of where light leaves skin around where it went in
 
 
@@ -34,10 +36,10 @@ class Spots:
     share: FloatArray  # (m,) of the pixel
 
 
-def draw(shader: Shader, size: int, background: FloatArray, samples: int, mm: float) -> Image8:
+def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples: int, mm: float) -> Image8:
     """(size, size, 3) sRGB pixels of the scene.
 
-    :param background: (size, size, 3) linear
+    :param background: (size, size, 3) linear, which is drawn on
     :param samples: per pixel and direction, of what covers a pixel; light is computed once or a few times in each
     :param mm: millimetres of a unit of the scene
     """
@@ -45,7 +47,7 @@ def draw(shader: Shader, size: int, background: FloatArray, samples: int, mm: fl
     screen = screen_triangles(fine, shader.scene.triangles)
     solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
     spots, over = _bands(shader, solid, clear, size, samples)
-    picture = background.reshape(-1, 3).astype(np.float32)
+    picture = background.reshape(-1, 3)
     _paint(picture, shader, spots, size, mm)
     if over is not None:
         over.blend(picture, shader)
@@ -67,9 +69,7 @@ def _bands(
         if len(clear.ids):
             veil = layers(shader, clear, raster, samples, fine)
             over += [] if veil is None else [veil]
-    names = Spots.__dataclass_fields__
-    joined = Spots(**{name: np.concatenate([getattr(one, name) for one in spots]) for name in names})
-    return joined, Layers.joined(over) if over else None
+    return joined(spots), joined(over) if over else None
 
 
 def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
@@ -136,24 +136,32 @@ def _paint(picture: npt.NDArray[np.float32], shader: Shader, spots: Spots, size:
     """Put what is solid over the background (size * size, 3)."""
     if not len(spots.pixel):
         return
-    shaded = shader.shade(spots.triangle, spots.x, spots.y)
-    if shader.studio.scatters:
-        shaded = _scattered(shaded, spots, size, _SCATTERED / mm, shader.camera.focal)
+    shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
+    if shader.studio.soft:
+        shaded = _softened(shaded, spots, size, shader.camera.focal, mm)
     color = shaded.toned(shader.studio.tone) * spots.share[:, None]
-    picture *= 1 - _summed(spots.share, spots.pixel, len(picture))[:, None]
+    picture *= 1 - _summed(spots.share, spots, len(picture))[:, None]
     for channel in range(3):
-        picture[:, channel] += _summed(color[:, channel], spots.pixel, len(picture))
+        picture[:, channel] += _summed(color[:, channel], spots, len(picture))
 
 
-def _scattered(shaded: Shaded, spots: Spots, size: int, width: float, focal: float) -> Shaded:
-    """Samples with the light that comes to them below the surface."""
-    columns = (*shaded.light.T, np.ones_like(shaded.depth), shaded.depth)
-    image = np.stack([_summed(column * spots.share, spots.pixel, size * size) for column in columns], axis=-1)
-    image = image.reshape(size, size, -1).astype(np.float32)
-    change = spread(image[..., :3], image[..., 3], image[..., 4], width, focal).reshape(-1, 3)
-    light = shaded.light + scatter_share(shaded.base) * change[spots.pixel]
-    return replace(shaded, light=np.maximum(light, 0))
+def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) -> Shaded:
+    """Samples with shadows free of grain, and with the light that comes to them below the surface."""
+    share, depth = (_image(spots, column, size) for column in (np.ones_like(shaded.depth), shaded.depth))
+    hidden = smoothed(_image(spots, shaded.key_light, size), share, depth, focal)
+    reached = open_share(depth, share, _HOLLOW / mm, focal).reshape(-1)[spots.pixel]
+    shaded = replace(
+        shaded, key_light=hidden.reshape(-1)[spots.pixel] * np.sqrt(reached), lit=shaded.lit.dimmed(reached)
+    )
+    light = np.stack([_image(spots, channel, size) for channel in shaded.diffuse.T], axis=-1)
+    change = spread(light, share, depth, _SCATTERED / mm, focal).reshape(-1, 3)
+    return replace(shaded, scattered=scatter_share(shaded.base) * change[spots.pixel])
 
 
-def _summed(values: FloatArray, pixel: IntArray, count: int) -> FloatArray:
-    return np.asarray(np.bincount(pixel, values, minlength=count), np.float64)
+def _image(spots: Spots, values: FloatArray, size: int) -> npt.NDArray[np.float32]:
+    """(size, size) values of the spots, each by its share of the pixel."""
+    return _summed(values * spots.share, spots, size * size).reshape(size, size).astype(np.float32)
+
+
+def _summed(values: FloatArray, spots: Spots, count: int) -> FloatArray:
+    return np.asarray(np.bincount(spots.pixel, values, minlength=count), np.float64)

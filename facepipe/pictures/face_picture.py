@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
@@ -23,7 +24,7 @@ from facepipe.pictures.portrait import Portrait
 from facepipe.pictures.regions import RegionColors, draw_legend, legend_width
 from facepipe.pictures.scene import Scene, build_scene, world_points
 from facepipe.pictures.shade import Shader
-from facepipe.pictures.textures import TextureCache, srgb_to_linear
+from facepipe.pictures.textures import srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -104,7 +105,7 @@ def pictures(parts: FaceParts, points: FloatArray | None, several: Sequence[Pict
 
     :raises FacepipeError: as `picture`
     """
-    scene = build_scene(parts, points)
+    scene = build_scene(parts, points, max(options.size for options in several))
     return [_picture(parts, scene, options) for options in several]
 
 
@@ -118,8 +119,7 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
     if paint is not None and len(paint) != count:
         raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
     camera = _camera(parts, scene, options)
-    textures = TextureCache(largest=2 * options.size)
-    shader = Shader(scene, camera, textures, options.heatmap, paint, options.studio)
+    shader = Shader(scene, camera, options.heatmap, paint, options.studio)
     mm = 1000 * parts.meters_per_unit
     image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples, mm))
     if options.landmarks is not None:
@@ -142,15 +142,15 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
         image.save(temporary, format="PNG", compress_level=6)
 
 
-def _behind(options: PictureOptions) -> FloatArray:
+def _behind(options: PictureOptions) -> npt.NDArray[np.float32]:
     """(size, size, 3) linear background: the backdrop, one colour, or a blend from the middle to the corners."""
     if options.backdrop is not None:
-        return srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32))
+        return srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32)).astype(np.float32)
     middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
     across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
     distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
     share = (distance**2 * (3 - 2 * distance))[..., None]
-    return srgb_to_linear(middle + (corner - middle) * share)
+    return srgb_to_linear(middle + (corner - middle) * share).astype(np.float32)
 
 
 def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:

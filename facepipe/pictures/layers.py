@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import IntArray
+from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.shade import Shader
 
 Floats = npt.NDArray[np.float32]
 
-_FAINT = 1 / 1000  # of a pixel's light: fainter fragments are not drawn
+_FAINT = 1 / 250  # of a pixel's light: fainter fragments are not drawn
 _TOGETHER = 2.0  # pixels in depth between fragments that may belong to one sheet
 
 
@@ -33,11 +34,6 @@ class Layers:
     weight: Floats  # (f,) share of the pixel that it covers and whose light comes past the layers before it
     veiled: IntArray  # (v,) pixels with layers
     passed: Floats  # (v,) share of the light from behind all layers
-
-    @classmethod
-    def joined(cls, parts: list[Layers]) -> Layers:
-        """Those of several bands."""
-        return cls(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in cls.__dataclass_fields__})
 
     def blend(self, picture: Floats, shader: Shader) -> None:
         """Put the layers over a linear picture (pixels, 3)."""
@@ -58,9 +54,6 @@ class _Fragments:
     x: Floats  # (f,) pixels
     y: Floats  # (f,)
 
-    def select(self, at: IntArray) -> _Fragments:
-        return _Fragments(**{name: getattr(self, name)[at] for name in self.__dataclass_fields__})
-
 
 def layers(
     shader: Shader, screen: ScreenTriangles, solid: Raster, samples: int, rows: tuple[int, int]
@@ -76,12 +69,10 @@ def layers(
     found = [_fragments(screen, spans, nearest, samples, rows[0]) for spans in spans_of(screen, width, *rows)]
     if not found:
         return None
-    every = _Fragments(
-        **{name: np.concatenate([getattr(one, name) for one in found]) for name in _Fragments.__dataclass_fields__}
-    )
+    every = joined(found)
     opacity = shader.opacity(every.triangle, every.x, every.y)
     there = np.flatnonzero(opacity > _FAINT)
-    return _stacked(shader, every.select(there), opacity[there], rows[0] // samples * (width // samples))
+    return _stacked(shader, chosen(every, there), opacity[there], rows[0] // samples * (width // samples))
 
 
 def _fragments(screen: ScreenTriangles, spans: Spans, nearest: Floats, samples: int, top: int) -> _Fragments:
@@ -140,7 +131,7 @@ def _stacked(shader: Shader, found: _Fragments, opacity: Floats, first: int) -> 
     """
     far = np.uint64(0xFFFFFFFF) - found.nearness.view(np.uint32).astype(np.uint64)
     order = np.argsort((found.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
-    found, opacity = found.select(order), opacity[order]
+    found, opacity = chosen(found, order), opacity[order]
     sheet = _sheets(shader, found)
     filled = np.maximum(np.bincount(sheet, found.share), 1.0)
     solid = np.bincount(sheet, found.share * opacity) / filled
@@ -163,11 +154,18 @@ def _stacked(shader: Shader, found: _Fragments, opacity: Floats, first: int) -> 
 
 
 def _sheets(shader: Shader, found: _Fragments) -> IntArray:
-    """(f,) numbers of the runs of fragments that lie side by side, in the order of the fragments."""
+    """(f,) numbers of the sheets that fragments belong to, in the order of the fragments.
+
+    A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once.
+    """
     surface = shader.scene.surface[found.triangle]
     apart = np.ones(len(surface), bool)
     near = found.nearness
     apart[1:] = found.pixel[1:] != found.pixel[:-1]
     apart[1:] |= surface[1:] != surface[:-1]
     apart[1:] |= near[:-1] - near[1:] > _TOGETHER / shader.camera.focal * near[:-1]
+    start = np.flatnonzero(apart)
+    middle = np.cumsum(found.share, dtype=np.float64) - found.share / 2
+    filled = np.floor(middle - (middle - found.share / 2)[start][np.cumsum(apart) - 1])
+    apart[1:] |= filled[1:] > filled[:-1]
     return np.cumsum(apart) - 1

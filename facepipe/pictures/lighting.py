@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +22,22 @@ class Samples:
     base: FloatArray  # (m, 3) linear diffuse colour
     roughness: FloatArray  # (m,)
     carried: FloatArray  # (m, c) what the studio computed at the points, for the side that is seen
-    key_light: FloatArray  # (m,) share of the key light that arrives
     mirror: FloatArray  # (m, 3) share of light reflected straight back at normal incidence
     inside: FloatArray  # (m,) factor of all light; below 1 on the inner side of a single-sided mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lit:
+    """Light that leaves samples, apart for the key, which may be hidden from them."""
+
+    diffuse: FloatArray  # (m, 3) to be multiplied by the surface's colour
+    highlights: FloatArray  # (m, 3)
+    key_diffuse: FloatArray  # (m, 3) of the key where nothing hides it
+    key_highlights: FloatArray  # (m, 3)
+
+    def dimmed(self, share: FloatArray) -> Lit:
+        """With a share (m,) of all light but the key's."""
+        return replace(self, diffuse=self.diffuse * share[:, None], highlights=self.highlights * share[:, None])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +65,8 @@ class Studio:
     ground: Color
     shadows: bool = True
     compress: bool = True  # bend highlights below white; off where colours must be exact
+    soft = False  # shadows and skin
     spread = 0.0  # lamps are points
-    scatters = False
 
     @property
     def key(self) -> FloatArray | None:
@@ -64,31 +77,33 @@ class Studio:
         """(n, 1) share of the sky that points with normals (n, 3) see."""
         return sky.share(normals)[:, None]
 
-    def light(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
-        """(m, 3) diffuse light, to be multiplied by the surface's colour, and (m, 3) highlights."""
+    def light(self, samples: Samples) -> Lit:
+        """The light of all lamps; the first is the key where it casts shadows."""
         # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
         ambient = samples.carried * samples.inside[:, None]
         seen = ambient / (1 - samples.base * (1 - ambient) * 0.9)
         height = (0.5 + 0.5 * (samples.normals @ samples.up))[:, None]
         diffuse = seen * (_row(self.ground) * (1 - height) + _row(self.sky) * height)
-        highlights = np.zeros_like(diffuse)
+        lit = Lit(diffuse=diffuse, **{name: np.zeros_like(diffuse) for name in ("highlights", *_KEY)})
         for number, light in enumerate(self.lights):
-            arriving = seen
-            if number == 0 and self.shadows:
-                arriving = (samples.key_light * samples.inside)[:, None] * (0.4 + 0.6 * seen)
+            of_key = number == 0 and self.shadows
+            arriving = samples.inside[:, None] * (0.4 + 0.6 * seen) if of_key else seen
             cosine = (samples.normals @ light.unit)[:, None]
             wrap = _row(light.wrap)
-            diffuse += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
+            matt = lit.key_diffuse if of_key else lit.diffuse
+            matt += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
             if light.highlight:
                 shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
-                highlights += (shine * (arriving @ GREY))[:, None] * _row(light.color)
-        return diffuse, highlights
+                glossy = lit.key_highlights if of_key else lit.highlights
+                glossy += (shine * (arriving @ GREY))[:, None] * _row(light.color)
+        return lit
 
     def tone(self, color: FloatArray) -> FloatArray:
         """Linear light as linear colours 0..1 of a screen."""
         return shoulder(color) if self.compress else np.minimum(color, 1.0)
 
 
+_KEY = ("key_diffuse", "key_highlights")
 GREY = np.full(3, 1 / 3, np.float32)
 SHARPEST = 0.22  # roughness; a lamp is no point, so that its glint has a size
 # For reading colours: from the camera, grey, the same left and right.

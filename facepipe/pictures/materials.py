@@ -14,13 +14,13 @@ from facepipe.parts import Material, TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.rasterise import interpolated
 from facepipe.pictures.scene import Scene
-from facepipe.pictures.textures import TextureCache
 
 T = TypeVar("T")
 Floats = npt.NDArray[np.float32]
 
 CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 _MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
+_STRANDS = 0.4  # of the highlights of a flat card: the hairs on it are round
 _PLAIN = Material(name="", diffuse_color=CLAY)
 _NUMBERS = {"metallic": 0.0, "roughness": 0.5, "opacity": 1.0, "occlusion": 1.0}  # and their values without a texture
 _TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")
@@ -36,6 +36,7 @@ class Surfaces:
     roughness: Floats  # (m,)
     opacity: Floats  # (m,)
     presence: Floats  # (m,) how much of it reflects: opacity cuts, but where it is constant and the surface smooth
+    gloss: Floats  # (m,) factor of highlights
     occlusion: Floats  # (m,)
     mirror: Floats  # (m, 3) share of light reflected at normal incidence
     normals: Floats  # (m, 3) camera axes, to the outside
@@ -44,8 +45,8 @@ class Surfaces:
 class Materials:
     """The materials of a scene as one camera sees them."""
 
-    def __init__(self, scene: Scene, camera: Camera, textures: TextureCache) -> None:
-        self._scene, self._camera, self._textures = scene, camera, textures
+    def __init__(self, scene: Scene, camera: Camera) -> None:
+        self._scene, self._camera = scene, camera
         self._each = [surface.material or _PLAIN for surface in scene.surfaces]
         self._layouts: dict[str, _Layout] = {}
 
@@ -65,6 +66,7 @@ class Materials:
             roughness=table[:, 7].copy(),
             opacity=opacity,
             presence=np.maximum(opacity, 1 - table[:, 7] / _MATT),
+            gloss=np.ones(len(ids), np.float32),
             occlusion=table[:, 9].copy(),
             mirror=np.repeat(table[:, 10:11], 3, axis=1),
             normals=normals.copy(),
@@ -106,6 +108,7 @@ class Materials:
                 target[at] = np.clip(read[0], 0.0, 1.0)
         if isinstance(material.opacity, TextureInput):
             found.presence[at] = found.opacity[at]
+            found.gloss[at] = _STRANDS
         if material.normal is not None:
             self._bend(_as_normals(material.normal), found, at, ids, weights)
 
@@ -118,7 +121,7 @@ class Materials:
         if len(ids) == 0 or np.isnan(corners[0, 0, 0]):
             return None
         uv = interpolated((corners[:, 0], corners[:, 1], corners[:, 2]), weights)
-        return self._textures.sample(source, uv, layout.footprint[ids], color=color)
+        return self._scene.textures.sample(source, uv, layout.footprint[ids], color=color)
 
     def _bend(self, source: TextureInput, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
         """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.threads import mapped
 from facepipe.pictures.rasterise import rasterise, screen_triangles
 
 AMBIENT_DIRECTIONS = 24
 AMBIENT_RESOLUTION = 256
 SHADOW_RESOLUTION = 768
 _FACING = 0.02  # cosine between a normal and a direction from which light can arrive
-_TAPS = 16  # of a soft shadow
+_TAPS = 12  # samples of a soft shadow, and to find how wide it is
 _WIDEST = 40.0  # map pixels of a soft shadow's edge
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -61,16 +63,15 @@ class DepthMap:
         :param turn: (n,) radians by which each point's sample pattern is turned, which makes noise of bands
         """
         at = self._coordinates(points, normals, 1.2)
-        offsets = _spiral(turn)
         gap, blockers = np.zeros(len(at), np.float32), np.zeros(len(at), np.float32)
-        for x, y in offsets:
+        for x, y in _spiral(turn):
             above = self._above(at, x * _WIDEST * 0.6, y * _WIDEST * 0.6)
             blocked = above > 0
             gap += np.where(blocked, above, 0)
             blockers += blocked
         width = np.clip(gap / np.maximum(blockers, 1) * spread, 1.0, _WIDEST)
         lit = np.zeros(len(at), np.float32)
-        for x, y in offsets:
+        for x, y in _spiral(turn):
             # A wide kernel reaches along the surface: what is not clearly above the point does not hide it.
             lit += self._above(at, x * width, y * width) <= 0.5 * width * np.hypot(x, y)
         return np.where(blockers > 0, lit / _TAPS, 1.0)
@@ -119,15 +120,19 @@ def visible_sky(points: FloatArray, normals: FloatArray, triangles: IntArray, tw
     """
     directions = sphere_directions(AMBIENT_DIRECTIONS)
     seen = np.zeros((len(points), len(directions)), np.float16)
-    for number, direction in enumerate(directions):
+
+    def look(number: int) -> None:
+        direction = directions[number]
         cosine = normals @ direction
         facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
         if not len(triangles):
             seen[facing, number] = 1.0
-            continue
+            return
         outward = normals[facing] * np.sign(cosine[facing])[:, None]
         light = depth_map(points, triangles, direction, AMBIENT_RESOLUTION)
         seen[facing, number] = light.lit(points[facing], outward)
+
+    mapped(look, range(len(directions)))
     return Sky(directions=directions, seen=seen)
 
 
@@ -146,13 +151,13 @@ def sphere_directions(count: int) -> FloatArray:
     return np.concatenate([half, half * (-1, 1, 1)])
 
 
-def _spiral(turn: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Points spread evenly over the unit disc (Vogel 1979), turned by angles (n,): `_TAPS` pairs of x and y (n,)."""
-    radii = np.sqrt((np.arange(_TAPS) + 0.5) / _TAPS)
-    angles = np.arange(_TAPS) * _GOLDEN
+def _spiral(turn: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Points spread evenly over the unit disc (Vogel 1979), turned by angles (n,): `_TAPS` x and y (n,)."""
     cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
-    flat = zip((radii * np.cos(angles)).astype(np.float32), (radii * np.sin(angles)).astype(np.float32), strict=True)
-    return [(x * cosine - y * sine, x * sine + y * cosine) for x, y in flat]
+    for number in range(_TAPS):
+        radius, angle = np.sqrt((number + 0.5) / _TAPS), number * _GOLDEN
+        x, y = np.float32(radius * np.cos(angle)), np.float32(radius * np.sin(angle))
+        yield x * cosine - y * sine, x * sine + y * cosine
 
 
 def _compare(nearness: npt.NDArray[np.float32], at: npt.NDArray[np.float32], radius: int) -> FloatArray:

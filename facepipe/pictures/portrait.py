@@ -11,11 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
-from facepipe.pictures.lighting import GREY, Color, Samples
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.pictures.lighting import GREY, Color, Lit, Samples
 from facepipe.pictures.occlusion import Sky
 
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
+_SCATTER = 0.8  # of the light that enters skin, in the channel that scatters farthest
 _CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
 
 
@@ -46,16 +47,16 @@ class Softbox:
 class Portrait:
     """The light of a portrait; the first box, the key, casts shadows."""
 
-    boxes: tuple[Softbox, ...]
+    boxes: tuple[Softbox, ...]  # one at least
     sky: Color
     ground: Color
     exposure: float = 1.0
-    scatters = True
+    soft = True
 
     @property
-    def key(self) -> FloatArray | None:
+    def key(self) -> FloatArray:
         """(3,) unit direction towards the light that casts shadows."""
-        return self.boxes[0].axes[2] if self.boxes else None
+        return np.asarray(self.boxes[0].axes[2])
 
     @property
     def spread(self) -> float:
@@ -69,8 +70,8 @@ class Portrait:
             weights.append(np.maximum(sky.directions @ (box.axes[2] @ axes), 0.0) ** 4 + 1e-4)
         return sky.shares(normals, np.stack(weights, axis=1))
 
-    def light(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
-        """(m, 3) diffuse light, to be multiplied by the surface's colour, and (m, 3) highlights."""
+    def light(self, samples: Samples) -> Lit:
+        """The light of the dome and of all boxes."""
         shares = samples.carried * samples.inside[:, None]
         view = _View(samples)
         open_sky = shares[:, :1]
@@ -82,13 +83,17 @@ class Portrait:
         highlights = open_sky * self._dome(mirrored) * view.sheen
         creep = _creep(samples.base)
         for number, box in enumerate(self.boxes):
-            arriving = shares[:, number] if number else samples.key_light * samples.inside
-            light = _row(box.color) * arriving[:, None]
+            light = _row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
             wrap = creep + 0.4 * box.spread
             cosine = (samples.normals @ box.axes[2])[:, None]
-            diffuse += light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2 * (1 - view.sheen)
-            highlights += light * view.reflection(box)
-        return diffuse, highlights
+            matt = light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2 * (1 - view.sheen)
+            glossy = view.reflection(box, light)
+            if number == 0:
+                key_diffuse, key_highlights = matt, glossy
+            else:
+                diffuse += matt
+                highlights += glossy
+        return Lit(diffuse=diffuse, highlights=highlights, key_diffuse=key_diffuse, key_highlights=key_highlights)
 
     def tone(self, color: FloatArray) -> FloatArray:
         """Linear light as linear colours 0..1 of a screen: a film's toe and shoulder."""
@@ -110,22 +115,33 @@ class _View:
         self.mirrored = 2 * facing[:, None] * self.normals - self.towards_eye
         self.sheen = _sheen(self.mirror, samples.roughness, self.facing)
 
-    def reflection(self, box: Softbox) -> FloatArray:
-        """(m, 3) share of a box's light that is reflected to the viewer."""
-        across, along, ahead = box.axes @ self.mirrored.T
+    def reflection(self, box: Softbox, light: FloatArray) -> FloatArray:
+        """(m, 3) what of a box's light (m, 3) is reflected to the viewer."""
+        found = np.zeros_like(light)
+        at = np.flatnonzero(light.any(axis=1) & (self.normals @ box.axes[2] > -box.spread))
+        if len(at):
+            found[at] = light[at] * self._lobe(box, at)
+        return found
+
+    def _lobe(self, box: Softbox, at: IntArray) -> FloatArray:
+        """(k, 3) share of a box's light that samples `at` (k,) reflect to the viewer."""
+        normals, alpha, facing, towards_eye = (
+            each[at] for each in (self.normals, self.alpha, self.facing, self.towards_eye)
+        )
+        across, along, ahead = box.axes @ self.mirrored[at].T
         ahead = np.maximum(ahead, 0.02)
         width, height = box.size
         place = np.stack([np.clip(across / ahead, -width, width), np.clip(along / ahead, -height, height)], axis=1)
         light = _unit(place @ box.axes[:2] + box.axes[2])
-        half = _unit(light + self.towards_eye)
-        cosine = np.maximum(_dot(self.normals, light), 0)
-        lobe = self.alpha / (_dot(self.normals, half) ** 2 * (self.alpha**2 - 1) + 1)
-        widened = np.minimum(self.alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
-        masking = self.alpha / 2
-        unmasked = (cosine * (1 - masking) + masking) * (self.facing * (1 - masking) + masking)
-        strength = box.glare * cosine * (lobe * self.alpha / widened) ** 2 / (4 * unmasked)
-        fresnel = self.mirror + (1 - self.mirror) * ((1 - _dot(light, half)) ** 5)[:, None]
-        return np.asarray(fresnel * strength[:, None])
+        half = _unit(light + towards_eye)
+        cosine = np.maximum(_dot(normals, light), 0)
+        lobe = alpha / (_dot(normals, half) ** 2 * (alpha**2 - 1) + 1)
+        widened = np.minimum(alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
+        masking = alpha / 2
+        unmasked = (cosine * (1 - masking) + masking) * (facing * (1 - masking) + masking)
+        strength = box.glare * cosine * (lobe * alpha / widened) ** 2 / (4 * unmasked)
+        mirror = self.mirror[at]
+        return np.asarray((mirror + (1 - mirror) * ((1 - _dot(light, half)) ** 5)[:, None]) * strength[:, None])
 
 
 def _sheen(mirror: FloatArray, roughness: FloatArray, facing: FloatArray) -> FloatArray:
@@ -138,7 +154,7 @@ def _sheen(mirror: FloatArray, roughness: FloatArray, facing: FloatArray) -> Flo
 
 def _creep(base: FloatArray) -> FloatArray:
     """(m, 3) how far light creeps around the terminator: farthest in the colour that a surface absorbs least."""
-    return _CREEP * scatter_share(base)
+    return _CREEP / _SCATTER * scatter_share(base)
 
 
 def scatter_share(base: FloatArray) -> FloatArray:
@@ -146,7 +162,7 @@ def scatter_share(base: FloatArray) -> FloatArray:
 
     Red light goes farthest in skin because skin absorbs it least; white things scatter all colours alike.
     """
-    return np.asarray((base / np.maximum(base.max(axis=1, keepdims=True), 1e-4)) ** 1.5)
+    return np.asarray(_SCATTER * (base / np.maximum(base.max(axis=1, keepdims=True), 1e-4)) ** 1.5)
 
 
 def filmic(color: FloatArray) -> FloatArray:
@@ -172,11 +188,11 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 PORTRAIT = Portrait(
     boxes=(
-        Softbox(direction=(-0.62, 0.62, 0.78), color=(1.02, 0.95, 0.87), size=(0.13, 0.19)),
-        Softbox(direction=(0.95, 0.10, 0.60), color=(0.13, 0.145, 0.165), size=(0.5, 0.8)),
-        Softbox(direction=(0.75, 0.35, -0.75), color=(0.42, 0.45, 0.50), size=(0.2, 0.8), glare=0.6),
-        Softbox(direction=(-0.85, 0.35, -0.80), color=(0.20, 0.21, 0.23), size=(0.2, 0.8), glare=0.6),
+        Softbox(direction=(-0.58, 0.62, 0.82), color=(0.98, 0.905, 0.82), size=(0.15, 0.22)),
+        Softbox(direction=(0.95, 0.10, 0.60), color=(0.10, 0.112, 0.128), size=(0.5, 0.8)),
+        Softbox(direction=(0.75, 0.35, -0.75), color=(0.34, 0.365, 0.40), size=(0.2, 0.8), glare=0.5),
+        Softbox(direction=(-0.85, 0.35, -0.80), color=(0.16, 0.17, 0.185), size=(0.2, 0.8), glare=0.5),
     ),
-    sky=(0.25, 0.265, 0.29),
-    ground=(0.12, 0.105, 0.095),
+    sky=(0.19, 0.20, 0.22),
+    ground=(0.095, 0.082, 0.074),
 )

@@ -18,8 +18,8 @@ from facepipe.core.arrays import FloatArray, IntArray
 
 KeyArray = npt.NDArray[np.uint64]
 
-ROWS_PER_CHUNK = 400_000
-FRAGMENTS_PER_CHUNK = 1_000_000
+ROWS_PER_CHUNK = 100_000
+FRAGMENTS_PER_CHUNK = 250_000
 NEAR = 1e-6  # smallest homogeneous w that counts as in front of the camera
 _ID_MASK = np.uint64(0xFFFFFFFF)
 
@@ -99,7 +99,7 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
         x=x,
         y=y,
         nearness=nearness[0],
-        limits=np.stack([nearness.min(axis=0), nearness.max(axis=0)]),
+        limits=np.stack(_extent(nearness)),
         gradient=np.stack([un * vy - vn * uy, vn * ux - un * vx]) / area,
     )
 
@@ -174,9 +174,14 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _crosses_centers(positions: FloatArray) -> npt.NDArray[np.bool_]:
     """(t,) whether the extent of corners (3, t) on one axis has a pixel's centre in it."""
-    low = np.minimum(np.minimum(positions[0], positions[1]), positions[2])
-    high = np.maximum(np.maximum(positions[0], positions[1]), positions[2])
+    low, high = _extent(positions)
     return np.asarray(np.ceil(low - 0.5) < np.ceil(high - 0.5))
+
+
+def _extent(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(t,) least and largest of three rows; numpy's own reductions are slow over short axes."""
+    a, b, c = corners
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def _clip(corners: FloatArray, ids: IntArray) -> tuple[FloatArray, IntArray]:

@@ -1,4 +1,5 @@
-"""Light that scatters below a surface and leaves it a little away: a blur of diffuse light, within one surface.
+"""Light that scatters below a surface and leaves it a little away: a blur of diffuse light, within one surface; and
+shadows without grain.
 
 Screen-space subsurface scattering in the manner of Jimenez et al. 2015, with one profile for all colours; how much of
 each colour goes that way is up to the caller.
@@ -11,6 +12,9 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float32]
 
+_RINGS = (0.35, 1.0)  # of the width of hollows
+_COMPASS = ((0.0, 1.0), (0.7, 0.7), (1.0, 0.0), (0.7, -0.7))
+_HOLLOW = 0.95  # of the light; how dark the deepest hollow is
 _CELLS = 2.0  # in a standard deviation of the blur: finer detail of its result has no meaning
 
 
@@ -28,37 +32,45 @@ def spread(light: Floats, share: Floats, depth: Floats, width: float, focal: flo
     if covered == 0 or pixels < 0.5:
         return np.zeros_like(light)
     cell = max(1, round(pixels / _CELLS))
-    values = np.dstack([light, share, depth])
-    coarse = _pooled(values, cell)
-    blurred = _blurred(coarse, pixels / cell, width)
-    inside = coarse[..., 3:4] > 0
-    change = blurred - coarse[..., :3] / np.where(inside, coarse[..., 3:4], 1)
-    return _enlarged(np.where(inside, change, 0).astype(np.float32), cell, light.shape[:2])
+    coarse = _pooled(np.dstack([light, share, depth]), cell)
+    values, far = coarse[..., :4], _mean(coarse[..., 4], coarse[..., 3])
+    steps = np.arange(np.ceil(2.5 * pixels / cell) + 1, dtype=np.float32)
+    blurred = _blurred(values, far, np.exp(-((steps * cell / pixels) ** 2) / 2), width)
+    change = blurred - _mean(coarse[..., :3], coarse[..., 3:4])
+    return _enlarged(np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32), cell, light.shape[:2])
 
 
-def _blurred(values: Floats, sigma: float, width: float) -> Floats:
-    """(h, w, 3) light blurred along rows, then columns, over neighbours at about the same depth."""
-    depth = values[..., 4] / np.where(values[..., 3] > 0, values[..., 3], 1)
-    summed = values[..., :4]
-    reach = int(np.ceil(2.5 * sigma))
+def smoothed(values: Floats, share: Floats, depth: Floats, focal: float) -> Floats:
+    """(h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth.
+
+    :param values: (h, w) premultiplied by `share`, as `depth` is; see `spread`
+    """
+    far = _mean(depth, share)
+    return _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
+
+
+def _blurred(values: Floats, depth: Floats, weights: Floats, width: float) -> Floats:
+    """(h, w, c) values, the last of which is their share, blurred along rows, then columns, where the depth is alike.
+
+    :param weights: of neighbours 0, 1, 2 ... pixels away
+    """
     for axis in (0, 1):
-        total = np.zeros_like(summed)
-        for step in range(-reach, reach + 1):
-            to, source = _shifted(axis, step, depth.shape)
-            apart = (depth[source] - depth[to]) / width
-            weight = np.exp(np.float32(-((step / sigma) ** 2) / 2) - apart * apart)
-            total[to] += summed[source] * weight[..., None]
-        summed = total
-    return np.asarray(summed[..., :3] / np.where(summed[..., 3:] > 0, summed[..., 3:], 1))
+        total = values * weights[0]
+        for step in range(1, len(weights)):
+            lower, upper = (
+                tuple(each if other == axis else slice(None) for other in (0, 1))
+                for each in (slice(0, -step), slice(step, None))
+            )
+            apart = (depth[lower] - depth[upper]) / np.float32(width)
+            alike = (weights[step] * np.exp(-apart * apart))[..., None]
+            total[lower] += values[upper] * alike
+            total[upper] += values[lower] * alike
+        values = total
+    return _mean(values[..., :-1], values[..., -1:])
 
 
-def _shifted(axis: int, step: int, shape: tuple[int, ...]) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Where values that move by `step` go, and where they come from."""
-    size = shape[axis]
-    to, source = [slice(None)] * 2, [slice(None)] * 2
-    to[axis] = slice(max(0, -step), max(0, min(size, size - step)))
-    source[axis] = slice(max(0, step), max(0, min(size, size + step)))
-    return tuple(to), tuple(source)
+def _mean(values: Floats, share: Floats) -> Floats:
+    return np.asarray(values / np.where(share > 0, share, 1))
 
 
 def _pooled(values: Floats, cell: int) -> Floats:
@@ -78,3 +90,31 @@ def _enlarged(values: Floats, cell: int, shape: tuple[int, int]) -> Floats:
         share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1)).astype(np.float32)
         values = values.take(low, axis=axis) * (1 - share) + values.take(high, axis=axis) * share
     return values
+
+
+def open_share(depth: Floats, share: Floats, width: float, focal: float) -> Floats:
+    """(h, w) share of soft light that reaches places between nearer ones: eyes under lids, lips on each other.
+
+    Pairs of opposite neighbours rise above a place only where it lies in a hollow, however the surface is inclined.
+
+    :param depth: (h, w) along the view, premultiplied by `share`
+    :param width: of the hollows, in units of depth
+    """
+    far = np.where(share > 0, _mean(depth, share), np.finfo(np.float32).max / 4)
+    covered = float(share.sum())
+    pixels = width * focal * covered / max(float(depth.sum()), 1e-12)
+    hidden = np.zeros_like(far)
+    for part in _RINGS:
+        reach = np.float32(part * width)
+        steps = {(round(part * pixels * y), round(part * pixels * x)) for y, x in _COMPASS} - {(0, 0)}
+        for down, right in steps:
+            heights = [np.clip(far - _moved(far, y, x), -reach, reach) for y, x in ((down, right), (-down, -right))]
+            hidden += np.maximum(heights[0] + heights[1], 0) / (2 * reach * len(_COMPASS) * len(_RINGS))
+    return np.asarray(1 - _HOLLOW * hidden, np.float32)
+
+
+def _moved(values: Floats, down: int, right: int) -> Floats:
+    """(h, w) of each pixel the value `down` and `right` of it, at the borders the nearest one."""
+    rows = np.clip(np.arange(values.shape[0]) + down, 0, values.shape[0] - 1)
+    columns = np.clip(np.arange(values.shape[1]) + right, 0, values.shape[1] - 1)
+    return np.asarray(values[rows][:, columns])

@@ -11,10 +11,12 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
-from facepipe.parts import FaceParts, Material, Mesh
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.pictures.camera import y_up
 from facepipe.pictures.occlusion import Sky, visible_sky
+from facepipe.pictures.textures import TextureCache
 
+_DENSE = 0.4  # opacity from which a piece of a card hides the light like a solid one
 WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
 
 
@@ -50,6 +52,7 @@ class Scene:
     surface: IntArray  # (t,) into surfaces
     surfaces: tuple[Surface, ...]
     first_point: IntArray  # (t,) first point of the triangle's mesh
+    textures: TextureCache
 
     @property
     def see_through(self) -> BoolArray:
@@ -65,8 +68,23 @@ class Scene:
 
     @cached_property
     def occluders(self) -> IntArray:
-        """(o, 3) triangles that keep light away."""
-        return self.triangles[~self.see_through]
+        """(o, 3) triangles that keep light away: solid ones, and those of cards where they are dense."""
+        solid = ~self.see_through
+        for number, surface in enumerate(self.surfaces):
+            opacity = surface.material.opacity if surface.material else 1.0
+            cards = np.flatnonzero(self.surface == number) if isinstance(opacity, TextureInput) else ()
+            if len(cards) and isinstance(opacity, TextureInput):
+                solid[cards] = self._mean(opacity, self.uv_corners(opacity.uv_set)[cards]) > _DENSE
+        return self.triangles[solid]
+
+    def _mean(self, opacity: TextureInput, corners: npt.NDArray[np.float32]) -> FloatArray:
+        """(k,) mean of a texture over triangles with texture coordinates (k, 3, 2): a look at its coarser levels."""
+        (u1, v1), (u2, v2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+        size = np.sqrt(np.abs(u1 * v2 - u2 * v1) / 2)
+        known = np.isfinite(size)
+        mean = np.ones(len(corners))
+        mean[known] = self.textures.sample(opacity, corners[known].mean(axis=1), size[known])[0][:, 0]
+        return mean
 
     @cached_property
     def sky(self) -> Sky:
@@ -120,9 +138,10 @@ def world_points(parts: FaceParts, points: FloatArray | None, what: str = "point
     return y_up(placed, parts.up_axis)
 
 
-def build_scene(parts: FaceParts, points: FloatArray | None) -> Scene:
+def build_scene(parts: FaceParts, points: FloatArray | None, size: int = 800) -> Scene:
     """The triangles of every mesh at `points` (n, 3) world space; None: the neutral.
 
+    :param size: pixels a side of the largest picture that shows it
     :raises InputError: points of the wrong shape or not finite
     :raises TopologyError: a mesh refers to points or materials that it does not have
     """
@@ -148,6 +167,7 @@ def build_scene(parts: FaceParts, points: FloatArray | None) -> Scene:
         surface=surface[drawn],
         surfaces=tuple(surfaces),
         first_point=first[drawn],
+        textures=TextureCache(largest=size * 5 // 4),
     )
 
 

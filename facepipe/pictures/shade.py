@@ -10,18 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.threads import mapped
 from facepipe.pictures.camera import Camera
+from facepipe.pictures.columns import joined
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.lighting import EVEN, Samples, Studio
+from facepipe.pictures.lighting import EVEN, Lit, Samples, Studio
 from facepipe.pictures.materials import Materials, Surfaces
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
 from facepipe.pictures.portrait import PORTRAIT, Portrait
 from facepipe.pictures.rasterise import barycentrics, interpolated
 from facepipe.pictures.scene import Scene, Surface
-from facepipe.pictures.textures import TextureCache
 
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets
-CHUNK = 60_000  # samples shaded at once
+CHUNK = 32_000  # samples shaded at once
 _PATTERN = np.array([0.06711056, 0.00583715]), 52.9829189  # interleaved gradient noise (Jimenez 2014)
 
 
@@ -30,21 +31,29 @@ class Shaded:
     """Samples with the light that leaves them, before the tones of the picture."""
 
     base: FloatArray  # (m, 3) linear colour
-    light: FloatArray  # (m, 3) diffuse light on it
-    highlights: FloatArray  # (m, 3)
+    lit: Lit
+    key_light: FloatArray  # (m,) share of the key light that arrives
+    scattered: FloatArray  # (m, 3) diffuse light that comes from below the surface, or goes there
     opacity: FloatArray  # (m,)
     presence: FloatArray  # (m,) how much of the surface is there: at least its opacity
     depth: FloatArray  # (m,) along the view
+
+    @property
+    def diffuse(self) -> FloatArray:
+        """(m, 3) diffuse light on the surface."""
+        return self.lit.diffuse + self.lit.key_diffuse * self.key_light[:, None]
 
     def toned(self, tone: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """(m, 3) colours of the picture, premultiplied by opacity.
 
         As in UsdPreviewSurface a see-through surface keeps its highlights whole: a clear cornea glints.
         """
-        color = tone(self.base * self.light + self.highlights) * self.opacity[:, None]
+        highlights = self.lit.highlights + self.lit.key_highlights * self.key_light[:, None]
+        light = np.maximum(self.diffuse + self.scattered, 0)
+        color = tone(self.base * light + highlights) * self.opacity[:, None]
         clear = np.flatnonzero(self.presence > self.opacity)
         if len(clear):
-            color[clear] += tone(self.highlights[clear]) * (self.presence - self.opacity)[clear, None]
+            color[clear] += tone(highlights[clear]) * (self.presence - self.opacity)[clear, None]
         return np.asarray(color, np.float32)
 
 
@@ -54,7 +63,6 @@ class Shader:
 
     scene: Scene
     camera: Camera
-    textures: TextureCache
     heatmap: HeatMap | None = None
     paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
     lights: Studio | Portrait | None = None  # instead of those of `studio`
@@ -85,7 +93,7 @@ class Shader:
     @cached_property
     def materials(self) -> Materials:
         """The materials of the scene, read where samples lie."""
-        return Materials(self.scene, self.camera, self.textures)
+        return Materials(self.scene, self.camera)
 
     @cached_property
     def point_values(self) -> npt.NDArray[np.float32]:
@@ -114,12 +122,18 @@ class Shader:
         surface, at = np.unique(self.scene.surface, return_index=True)
         return [(self.scene.surfaces[s], int(self.scene.first_point[t])) for s, t in zip(surface, at, strict=True)]
 
-    def shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> Shaded:
-        """What leaves screen positions (m,) inside triangles `ids` (m,)."""
+    def shade(self, ids: IntArray, x: FloatArray, y: FloatArray, *, grainy: bool = False) -> Shaded:
+        """What leaves screen positions (m,) inside triangles `ids` (m,).
+
+        :param grainy: soft shadows may have the grain of single pixels, which the caller takes out
+        """
         parts = [slice(start, start + CHUNK) for start in range(0, len(ids), CHUNK)] or [slice(0, 0)]
-        shaded = [self._shade(ids[part], x[part], y[part]) for part in parts]
-        names = Shaded.__dataclass_fields__
-        return Shaded(**{name: np.concatenate([getattr(one, name) for one in shaded]) for name in names})
+
+        def shaded(part: slice) -> Shaded:
+            return self._shade(ids[part], x[part], y[part], grainy)
+
+        # The first one alone computes what all of them share.
+        return joined([shaded(parts[0]), *mapped(shaded, parts[1:])])
 
     def opacity(self, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """(m,) opacity at screen positions (m,) inside triangles `ids` (m,)."""
@@ -130,7 +144,7 @@ class Shader:
             opacity[part] = self.materials.opacity(ids[part], weights.astype(np.float32))
         return opacity
 
-    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray) -> Shaded:
+    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray, grainy: bool) -> Shaded:
         weights = barycentrics(self.homogeneous, self.scene.triangles, ids, x, y).astype(np.float32)
         corners = self.scene.triangles[ids].T
         values = interpolated([self.point_values[corner] for corner in corners], weights)
@@ -141,20 +155,22 @@ class Shader:
             surfaces.base[:] = self.heatmap.colors(values[:, 9])
         elif self.paint is not None:
             surfaces.base[:] = values[:, 6:9]
-        samples = self._samples(surfaces, values, front, x, y, ids)
-        light, highlights = self.studio.light(samples)
+        samples = self._samples(surfaces, values, front, ids)
+        lit = self.studio.light(samples)
+        for highlights in (lit.highlights, lit.key_highlights):
+            highlights *= surfaces.gloss[:, None]
+        lit.highlights[:] += surfaces.emission
         return Shaded(
             base=surfaces.base * (1 - surfaces.metallic[:, None]),
-            light=light,
-            highlights=highlights + surfaces.emission,
+            lit=lit,
+            scattered=np.zeros_like(lit.diffuse),
+            key_light=self._key_light(values[:, :3], samples.normals, _turns(x, y) if grainy else None),
             opacity=surfaces.opacity,
             presence=surfaces.presence,
             depth=-values[:, 2],
         )
 
-    def _samples(
-        self, surfaces: Surfaces, values: FloatArray, front: BoolArray, x: FloatArray, y: FloatArray, ids: IntArray
-    ) -> Samples:
+    def _samples(self, surfaces: Surfaces, values: FloatArray, front: BoolArray, ids: IntArray) -> Samples:
         normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
         inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
         return Samples(
@@ -164,7 +180,6 @@ class Shader:
             base=surfaces.base,
             roughness=surfaces.roughness,
             carried=self._carried(values, front, ids) * surfaces.occlusion[:, None],
-            key_light=self._key_light(values[:, :3], normals, x, y),
             mirror=surfaces.mirror,
             inside=inside,
         )
@@ -175,21 +190,25 @@ class Shader:
         behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
         return np.where(front[:, None], ahead, behind)
 
-    def _key_light(self, position: FloatArray, normals: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """(m,) share of the key light that arrives at camera positions (m, 3)."""
+    def _key_light(self, position: FloatArray, normals: FloatArray, turns: FloatArray | None) -> FloatArray:
+        """(m,) share of the key light that arrives at camera positions (m, 3); `turns` as in `DepthMap.softly_lit`."""
         arriving = np.ones(len(position), np.float32)
         if self.shadow is None or self.studio.key is None:
             return arriving
         facing = np.flatnonzero(normals @ self.studio.key > -0.35)
         world = position[facing] @ self.camera.axes + self.camera.eye
         turned = normals[facing] @ self.camera.axes
-        if self.studio.spread == 0:
+        if turns is None:
             arriving[facing] = self.shadow.lit(world, turned, radius=2)
-            return arriving
-        (across, down), scale = _PATTERN
-        turn = 2 * np.pi * (scale * ((across * np.floor(x[facing]) + down * np.floor(y[facing])) % 1.0) % 1.0)
-        arriving[facing] = self.shadow.softly_lit(world, turned, self.studio.spread, turn)
+        else:
+            arriving[facing] = self.shadow.softly_lit(world, turned, self.studio.spread, turns[facing])
         return arriving
+
+
+def _turns(x: FloatArray, y: FloatArray) -> FloatArray:
+    """(m,) radians that differ between neighbouring pixels."""
+    (across, down), scale = _PATTERN
+    return np.asarray(2 * np.pi * (scale * ((across * np.floor(x) + down * np.floor(y)) % 1.0) % 1.0))
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,10 @@ def linear_to_srgb(values: FloatArray) -> FloatArray:
     return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * np.maximum(clipped, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
+_DATA: Pixels = (np.arange(256) / 255.0).astype(np.float32)
+_SRGB: Pixels = srgb_to_linear(_DATA.astype(np.float64)).astype(np.float32)
+
+
 def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
     """(h, w, 4) pixels of a texture, top row first, halved until no side is above `largest`.
 
@@ -39,12 +44,11 @@ def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
 
 
 class TextureCache:
-    """Decoded textures of one picture, each decoded once per colour space."""
+    """Decoded textures of one picture, whole and halved again and again, each decoded once."""
 
     def __init__(self, largest: int) -> None:
         """:param largest: pixels a side beyond which a texture holds more than the picture can show."""
-        self._pixels = lru_cache(maxsize=None)(lambda texture: decode(texture, largest))
-        self._linear = lru_cache(maxsize=None)(self._channels)
+        self._levels = lru_cache(maxsize=None)(lambda texture: _halved(decode(texture, largest)))
 
     def sample(
         self, source: TextureInput, uv: FloatArray, footprint: FloatArray, *, color: bool = True
@@ -54,33 +58,41 @@ class TextureCache:
         :param footprint: (m,) length in UV space that a pixel of the picture spans
         :param color: the texture holds sRGB colours where three channels are asked for, which become linear
         """
-        levels = self._linear(source.texture, source.channels, color)
+        levels, part = self._levels(source.texture), CHANNELS[source.channels]
+        # UsdPreviewSurface's automatic colour space: 8-bit RGB is sRGB, single channels are data.
+        table = _SRGB if source.channels == "rgb" and color else _DATA
         texels = (footprint * max(levels[0].shape[:2])).astype(np.float32)
         chosen = np.clip(np.round(np.log2(np.maximum(texels, 1e-6))), 0, len(levels) - 1).astype(np.int64)
-        found = np.empty((len(uv), levels[0].shape[2]), np.float32)
-        for number in np.flatnonzero(np.bincount(chosen, minlength=1)):
+        found = np.empty((len(uv), part.stop - part.start), np.float32)
+        for number in np.flatnonzero(np.bincount(chosen)):
             at = np.flatnonzero(chosen == number)
-            found[at] = bilinear(levels[number], uv[at], source.wrap_s, source.wrap_t)
-        part = CHANNELS[source.channels]
+            found[at] = bilinear(levels[number][..., part], uv[at], source.wrap_s, source.wrap_t, table)
         found = found * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
         return found, texels
 
-    def _channels(self, texture: Texture, channels: str, color: bool) -> list[Pixels]:
-        """Linear values, whole and halved again and again."""
-        values = self._pixels(texture)[..., CHANNELS[channels]]
-        steps = np.arange(256) / 255.0
-        table = srgb_to_linear(steps) if channels == "rgb" and color else steps
-        levels = [np.asarray(table.astype(np.float32)[values])]
-        while min(levels[-1].shape[:2]) > 1:
-            height, width = (side // 2 * 2 for side in levels[-1].shape[:2])
-            even = levels[-1][:height, :width]
-            quarters = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
-            levels.append(np.asarray(quarters / 4, np.float32))
-        return levels
+
+def _halved(pixels: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
+    """An image (h, w, 4) and ever smaller ones, down to one pixel a side."""
+    from PIL import Image
+
+    levels, image = [pixels], Image.fromarray(pixels)
+    while min(image.size) > 1:
+        image = image.reduce(2)
+        levels.append(np.asarray(image))
+    return levels
 
 
-def bilinear(pixels: Pixels, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat") -> Pixels:
-    """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up."""
+def bilinear(
+    pixels: npt.NDArray[Any],
+    uv: FloatArray,
+    wrap_s: str = "repeat",
+    wrap_t: str = "repeat",
+    table: Pixels | None = None,
+) -> Pixels:
+    """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up.
+
+    :param table: what 8-bit pixels stand for; None: themselves
+    """
     height, width = pixels.shape[:2]
     x = uv[:, 0] * width - 0.5
     y = (1.0 - uv[:, 1]) * height - 0.5
@@ -88,8 +100,9 @@ def bilinear(pixels: Pixels, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str
     fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
     left, right = _wrap(x0, width, wrap_s), _wrap(x0 + 1, width, wrap_s)
     above, below = _wrap(y0, height, wrap_t), _wrap(y0 + 1, height, wrap_t)
-    upper = pixels[above, left] * (1 - fx) + pixels[above, right] * fx
-    lower = pixels[below, left] * (1 - fx) + pixels[below, right] * fx
+    corners = (pixels[row, column] for row in (above, below) for column in (left, right))
+    nw, ne, sw, se = corners if table is None else (table[corner] for corner in corners)
+    upper, lower = nw * (1 - fx) + ne * fx, sw * (1 - fx) + se * fx
     return np.asarray(upper * (1 - fy) + lower * fy)
 
 

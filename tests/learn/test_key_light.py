@@ -43,14 +43,13 @@ def test_it_shines_as_the_lamps_of_pictures_do() -> None:
         base=np.full((len(normals), 3), 0.3, np.float32),
         roughness=np.full(len(normals), ROUGHNESS, np.float32),
         carried=whole[:, None],
-        key_light=whole,
         mirror=np.full((len(normals), 3), 0.04, np.float32),
         inside=whole,
     )
     alone = Light(direction=DIRECTION, color=COLOR, highlight=SHINE)
-    light, shine = Studio(lights=(alone,), sky=BLACK, ground=BLACK, shadows=False).light(samples)
-    np.testing.assert_allclose(matt, light, atol=2e-5)
-    np.testing.assert_allclose(mirrored, shine, rtol=2e-5, atol=2e-5)
+    lit = Studio(lights=(alone,), sky=BLACK, ground=BLACK, shadows=False).light(samples)
+    np.testing.assert_allclose(matt, lit.diffuse, atol=2e-5)
+    np.testing.assert_allclose(mirrored, lit.highlights, rtol=2e-5, atol=2e-5)
     assert mirrored.max() > 0.05
 
 
