@@ -8,6 +8,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
 from facepipe.heads.expressing import sliders
 from facepipe.heads.eye_fit import Shapes, fit_eyes
+from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
 from facepipe.heads.joints import bone_limits, skeleton
 from facepipe.heads.motions import TALK, animations
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, Skin, UvSet
@@ -35,6 +36,7 @@ def make_head(identity: FloatArray) -> FaceParts:
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(points, head.shapes)
+    shapes = {**shapes, **identity_shapes()}
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,
@@ -42,7 +44,7 @@ def make_head(identity: FloatArray) -> FaceParts:
         skeleton=skeleton(points),
         animations=animations(frozenset(head.shapes)),
         played=TALK,
-        sliders=sliders(frozenset(head.shapes)),
+        sliders=(*sliders(frozenset(head.shapes)), *identity_sliders()),
         bone_limits=bone_limits(head.joints),
         materials=_MATERIALS,
         attribution=ATTRIBUTION,

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.geometry.segments import to_segment
 from facepipe.importers.ict_topology import LANDMARKS, PARTS
 
 BLEND = 0.35  # cm
@@ -79,10 +80,4 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
 def _distance(points: FloatArray, landmarks: FloatArray, bundle: Bundle) -> FloatArray:
     places = [[landmarks[spot] if isinstance(spot, int) else np.array(spot) for spot in line] for line in bundle.lines]
     segments = [(a, b) for line in places for a, b in itertools.pairwise(line)]
-    return np.asarray(np.min([_to_segment(points, a, b) for a, b in segments], axis=0) - bundle.radius)
-
-
-def _to_segment(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    along = end - start
-    t = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(points - start - t[:, None] * along, axis=1))
+    return np.asarray(np.min([to_segment(points, a, b) for a, b in segments], axis=0) - bundle.radius)

@@ -14,11 +14,13 @@ from typing import Any
 import arcs
 import cards
 import eyes
+import measures
 import mouth
 import numpy as np
 import numpy.typing as npt
 import skin_maps
 import strokes
+import traits
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
 from lids import lids
 from mirror import evened, mirror_points
@@ -28,6 +30,7 @@ from skeleton import Skeleton, skeleton
 from tongue import tongue_out
 
 from facepipe.geometry.borders import back_of_border
+from facepipe.heads.asset import unpacked
 from facepipe.importers.ict_regions import REGIONS, head_regions
 from facepipe.importers.ict_topology import LANDMARKS, MATERIALS
 
@@ -51,8 +54,10 @@ def main() -> None:
     regions = head_regions(model.points)
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
-    write_arrays(out / "modes.npz", {"modes": packed(model.modes)})
+    modes = packed(model.modes)
+    write_arrays(out / "modes.npz", {"modes": modes})
     write_arrays(out / "lids.npz", lids(model, mirror))
+    write_arrays(out / "measures.npz", controls(model, unpacked(modes), arguments.data))
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
     cards.main(ict, out)
@@ -122,6 +127,16 @@ def joints(made: Skeleton) -> Arrays:
         "skin_joints": made.indices.astype(np.uint8),
         "skin_weights": np.rint(made.weights * np.iinfo(np.uint16).max).astype(np.uint16),
     }
+
+
+def controls(model: Model, modes: npt.NDArray[np.float32], data: Path) -> Arrays:
+    """Weights of the identity modes for measures, and for what is typical of sex and age."""
+    starts = {part.mesh: part.points[0] for part in reversed(KEPT)}
+    parts = {name: slice(starts[name], part.points[1]) for name, part in ((part.mesh, part) for part in KEPT)}
+    landmarks = np.array(LANDMARKS, np.int32)
+    found = measures.build(model.points, modes, parts, (model.counts, model.indices), landmarks)
+    source = data / "makehuman" / "makehuman_head.npz"
+    return found | traits.build(model.points, modes, landmarks, found["parity"], source)
 
 
 def quiet(shape: Floats) -> Floats:

@@ -1,0 +1,126 @@
+"""Who a seed draws: the shape of a head, its sex and age, and the colours that go with one another.
+
+Shapes follow the statistics of ICT-FaceKit's identity modes: independent normal weights, of which the one along the
+typical difference between the sexes is drawn with the sex. Age is added. Skin tones are even on Monk's scale of ten
+(Ellis Monk, "The Monk Skin Tone Scale", 2019, skintone.google). How often a colour of hair or eyes comes with a tone is
+made up to be plausible: no survey is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.heads.asset import arrays
+from facepipe.heads.directions import STEP
+from facepipe.heads.look import Look
+
+MODES = 100
+TONES = 10  # of Monk's scale
+_FARTHEST = 2.5  # standard deviations of a mode's weight
+_YOUNG, _OLD = 18.0, 80.0  # years
+
+_LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
+_HAIR = {  # share at those tones
+    "black": (0.03, 0.35, 0.85),
+    "dark": (0.20, 0.45, 0.15),
+    "brown": (0.34, 0.18, 0.0),
+    "light": (0.22, 0.02, 0.0),
+    "blond": (0.15, 0.0, 0.0),
+    "red": (0.06, 0.0, 0.0),
+}
+_EYES = {
+    "dark": (0.03, 0.30, 0.70),
+    "brown": (0.27, 0.55, 0.30),
+    "hazel": (0.20, 0.12, 0.0),
+    "green": (0.12, 0.02, 0.0),
+    "blue": (0.28, 0.01, 0.0),
+    "grey": (0.10, 0.0, 0.0),
+}
+_FAIR = {"black": 0.1, "dark": 0.5, "brown": 1.0, "light": 1.6, "blond": 2.5, "red": 1.6}  # times for fair eyes
+_STYLES = {  # share of women and of men
+    "bald": (0.01, 0.12),
+    "stubble": (0.03, 0.18),
+    "crop": (0.12, 0.40),
+    "parted": (0.16, 0.20),
+    "bob": (0.30, 0.03),
+    "long": (0.30, 0.04),
+    "coils": (0.08, 0.03),
+}
+_COILS = (0.2, 1.0, 3.0)  # times for coils at light, middle and dark tones
+
+
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """One person."""
+
+    identity: FloatArray  # (MODES,) weights of the identity modes, in standard deviations
+    sex: float = 0.0  # about -1 typically female, 1 typically male
+    years: float = 30.0
+    look: Look
+
+
+def draw(seed: int) -> Person:
+    """The person of a seed; seed 0 is the average head. Same seed, same person."""
+    if seed == 0:
+        return Person(identity=np.zeros(MODES), look=Look())
+    random = np.random.Generator(np.random.PCG64(seed))
+    male = bool(random.random() < 0.5)
+    sex = float((1.0 if male else -1.0) * np.clip(random.normal(0.9, 0.35), 0.0, 1.6))
+    years = float(random.uniform(_YOUNG, _OLD))
+    weights = np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
+    return Person(identity=_typical(weights, sex, years), sex=sex, years=years, look=_look(random, seed, sex, years))
+
+
+def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> Look:
+    tone, male = float(random.uniform(1.0, TONES)), sex > 0
+    hair = _pick(random, _at(_HAIR, tone))
+    fair = {"dark": 1.0, "brown": 1.0}
+    eyes = {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()}
+    return Look(
+        seed=seed,
+        tone=tone,
+        eyes=_pick(random, eyes),
+        hair=_greyed(random, hair, years),
+        style=_pick(random, _styles(tone, male)),
+        redness=float(random.uniform(0.2, 0.8)),
+        lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
+        age=float((years - _YOUNG) / (_OLD - _YOUNG)),
+        freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
+        beard=float(random.beta(1.2, 1.6) if male else 0.0),
+        brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+    )
+
+
+def _typical(weights: FloatArray, sex: float, years: float) -> FloatArray:
+    """Weights with the typical share of sex instead of a chance one, and with what age does."""
+    male, old = arrays("measures")["trait_weights"] * STEP
+    across = male / np.linalg.norm(male)
+    aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
+    return np.asarray(weights + (sex - weights @ across) * across + aged * old)
+
+
+def _at(shares: Mapping[str, tuple[float, float, float]], tone: float) -> dict[str, float]:
+    return {name: float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), own)) for name, own in shares.items()}
+
+
+def _styles(tone: float, male: bool) -> dict[str, float]:
+    shares = {name: own[male] for name, own in _STYLES.items()}
+    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
+    return shares
+
+
+def _greyed(random: np.random.Generator, hair: str, years: float) -> str:
+    """Grey or white, the older the likelier."""
+    grey, white = 1.0 / (1.0 + np.exp((np.array([52.0, 72.0]) - years) / 5.0))
+    chance = random.random()
+    return "white" if chance < white else "grey" if chance < grey else hair
+
+
+def _pick(random: np.random.Generator, shares: Mapping[str, float]) -> str:
+    """One of the names, by their shares."""
+    names, chances = list(shares), np.array(list(shares.values()))
+    return names[int(np.searchsorted(np.cumsum(chances) / chances.sum(), random.random(), side="right"))]

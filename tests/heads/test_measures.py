@@ -1,0 +1,79 @@
+"""Sliders of measures, on the data that ships: each moves its own measure, and the others hardly."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from places import REPOSITORY
+
+sys.path.insert(0, str(REPOSITORY / "samples" / "head"))
+import measures
+
+from facepipe.core.arrays import FloatArray
+from facepipe.heads.asset import arrays, asset
+from facepipe.heads.directions import REACH, directions
+from facepipe.heads.identity_sliders import identity_sliders
+from facepipe.heads.masks import masks
+
+MM = 10.0  # of a centimetre
+
+
+@pytest.fixture(scope="module")
+def effects() -> FloatArray:
+    """What each direction does to each measure, both in standard deviations of the measure."""
+    head, deviations = asset(), arrays("measures")["deviations"]
+    functionals = measures.functionals(measures.spots(head.points, head.landmarks))
+    moved = np.stack([one.offsets[: measures.SKIN] for one in directions()[: len(deviations)]])
+    return np.einsum("dnc,enc->de", functionals, moved, optimize=True) / deviations[:, None] / REACH
+
+
+def test_a_direction_moves_its_measure(effects: FloatArray) -> None:
+    assert len(effects) >= 30
+    np.testing.assert_allclose(np.diag(effects), 1.0, atol=0.02)
+
+
+def test_a_direction_leaves_the_other_measures(effects: FloatArray) -> None:
+    others = np.abs(effects[~np.eye(len(effects), dtype=bool)])
+    assert others.max() <= 0.1
+    assert np.median(others) <= 0.01
+
+
+def test_no_point_moves_further_than_3_mm_per_mm() -> None:
+    for one, deviation in zip(directions(), arrays("measures")["deviations"], strict=False):
+        farthest = MM * np.linalg.norm(one.offsets, axis=1).max()
+        assert farthest <= 3.0 * REACH * deviation, one.name
+
+
+def test_directions_are_symmetric_and_their_halves_add_up() -> None:
+    from scipy.spatial import cKDTree
+
+    points = asset().points
+    other = cKDTree(points[: measures.SKIN]).query(points[: measures.SKIN] * (-1, 1, 1))[1]
+    for one in directions():
+        skin = one.offsets[: measures.SKIN]
+        assert np.abs(skin - skin[other] * (-1, 1, 1)).max() < 0.02, one.name
+        if one.sided:
+            left, right = one.shapes
+            assert np.abs(left.offsets + right.offsets - one.offsets).max() < 0.0021, one.name
+            assert not left.offsets[points[:, 0] < -1.01].any()
+
+
+def test_masks_sum_to_one() -> None:
+    head = asset()
+    found = masks(head.points, {name: part.points for name, part in head.parts.items()})
+    np.testing.assert_allclose(found.sum(axis=(0, 1)), 1.0, atol=1e-12)
+
+
+def test_sliders_have_names_of_their_own_and_mutual_mirrors() -> None:
+    sliders = {slider.name: slider for slider in identity_sliders()}
+    measured = set(arrays("measures")["names"].tolist())
+    assert len(sliders) == len(identity_sliders())
+    assert measured <= set(sliders)
+    mixes = {name for name, slider in sliders.items() if slider.mirror is None} - measured
+    assert len(mixes) >= 30
+    for slider in sliders.values():
+        assert slider.minimum == -1.0
+        if slider.mirror:
+            assert sliders[slider.mirror].mirror == slider.name
