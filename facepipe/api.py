@@ -37,16 +37,17 @@ def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
     return read_face(Path(path), kind, options_of(kind)(**options))
 
 
-def sample(out: AnyPath | None = None, *, seed: int = 0, overwrite: bool = False) -> Face:
+def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, overwrite: bool = False) -> Face:
     """The built-in head: one topology, a different person for every seed.
 
     :param out: a stage to save it as; None: it is in memory
+    :param textures: texels a side of the skin's textures; 0: colours at points, and no hair
     :raises InputError: a seed below 0, or a file that can't be written
     """
     from facepipe.heads import make
     from facepipe.stage import Face, open_face, save_parts
 
-    parts = make(seed)
+    parts = make(seed, textures=textures)
     if out is None:
         return Face.from_parts(parts)
     _check(Path(out), (), overwrite=overwrite)

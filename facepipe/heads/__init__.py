@@ -1,7 +1,7 @@
-"""The built-in sample: a procedural human head with eyes, teeth, shapes, skin, regions and landmarks.
+"""The built-in head: a real one, of ICT-FaceKit and MakeHuman, and people drawn from it.
 
-`make` is the entry; each module makes one kind of part. Everything is computed from formulas and the tables in these
-modules: no scan or model of anyone is in it.
+`make` is the entry. `samples/head/build.py` makes the package data; `asset` reads it, and `assembly` puts a face
+together.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.heads.build import make
+    from facepipe.heads.assembly import make
 else:
     __getattr__, __dir__ = lazy(__name__)
 

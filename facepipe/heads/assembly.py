@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
 from facepipe.heads.expressing import sliders
 from facepipe.heads.eye_fit import Shapes, fit_eyes
 from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
 from facepipe.heads.joints import bone_limits, skeleton
+from facepipe.heads.look import Look
 from facepipe.heads.motions import TALK, animations
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Material, MaterialFaces, Mesh, Skin, UvSet
-
-_SKIN = (0.60, 0.37, 0.28)
-_MATERIALS = (
-    Material(name="M_Face", diffuse_color=_SKIN, roughness=0.5),
-    Material(name="M_BackHead", diffuse_color=_SKIN, roughness=0.5),
-    Material(name="M_GumsTongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
-    Material(name="M_Teeth", diffuse_color=(0.78, 0.73, 0.62), roughness=0.25),
-    Material(name="M_ScleraLeft", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
-    Material(name="M_ScleraRight", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
-    Material(name="M_IrisLeft", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
-    Material(name="M_IrisRight", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
-    Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),
-    Material(name="Pupil", diffuse_color=(0.005, 0.005, 0.005), roughness=0.1),
+from facepipe.heads.surfaces import dressed
+from facepipe.parts import (
+    Blendshape,
+    FaceParts,
+    Inbetween,
+    Landmarks,
+    MaterialFaces,
+    Mesh,
+    Recipe,
+    Skin,
+    UvSet,
 )
+
+_FARTHEST = 2.5  # standard deviations of a mode's weight
+
+
+def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
+    """A person's head; seed 0 is the average one. Same seed, same arrays, and one topology for all.
+
+    :param textures: texels a side of the skin's textures; 0: colours at points, no textures, and so no hair
+    :raises InputError: a seed below 0
+    """
+    if seed < 0:
+        raise InputError("seed", f"is {seed}, expected 0 or more")
+    weights = np.random.Generator(np.random.PCG64(seed)).standard_normal(len(asset().modes))
+    bare = make_head(np.clip(weights, -_FARTHEST, _FARTHEST) * (seed > 0))
+    made = dressed(bare, Look(seed=seed), textures or None)
+    return replace(made, recipe=Recipe(verb="sample", options={"seed": seed, "textures": textures}))
 
 
 def make_head(identity: FloatArray) -> FaceParts:
-    """The head of a person, in centimetres.
+    """The bare head of a person, in centimetres: without materials.
 
     :param identity: (100,) weights of the identity modes, in standard deviations
     """
@@ -46,7 +63,6 @@ def make_head(identity: FloatArray) -> FaceParts:
         played=TALK,
         sliders=(*sliders(frozenset(head.shapes)), *identity_sliders()),
         bone_limits=bone_limits(head.joints),
-        materials=_MATERIALS,
         attribution=ATTRIBUTION,
     )
 

@@ -30,12 +30,13 @@ class Sample(FileAction[SampleReport]):
     suffixes = (".usd", ".usda", ".usdc", ".usdz")
 
     seed: int = option(0, "which person; 0 is the average head", 0, 10**9)
+    textures: int = option(2048, "size of the skin's textures; 0: colours at points, and no hair", 0, 4096, "texels")
 
     def write(self, job: Job) -> SampleReport:
         from facepipe.heads import make
         from facepipe.stage import save_parts
 
-        parts = make(self.seed)
+        parts = make(self.seed, textures=self.textures)
         save_parts(parts, job.out)
         return SampleReport(
             points=sum(len(mesh.points) for mesh in parts.meshes),

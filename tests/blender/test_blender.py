@@ -17,11 +17,11 @@ from blender_python import PYTHON, blender, needs_blender, run_blender
 from faces import tiny_face
 from import_data import shared
 from node import validate as khronos
+from procedural_head import make
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.cli import main
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import save_parts

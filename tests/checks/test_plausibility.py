@@ -12,11 +12,11 @@ import pytest
 from facepipe_gltf import read as gltf
 from faces import with_meshes
 from import_data import shared
+from procedural_head import make
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.cli import main
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.rig import implausible

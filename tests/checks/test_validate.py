@@ -11,6 +11,7 @@ from pathlib import Path
 
 import facepipe_gltf
 import numpy as np
+import procedural_head as sample
 import pytest
 from faces import tiny_face
 from full_faces import good_face
@@ -19,7 +20,6 @@ from neural_faces import neural_rig
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 import facepipe
-from facepipe import heads as sample
 from facepipe import parts as p
 from facepipe.checks import CHECKS, validate, validate_stage
 from facepipe.checks.usd_registry import available, register

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import procedural_head as sample
 import pygltflib
 import pytest
 from facepipe_gltf import Options, export
@@ -17,7 +18,6 @@ from faces import tiny_face
 from gltf_export import Parts, written
 from import_data import shared
 
-from facepipe import heads as sample
 from facepipe.core.errors import ExportError
 from facepipe.importers import ict
 from facepipe.parts import FaceParts

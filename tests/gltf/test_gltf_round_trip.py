@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import procedural_head as sample
 import pytest
 from facepipe_gltf import Options, save, write
 from facepipe_gltf import read as gltf
@@ -27,7 +28,6 @@ from import_data import shared
 from parts_differences import differences
 
 import facepipe
-from facepipe import heads as sample
 from facepipe.core.errors import FacepipeError
 from facepipe.geometry.polygons import triangulate
 from facepipe.importers import ict, makehuman

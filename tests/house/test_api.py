@@ -13,17 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import content
+from procedural_head import make
 
 import facepipe
 from facepipe.api import given, names
 from facepipe.cli import main
+from facepipe.stage import save_parts
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for seed, name in enumerate("ab"):
-        facepipe.sample(f"{name}.usda", seed=seed)
+        save_parts(make(seed), f"{name}.usda")
     return tmp_path
 
 

@@ -15,9 +15,9 @@ import onnx
 import onnxruntime
 from onnx import numpy_helper
 from PIL import Image, ImageDraw
+from procedural_head import make
 from with_torch import torch
 
-from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import sample_crop

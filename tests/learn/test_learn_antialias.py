@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from procedural_head import make
 from with_torch import tensor, torch
 
-from facepipe.heads import make
 from facepipe.learn.antialias import antialias
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, distant, shade

@@ -13,10 +13,10 @@ import pytest
 from faces import grid_mesh, replace_mesh, tiny_face
 from photo_files import png_of
 from PIL import Image
+from procedural_head import make
 from with_torch import tensor, torch
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant

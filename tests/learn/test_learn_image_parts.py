@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from procedural_head import make
 from scipy.spatial.transform import Rotation
 from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import make
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, basis, distant, shade
 from facepipe.learn.normals import PointNormals

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from procedural_head import make
 from with_torch import tensor, torch
 
-from facepipe.heads import make
 from facepipe.learn import rasterise as module
 from facepipe.learn.camera import Camera
 from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise

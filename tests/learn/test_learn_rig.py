@@ -10,10 +10,10 @@ import pytest
 from faces import tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
+from procedural_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.learn.fixed_matrix import FixedMatrix
 from facepipe.learn.rig import DifferentiableRig

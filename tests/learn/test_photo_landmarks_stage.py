@@ -11,13 +11,13 @@ import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
 from faces import tiny_face
+from procedural_head import make
 from recovery_landmarks import FaceLandmarks
 from recovery_looks import Pose, camera_of
 from recovery_targets import posed, random_sliders
 from with_torch import tensor, torch
 
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points

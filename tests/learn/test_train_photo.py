@@ -12,10 +12,10 @@ import onnx
 import pytest
 from command_line import done, failed, run
 from PIL import Image
+from procedural_head import make
 from with_torch import torch
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.heads import make
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient

@@ -17,10 +17,10 @@ from gltf_reader import read as read_gltf
 from import_data import shared
 from node import node_packages, three_play
 from oracle import difference, played
+from procedural_head import make as make_sample
 
 import facepipe
 from facepipe.cli import main
-from facepipe.heads import make as make_sample
 from facepipe.importers import load
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider

@@ -12,10 +12,10 @@ import pytest
 from command_line import exit_code, failed
 from faces import tiny_face
 from oracle import difference, played
+from procedural_head import make
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.payload import PayloadContent, Precision, encode
 from facepipe.processors.apply_bones import ApplyBones

@@ -24,10 +24,10 @@ from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference
 from payloads import REST, contents, tiny_payload
+from procedural_head import make
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.payload import MAX_VALUES, PayloadContent, Precision, decode, encode, read_header

@@ -21,10 +21,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import difference, random_coefficients
 from payloads import contents
+from procedural_head import make
 
 import facepipe
 from facepipe.cli import main
-from facepipe.heads import make
 from facepipe.parts import FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.rig import rest_coefficients

@@ -57,7 +57,7 @@ def solid(*rows: tuple[Array, ...], alpha: bool = False) -> Array:
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample head on disk, with a map painted from its own masks and a legend beside it."""
-    from facepipe.heads import make
+    from procedural_head import make
 
     folder = tmp_path_factory.mktemp("sample")
     parts = make()

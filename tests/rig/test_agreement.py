@@ -28,8 +28,8 @@ from agreement import (
 )
 from facepipe_gltf.engines import ENGINES, renamed
 from node import three_load
+from procedural_head import make
 
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.rig import coefficient_matrices
 

@@ -15,11 +15,11 @@ from command_line import done, failed
 from facepipe_onnx.runtime import Deformer
 from faces import tiny_face
 from oracle import bake, played
+from procedural_head import make
 
 import facepipe
 from facepipe.cli import main
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.heads import make
 from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
 from facepipe.rig import (
     build,
@@ -322,7 +322,7 @@ def test_onnx_at_rest_is_the_set_face(person_file: Path, tmp_path: Path) -> None
 def test_what_verbs_set_is_exported_rendered_and_can_be_left_out(tmp_path: Path, capsys: Capsys) -> None:
     """sliders, then bones applied over them, then sliders again: the last one set is the person."""
     head, person = tmp_path / "head.usda", tmp_path / "person.usda"
-    assert main(["sample", str(head), "--seed", "3"]) == 0
+    save_parts(make(3), head)
     assert main(["sliders", str(head), "--set", "noseWidth=0.9", "-o", str(person)]) == 0
     for name, *options in (("set",), ("rest", "--pose", "rest"), ("template",)):
         source = head if name == "template" else person

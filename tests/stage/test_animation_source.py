@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from oracle import difference, played
+from procedural_head import make
 from pxr import Sdf, Usd, UsdSkel
 
 import facepipe
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.importers.usd import Options
 from facepipe.parts import Animation, FaceParts

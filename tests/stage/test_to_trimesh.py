@@ -8,6 +8,7 @@ from pathlib import Path
 
 import gltf_reader
 import numpy as np
+import procedural_head as sample
 import pytest
 import trimesh
 from facepipe_gltf import Options, export
@@ -15,7 +16,6 @@ from faces import replace_mesh, tiny_face
 from import_data import shared
 
 import facepipe
-from facepipe import heads as sample
 from facepipe.core.errors import InputError
 from facepipe.importers import makehuman
 from facepipe.parts import FaceParts, Slider

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from faces import replace_mesh
 from import_data import shared
+from procedural_head import make
 from scipy.spatial.transform import Rotation
 
-from facepipe.heads import make
 from facepipe.importers import ict, makehuman
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights

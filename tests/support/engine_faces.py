@@ -14,9 +14,9 @@ from facepipe_gltf import Options
 from gltf_export import Parts, motion, random_coefficients, to_gltf
 from gltf_reader import Gltf, activate, local_matrix, read
 from import_data import SHARED, shared
+from procedural_head import make
 
 import facepipe
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.processors.skin import SkinFace, SkinOptions

@@ -23,10 +23,10 @@ from import_data import SHARED
 from network_faces import network, networked
 from photographed_face import write_photos
 from PIL import Image
+from procedural_head import make
 from rebuild_stages import put_scans
 
 from facepipe.cli import main
-from facepipe.heads import make
 from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.pictures import PictureOptions

@@ -39,6 +39,7 @@ from photo_booth import camera_at
 from photo_files import encoded, oriented, picture
 from PIL import Image
 from places import SHARED
+from procedural_head import make as make_sample
 from region_painter import legend_of, paint
 from region_painter import save as save_map
 from scan_files import cube
@@ -47,7 +48,6 @@ from small_sources import made
 import facepipe
 from facepipe.actions import summaries
 from facepipe.cli import main
-from facepipe.heads import make as make_sample
 from facepipe.processors.database import DatabaseOptions, create_database, save_database
 from facepipe.stage import save_parts
 

@@ -405,8 +405,8 @@ def _small_faces() -> None:
 
 def _heads() -> None:
     from photographed_face import write_photos
+    from procedural_head import make
 
-    from facepipe.heads import make
     from facepipe.stage import save_parts
 
     parts = make(0)

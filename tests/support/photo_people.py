@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from procedural_head import make
 from with_torch import torch
 
-from facepipe.heads import make
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.key_light import DARK, KeyLight
 from facepipe.learn.light import ambient, distant

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from faces import with_meshes
 from import_data import shared
+from procedural_head import make
 
-from facepipe.heads import make
 from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport

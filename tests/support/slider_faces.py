@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from faces import with_meshes
 from import_data import shared
+from procedural_head import make
 
-from facepipe.heads import make
 from facepipe.importers import load, makehuman
 from facepipe.parts import Curve, FaceParts, Skeleton, Slider
 from facepipe.rig import CHANNELS

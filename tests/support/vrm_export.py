@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import procedural_head as sample
 from facepipe_gltf import vrm
 from facepipe_gltf.vrm.meta import LICENSE_URL
 from gltf_export import Parts, limited
 from node import vrm_load
 
-from facepipe import heads as sample
 from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, FloatArray, Skeleton
 from facepipe.rig import build

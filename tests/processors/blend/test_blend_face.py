@@ -28,13 +28,13 @@ from blend_faces import (
     weighted,
 )
 from oracle import bake_all, random_coefficients
+from procedural_head import make
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import make
 from facepipe.parts import Skeleton
 from facepipe.processors.blend import Blend, BlendSession, Weights
 from facepipe.rig import build, matrix_coefficients

@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference, played, random_coefficients
+from procedural_head import make
 
 import facepipe
-from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, all_regions
 from facepipe.processors.fit_bones import read_targets

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from bone_faces import pose, save_sources, saved, sculpt, small
 from command_line import Capsys, done, failed, run
+from procedural_head import make
 
 import facepipe
 from facepipe.core.names import mirrored_name
-from facepipe.heads import make
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.performing import read_kept
 from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_targets

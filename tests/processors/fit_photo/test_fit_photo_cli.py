@@ -19,13 +19,13 @@ from faces import with_meshes
 from onnx import TensorProto, helper
 from photographed_face import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
 from PIL import Image
+from procedural_head import make
 from with_torch import torch
 
 import facepipe
 from facepipe.cli import main
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.performing import read_kept

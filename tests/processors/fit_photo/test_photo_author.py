@@ -15,6 +15,7 @@ import pytest
 from facepipe_gltf import read as gltf
 from faces import tiny_face
 from oracle import played
+from procedural_head import make
 from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 from with_torch import tensor
@@ -25,7 +26,6 @@ from facepipe.cli.action_line import action_of, configure
 from facepipe.cli.parser import Parser
 from facepipe.core import tokens
 from facepipe.core.errors import FitError, InputError
-from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Recipe, Slider

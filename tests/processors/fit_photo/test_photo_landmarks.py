@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import procedural_head as sample
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from import_data import refused, shared
 from scipy.spatial.transform import Rotation
 
-from facepipe import heads as sample
 from facepipe.core.errors import InputError
 from facepipe.importers.ict_topology import LANDMARKS
 from facepipe.processors.photo_fit import (

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from procedural_head import make
 from with_torch import tensor
 
 from facepipe.core.errors import InputError
-from facepipe.heads import make
 from facepipe.learn.camera import Camera
 from facepipe.learn.key_light import DARK
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit

@@ -8,6 +8,7 @@ import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
 from photo_recovery import judged
+from procedural_head import make
 from recovery_landmarks import CONTOUR, FaceLandmarks, pixels
 from recovery_looks import DIAGONAL_MM, Pose, camera_of, pose_axes
 from recovery_measures import (
@@ -26,7 +27,6 @@ from recovery_state import true_state
 from recovery_targets import ACTIVE, PLACES, RecoveryTarget, head_without_neck, posed, random_expression, targets
 from scipy.spatial.transform import Rotation
 
-from facepipe.heads import make
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 

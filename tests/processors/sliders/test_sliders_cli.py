@@ -14,10 +14,10 @@ from command_line import done, failed, run
 from faces import tiny_face
 from oracle import difference, played
 from places import REPOSITORY
+from procedural_head import make
 
 import facepipe
 from facepipe.cli import main
-from facepipe.heads import make
 from facepipe.parts import Animation, BoneLimits, FaceParts, Recipe, Slider
 from facepipe.performing import perform, read_kept
 from facepipe.processors.fit_bones import LimitRules

@@ -17,12 +17,12 @@ from faces import replace_mesh, tiny_face, with_meshes
 from import_data import shared
 from oracle import difference, random_coefficients
 from places import REPOSITORY
+from procedural_head import make
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import mirrored_name
-from facepipe.heads import make
 from facepipe.importers import makehuman
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Slider
 from facepipe.performing import perform, read_kept

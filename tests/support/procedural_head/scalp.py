@@ -6,11 +6,11 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import features
-from facepipe.heads.identity import Identity
-from facepipe.heads.skull import Skull
-from facepipe.heads.solids import Solid
 from facepipe.parts import UvSet
+from procedural_head import features
+from procedural_head.identity import Identity
+from procedural_head.skull import Skull
+from procedural_head.solids import Solid
 
 # Hairline: degrees around the head (0 front, 180 back) and height y.
 _ANGLE = (0, 10, 22, 36, 44, 52, 58, 63, 67, 71, 76, 82, 92, 104, 112, 118, 125, 145, 180)

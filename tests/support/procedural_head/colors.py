@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads import eyes, features, layout, mouth, scalp
-from facepipe.heads.identity import Identity
+from procedural_head import eyes, features, layout, mouth, scalp
+from procedural_head.identity import Identity
 
 
 def head(points: FloatArray, who: Identity) -> FloatArray:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads import features
-from facepipe.heads.identity import Identity
-from facepipe.heads.skull import Skull
+from procedural_head import features
+from procedural_head.identity import Identity
+from procedural_head.skull import Skull
 
 OUTLINE = 5  # ring of the border between skin and lip red
 CONTACT = 9  # ring where the closed lips touch

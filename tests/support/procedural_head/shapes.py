@@ -8,10 +8,10 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import expressions, eyes, fields, lids, topology
-from facepipe.heads.lids import LidMotion
-from facepipe.heads.meshes import Neutral
 from facepipe.parts import Blendshape, Inbetween, Mesh
+from procedural_head import expressions, eyes, fields, lids, topology
+from procedural_head.lids import LidMotion
+from procedural_head.meshes import Neutral
 
 _SMALLEST = 1e-5  # cm: offsets below are left out
 _LOOK = {"Up": (-22.0, 0.0), "Down": (26.0, 0.0), "In": (0.0, -28.0), "Out": (0.0, 28.0)}  # degrees about X, Y

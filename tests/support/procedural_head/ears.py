@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.identity import Identity
+from procedural_head.identity import Identity
 
 RINGS = 8
 _CENTER = np.array([1.35, 0.15])  # of the outline, in the ear's plane: backwards, upwards

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from facepipe.heads import (
+from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skin
+from procedural_head import (
     clips,
     colors,
     controls,
@@ -18,9 +19,8 @@ from facepipe.heads import (
     shapes,
     weights,
 )
-from facepipe.heads.meshes import Neutral
-from facepipe.heads.rig import HEAD, JAW, Rig
-from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skin
+from procedural_head.meshes import Neutral
+from procedural_head.rig import HEAD, JAW, Rig
 
 
 def make(seed: int = 0) -> FaceParts:

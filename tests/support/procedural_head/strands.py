@@ -8,10 +8,10 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import eyes, layout, topology
-from facepipe.heads.attach import Attachment, frontal
-from facepipe.heads.identity import Identity
-from facepipe.heads.solids import Solid, joined, strip
+from procedural_head import eyes, layout, topology
+from procedural_head.attach import Attachment, frontal
+from procedural_head.identity import Identity
+from procedural_head.solids import Solid, joined, strip
 
 _ACROSS = 15
 _ALONG = 4

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.identity import Identity
+from procedural_head.identity import Identity
 
 # level: front y, front z | side y, half width, side z | back y, back z | squareness of the loop's front half
 _PROFILES = np.array(

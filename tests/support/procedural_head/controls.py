@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from facepipe.heads.rig import HEAD, JAW
 from facepipe.parts import BoneLimits, Skeleton, Slider
 from facepipe.rig.sliders import kept
+from procedural_head.rig import HEAD, JAW
 
 Channel = tuple[str, str, float]
 

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import IntArray
-from facepipe.heads import eyes, mouth, topology
 from facepipe.parts import Landmarks
+from procedural_head import eyes, mouth, topology
 
 # Grid column and level of the jaw's points from the chin (8) to the subject's left ear (16).
 _JAW = ((0, 12.85), (5, 12.75), (10, 12.6), (15, 12.35), (19, 12.0), (22, 11.4), (24, 10.5), (25, 9.2), (25, 7.6))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import topology, uv
 from facepipe.parts import Texture, TextureInput
+from procedural_head import topology, uv
 
 SIZE = 512
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
-from facepipe.heads import topology
+from procedural_head import topology
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.identity import Identity
+from procedural_head.identity import Identity
 
 
 def displace(base: FloatArray, who: Identity) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.fields import HINGE, Fields
+from procedural_head.fields import HINGE, Fields
 
 Expression = Callable[[Fields], FloatArray]
 JAW_OPEN = np.radians(14.0)

@@ -9,10 +9,10 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads import colors, eyeballs, eyes, head, scalp, skull, strands, teeth, topology, uv
-from facepipe.heads.identity import Identity
-from facepipe.heads.solids import Solid
 from facepipe.parts import MaterialFaces, Mesh
+from procedural_head import colors, eyeballs, eyes, head, scalp, skull, strands, teeth, topology, uv
+from procedural_head.identity import Identity
+from procedural_head.solids import Solid
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.heads import layout, topology
+from procedural_head import layout, topology
 
 NAMES = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")
 _SOFTENING = 6  # steps of averaging over neighbours

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import texture as baking
-from facepipe.heads.identity import Identity
-from facepipe.heads.solids import Solid, sphere
 from facepipe.parts import Texture, TextureInput
+from procedural_head import texture as baking
+from procedural_head.identity import Identity
+from procedural_head.solids import Solid, sphere
 
 PUPIL = 9.5  # degrees from the eye's axis
 IRIS = 25.5

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads import eyeballs, strands, teeth, texture
-from facepipe.heads.identity import Color, Identity
 from facepipe.parts import Material
+from procedural_head import eyeballs, strands, teeth, texture
+from procedural_head.identity import Color, Identity
 
 
 def build(who: Identity, skin: FloatArray) -> tuple[Material, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.identity import Identity
+from procedural_head.identity import Identity
 
 RIM = 6  # ring of the lid rim's front edge
 RINGS = 10

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
-from facepipe.heads import layout, mouth, topology
-from facepipe.heads.identity import Identity
-from facepipe.heads.layout import smoothstep
+from procedural_head import layout, mouth, topology
+from procedural_head.identity import Identity
+from procedural_head.layout import smoothstep
 
 _TAIL = 0.004  # cut off Gaussians, so that shapes stay sparse
 HINGE = np.array([0.0, -2.2, 0.6])  # axis of the jaw

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import mouth
-from facepipe.heads.identity import Identity
-from facepipe.heads.solids import Solid, sphere, strip
+from procedural_head import mouth
+from procedural_head.identity import Identity
+from procedural_head.solids import Solid, sphere, strip
 
 _TEETH = 14
 _SAMPLES = 3  # per tooth

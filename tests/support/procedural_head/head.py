@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads import ears, eyes, features, mouth, topology
-from facepipe.heads.identity import Identity
-from facepipe.heads.skull import Skull, build
+from procedural_head import ears, eyes, features, mouth, topology
+from procedural_head.identity import Identity
+from procedural_head.skull import Skull, build
 
 _STEPS = np.concatenate([np.full(8, 1.4), np.full(11, 2.0), [2.6, 3.4, 4.2, 5.0, 5.8]])
 

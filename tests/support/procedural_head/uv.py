@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import layout, topology
 from facepipe.parts import UvSet
+from procedural_head import layout, topology
 
 _TOP = 0.78  # of the cylindrical part
 _CROWN = (0.4, 0.8, 0.195)  # corner and size of the island

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import topology
+from procedural_head import topology
 
 CORNER = 0.13  # share of a lip or lid, from its corner, in which the upper and lower side blend
 

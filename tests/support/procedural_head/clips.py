@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.rig import HEAD, JAW, Rig
 from facepipe.parts import Animation
+from procedural_head.rig import HEAD, JAW, Rig
 
 TALK = "talk"
 _RATE = 24

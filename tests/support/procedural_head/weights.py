@@ -6,11 +6,11 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import edges
-from facepipe.heads import eyes, layout, topology
-from facepipe.heads.fields import Fields
-from facepipe.heads.layout import smoothstep
-from facepipe.heads.rig import HEAD, JAW, Rig
 from facepipe.parts import Skin
+from procedural_head import eyes, layout, topology
+from procedural_head.fields import Fields
+from procedural_head.layout import smoothstep
+from procedural_head.rig import HEAD, JAW, Rig
 
 INFLUENCES = 4
 # Reach (cm along the surface) and greatest share of the joints that sit on the skin, by the start of their name.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads import eyes, mouth, topology
-from facepipe.heads.fields import HINGE
-from facepipe.heads.identity import Identity
 from facepipe.parts import Skeleton
+from procedural_head import eyes, mouth, topology
+from procedural_head.fields import HINGE
+from procedural_head.identity import Identity
 
 HEAD = "root/neck/head"
 JAW = "root/neck/head/jaw"

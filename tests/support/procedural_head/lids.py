@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.heads import eyes, topology
-from facepipe.heads.eyes import Eye, from_sphere, to_sphere
+from procedural_head import eyes, topology
+from procedural_head.eyes import Eye, from_sphere, to_sphere
 
 _FOLLOW = np.array([0.0, 0.06, 0.22, 0.5, 0.78, 0.94, 1.0, 1.0, 0.85, 0.4, 0.0])  # share of the rim's motion, by ring
 MEETING = 0.2  # where closed lids meet, from the lower rim (0) to the upper (1)
