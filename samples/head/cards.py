@@ -188,12 +188,11 @@ def parted_direction(at: Array) -> Array:
 def bob_direction(at: Array) -> Array:
     """Down on both sides of a parting in the middle."""
     side = np.where(at[:, :1] > 0.25, 1.0, -1.0)
-    behind = step(1.0, -5.0, at[:, 2])[:, None]
-    front = step(4.0, 8.0, at[:, 2])[:, None]
-    low = step(12.5, 7.0, at[:, 1])[:, None]
+    behind, front = step(1.0, -5.0, at[:, 2])[:, None], step(4.0, 8.0, at[:, 2])[:, None]
+    low, hanging = step(12.5, 7.0, at[:, 1])[:, None], step(6.5, 2.5, at[:, 1])[:, None]
+    back = -0.2 - 0.45 * behind - 0.45 * front
     return np.concatenate(
-        [side * (1 - 0.6 * behind) * (1 - 0.9 * low), -0.3 - low, -0.25 - 0.5 * behind - 0.5 * front * (1 - 0.3 * low)],
-        axis=1,
+        [side * (1 - 0.6 * behind) * (1 - 0.95 * low), -0.3 - low, back * (1 - 0.85 * hanging)], axis=1
     )
 
 
@@ -207,7 +206,7 @@ def outward(at: Array, normals: Array) -> Array:
 def over_ears(at: Array) -> Array:
     """(n,) how far from the middle hair must be to pass over the ears."""
     away = (np.column_stack([at[:, 1] - 0.8, at[:, 2] + 0.1]) / (3.6, 3.0)) ** 2
-    return 9.3 * np.exp(-(away.sum(axis=1) ** 2))
+    return 9.9 * np.exp(-(away.sum(axis=1) ** 2))
 
 
 def tall(at: Array) -> Array:
@@ -218,21 +217,21 @@ def tall(at: Array) -> Array:
 STYLES = {
     "crop": Style(
         direction=crop_direction, length=lambda at: 1.7 + 1.8 * tall(at), height=lambda at: 0.3 + 0.8 * tall(at),
-        spacing=(0.8, 0.8, 1.1), width=1.0, rows=5, spread=0.32, edge=0.1,
+        spacing=(0.9, 0.95, 1.25), width=1.2, rows=4, spread=0.32, edge=0.1,
     ),
     "parted": Style(
         direction=parted_direction, length=lambda at: 2.6 + 5.4 * tall(at), height=lambda at: 0.4 + 1.6 * tall(at),
-        spacing=(0.85, 0.9, 1.3), width=1.1, rows=7, spread=0.16, edge=0.1,
+        spacing=(0.95, 1.0, 1.4), width=1.25, rows=6, spread=0.16, edge=0.1,
     ),
     "bob": Style(
         direction=bob_direction, length=lambda at: 34 + 0 * at[:, 1],
-        height=lambda at: 0.9 + 0.5 * tall(at), spacing=(0.9, 0.95, 1.5), width=1.8, rows=12, falls=True, end=-7.5,
+        height=lambda at: 0.9 + 0.5 * tall(at), spacing=(1.05, 1.1, 1.6), width=2.0, rows=9, falls=True, end=-7.5,
         wave=0.12, spread=0.05,         edge=0.1,
     ),
     "long": Style(
         direction=bob_direction, length=lambda at: 40 + 0 * at[:, 1],
-        height=lambda at: 1.0 + 0.5 * tall(at), spacing=(0.9, 0.95, 1.4), width=1.8, rows=14, falls=True, end=-11.8,
-        wave=0.3, spread=0.06, edge=0.1,
+        height=lambda at: 1.0 + 0.5 * tall(at), spacing=(1.05, 1.1, 1.5), width=2.0, rows=10, falls=True, end=-11.8,
+        wave=0.3, spread=0.045, edge=0.1,
     ),
 }  # fmt: skip
 
@@ -319,7 +318,7 @@ def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Gr
         )
         points.append(np.stack([line - half * across, line + half * across], axis=2))
         column = (number + (rng.random(len(root)) < 0.25) + (number == 2)).clip(0, 3)
-        column[above_hairline(root) < 0.7] = 2  # a soft edge
+        column[above_hairline(root) < (0.7 if not style.falls else 0.3)] = 2  # a soft edge
         u = (column[:, None] + np.where(rng.random(len(root))[:, None] < 0.5, [0.03, 0.97], [0.97, 0.03])) / 4
         v = np.linspace(0.005, 0.995, style.rows)
         uvs.append(np.stack(np.broadcast_arrays(u[:, None, :], v[None, :, None]), axis=-1))
@@ -333,7 +332,7 @@ def coil_grids(template: Template, skin: Skin, scalp: Array) -> Grids:
     rng = np.random.default_rng(22)
     points, uvs, held = [], [], []
     for number, height in enumerate((0.35, 0.9, 1.5, 2.0)):
-        root = roots(template, scalp > 0.6 + 0.1 * number, 0.62 + 0.06 * number, rng)
+        root = roots(template, scalp > 0.6 + 0.1 * number, 0.7 + 0.07 * number, rng)
         normal = skin.under(root)[1]
         axis = rng.normal(0, 1, (len(root), 3)) + 1e-3
         normal = normal + rng.normal(0, 0.28 + 0.1 * number, normal.shape)
@@ -342,7 +341,7 @@ def coil_grids(template: Template, skin: Skin, scalp: Array) -> Grids:
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         second = np.cross(normal, first)
         middle = root + (height * rng.uniform(0.75, 1.15, len(root)))[:, None] * normal
-        half = rng.uniform(0.8, 1.15, (len(root), 1))
+        half = rng.uniform(0.9, 1.25, (len(root), 1))
         square = [[middle - half * first - half * second, middle + half * first - half * second],
                   [middle - half * first + half * second, middle + half * first + half * second]]  # fmt: skip
         points.append(np.moveaxis(np.array(square), 2, 0))
@@ -357,7 +356,9 @@ def coil_grids(template: Template, skin: Skin, scalp: Array) -> Grids:
 def main(source: Path, folder: Path) -> None:
     """Make and save all sets."""
     template, data = Template(source), np.load(source)
-    skin, scalp = Skin(template), masks(template)["scalp"]
+    skin, painted = Skin(template), masks(template)
+    scalp = painted["scalp"]
+    holds = np.maximum(scalp, painted["ears"]) > 0.3  # hair that falls over ears goes where they go
     face = np.zeros(len(template.points), bool)
     face[np.setdiff1d(template.used(FACE), template.used(SOCKETS))] = True
     arrays = Binder(template, face).arrays("brows", brow_grids(template, skin))
@@ -366,10 +367,10 @@ def main(source: Path, folder: Path) -> None:
     for name, style in STYLES.items():
         grids = hair_grids(template, skin, style, scalp)
         print(name, grids.points.shape)
-        arrays |= Binder(template, scalp > 0.3).arrays(name, grids)
+        arrays |= Binder(template, holds).arrays(name, grids)
     grids = coil_grids(template, skin, scalp)
     print("coils", grids.points.shape)
-    arrays |= Binder(template, scalp > 0.3).arrays("coils", grids)
+    arrays |= Binder(template, holds).arrays("coils", grids)
     write_arrays(folder / "cards.npz", arrays)
 
 
