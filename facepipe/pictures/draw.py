@@ -138,30 +138,42 @@ def _paint(picture: npt.NDArray[np.float32], shader: Shader, spots: Spots, size:
         return
     shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
     if shader.studio.soft:
-        shaded = _softened(shaded, spots, size, shader.camera.focal, mm)
+        shaded = _softened(shaded, spots, _window(spots.pixel, size), shader.camera.focal, mm)
     color = shaded.toned(shader.studio.tone) * spots.share[:, None]
-    picture *= 1 - _summed(spots.share, spots, len(picture))[:, None]
+    picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
     for channel in range(3):
-        picture[:, channel] += _summed(color[:, channel], spots, len(picture))
+        picture[:, channel] += np.bincount(spots.pixel, color[:, channel], len(picture))
 
 
-def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) -> Shaded:
+@dataclass(frozen=True, kw_only=True)
+class _Window:
+    """The rectangle of the picture where things are."""
+
+    shape: tuple[int, int]
+    place: IntArray  # (m,) of the spots, row by row
+
+    def image(self, values: FloatArray) -> npt.NDArray[np.float32]:
+        """Sums of the spots' values (m,) in pixels."""
+        return np.bincount(self.place, values, int(np.prod(self.shape))).reshape(self.shape).astype(np.float32)
+
+    def read(self, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """(m, ...) the spots' values of an image."""
+        return image.reshape(-1, *image.shape[2:])[self.place]
+
+
+def _window(pixel: IntArray, size: int) -> _Window:
+    row, column = np.divmod(pixel, size)
+    top, left = row.min(), column.min()
+    shape = int(row.max() - top) + 1, int(column.max() - left) + 1
+    return _Window(shape=shape, place=(row - top) * shape[1] + column - left)
+
+
+def _softened(shaded: Shaded, spots: Spots, window: _Window, focal: float, mm: float) -> Shaded:
     """Samples with shadows free of grain, and with the light that comes to them below the surface."""
-    share, depth = (_image(spots, column, size) for column in (np.ones_like(shaded.depth), shaded.depth))
-    hidden = smoothed(_image(spots, shaded.key_light, size), share, depth, focal)
-    reached = open_share(depth, share, _HOLLOW / mm, focal).reshape(-1)[spots.pixel]
-    shaded = replace(
-        shaded, key_light=hidden.reshape(-1)[spots.pixel] * np.sqrt(reached), lit=shaded.lit.dimmed(reached)
-    )
-    light = np.stack([_image(spots, channel, size) for channel in shaded.diffuse.T], axis=-1)
-    change = spread(light, share, depth, _SCATTERED / mm, focal).reshape(-1, 3)
-    return replace(shaded, scattered=scatter_share(shaded.base) * change[spots.pixel])
-
-
-def _image(spots: Spots, values: FloatArray, size: int) -> npt.NDArray[np.float32]:
-    """(size, size) values of the spots, each by its share of the pixel."""
-    return _summed(values * spots.share, spots, size * size).reshape(size, size).astype(np.float32)
-
-
-def _summed(values: FloatArray, spots: Spots, count: int) -> FloatArray:
-    return np.asarray(np.bincount(spots.pixel, values, minlength=count), np.float64)
+    share, depth = window.image(spots.share), window.image(spots.share * shaded.depth)
+    open_to = window.read(open_share(depth, share, _HOLLOW / mm, focal))
+    hidden = window.read(smoothed(window.image(spots.share * shaded.key_light), share, depth, focal))
+    shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=shaded.lit.dimmed(open_to))
+    light = np.stack([window.image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)
+    change = window.read(spread(light, share, depth, _SCATTERED / mm, focal))
+    return replace(shaded, scattered=scatter_share(shaded.base) * change)

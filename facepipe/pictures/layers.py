@@ -112,16 +112,15 @@ def _fragments(screen: ScreenTriangles, spans: Spans, nearest: Floats, samples: 
 
 def _by_pixel_row(spans: Spans, samples: int) -> tuple[IntArray, IntArray, IntArray]:
     """Starts and stops (g, samples) of the spans of a triangle in a row of pixels, and the first span (g,) of each."""
-    at = np.flatnonzero(spans.count)
-    owner, row = spans.owner[at], spans.row[at]
-    new = np.ones(len(at), bool)
+    owner, row = spans.owner, spans.row
+    new = np.ones(len(owner), bool)
     new[1:] = (owner[1:] != owner[:-1]) | (row[1:] // samples != row[:-1] // samples)
     group = np.cumsum(new) - 1
     starts = np.full((int(new.sum()), samples), np.iinfo(np.int64).max)
     stops = np.zeros_like(starts)
-    starts[group, row % samples] = spans.start[at]
-    stops[group, row % samples] = spans.start[at] + spans.count[at]
-    return starts, stops, at[new]
+    starts[group, row % samples] = spans.start
+    stops[group, row % samples] = spans.start + spans.count
+    return starts, stops, np.flatnonzero(new)
 
 
 def _stacked(shader: Shader, found: _Fragments, opacity: Floats, first: int) -> Layers:

@@ -20,6 +20,7 @@ Floats = npt.NDArray[np.float32]
 
 CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 _MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
+_CUT = 0.02  # opacity in a texture below which nothing is there
 _STRANDS = 0.4  # of the highlights of a flat card: the hairs on it are round
 _PLAIN = Material(name="", diffuse_color=CLAY)
 _NUMBERS = {"metallic": 0.0, "roughness": 0.5, "opacity": 1.0, "occlusion": 1.0}  # and their values without a texture
@@ -35,7 +36,7 @@ class Surfaces:
     metallic: Floats  # (m,)
     roughness: Floats  # (m,)
     opacity: Floats  # (m,)
-    presence: Floats  # (m,) how much of it reflects: opacity cuts, but where it is constant and the surface smooth
+    presence: Floats  # (m,) how much of it reflects: opacity cuts, but where the surface is smooth and clear
     gloss: Floats  # (m,) factor of highlights
     occlusion: Floats  # (m,)
     mirror: Floats  # (m, 3) share of light reflected at normal incidence
@@ -107,8 +108,9 @@ class Materials:
             if read is not None:
                 target[at] = np.clip(read[0], 0.0, 1.0)
         if isinstance(material.opacity, TextureInput):
-            found.presence[at] = found.opacity[at]
-            found.gloss[at] = _STRANDS
+            matt = np.minimum(found.roughness[at] / _MATT, 1)
+            found.presence[at] = np.maximum(found.opacity[at], (1 - matt) * np.minimum(found.opacity[at] / _CUT, 1))
+            found.gloss[at] = 1 - (1 - _STRANDS) * matt
         if material.normal is not None:
             self._bend(_as_normals(material.normal), found, at, ids, weights)
 

@@ -108,7 +108,7 @@ def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, reso
     # Nearness starts at 1: 0 marks an empty pixel.
     origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])
     at = points @ (axes.T * scale) + origin
-    screen = screen_triangles(np.column_stack([at, np.ones(len(at))]), triangles)
+    screen = screen_triangles(np.column_stack([at, np.ones(len(at))]).astype(np.float32), triangles)
     nearness = rasterise(screen, resolution, resolution).nearness
     return DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearness)
 

@@ -66,7 +66,7 @@ class Spans:
     owner: IntArray  # (k,) into ScreenTriangles
     row: IntArray  # (k,)
     start: IntArray  # (k,) first column
-    count: IntArray  # (k,) columns; 0 where the triangle has no pixel centre in the row
+    count: IntArray  # (k,) columns
 
 
 def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles:
@@ -76,7 +76,8 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
     """
     ids: IntArray = np.arange(len(triangles))
     if (points[:, 3] > NEAR).all():
-        x, y, nearness = ((column / points[:, 3])[triangles.T] for column in points[:, :3].T)
+        corner = np.ascontiguousarray(triangles.T)
+        x, y, nearness = ((column / points[:, 3])[corner] for column in points[:, :3].T)
     else:
         corners, ids = _clip(points[triangles], ids)
         x, y, nearness = (corners[..., axis].T / corners[..., 3].T for axis in range(3))
@@ -123,13 +124,14 @@ def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iter
     first = np.clip(np.ceil(screen.y[0] - 0.5), top, bottom).astype(np.int64)
     last = np.clip(np.ceil(screen.y[2] - 0.5), top, bottom).astype(np.int64)
     hit = np.flatnonzero(last > first)
-    counts = (last - first)[hit]
+    counts, edges = (last - first)[hit], _edges(screen)
     for part in _pieces(counts, ROWS_PER_CHUNK):
         number, step = expand(counts[part])
         owner = hit[part][number]
         row = first[owner] + step
-        start, stop = _columns(screen, owner, row + 0.5, width)
-        yield Spans(owner=owner, row=row, start=start, count=stop - start)
+        start, stop = _columns(screen, edges, owner, (row + 0.5).astype(screen.x.dtype), width)
+        some = np.flatnonzero(stop > start)
+        yield Spans(owner=owner[some], row=row[some], start=start[some], count=(stop - start)[some])
 
 
 def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -214,14 +216,29 @@ def _cut(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(cut)
 
 
-def _columns(screen: ScreenTriangles, owner: IntArray, at: FloatArray, width: int) -> tuple[IntArray, IntArray]:
+def _edges(screen: ScreenTriangles) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(3, s) x, y and dx over dy of the edges: from the first corner to the last, to the second, and from there.
+
+    From the upper corner down, so that both triangles at an edge have the same numbers.
+    """
+    (x0, x1, x2), (y0, y1, y2) = screen.x, screen.y
+    down = np.stack([y2 - y0, y1 - y0, y2 - y1])
+    slope = np.stack([x2 - x0, x1 - x0, x2 - x1]) / np.where(down > 0, down, 1)
+    return np.stack([x0, x0, x1]), np.stack([y0, y0, y1]), slope
+
+
+def _columns(
+    screen: ScreenTriangles,
+    edges: tuple[FloatArray, FloatArray, FloatArray],
+    owner: IntArray,
+    at: FloatArray,
+    width: int,
+) -> tuple[IntArray, IntArray]:
     """First column, and the one after the last, of triangles on the lines y = `at`."""
-    (x0, x1, x2), (y0, y1, y2) = ((a[owner], b[owner], c[owner]) for a, b, c in (screen.x, screen.y))
-    upper = at < y1
-    across = x0 + (at - y0) * (x2 - x0) / (y2 - y0)
-    xa, ya = np.where(upper, x0, x1), np.where(upper, y0, y1)
-    xb, yb = np.where(upper, x1, x2), np.where(upper, y1, y2)
-    other = xa + (at - ya) * (xb - xa) / (yb - ya)
+    x, y, slope = (each.ravel() for each in edges)
+    short = owner + len(screen.ids) * np.where(at < screen.y[1, owner], 1, 2)
+    across = x[owner] + (at - y[owner]) * slope[owner]
+    other = x[short] + (at - y[short]) * slope[short]
     start = np.clip(np.ceil(np.minimum(across, other) - 0.5), 0, width).astype(np.int64)
     stop = np.clip(np.ceil(np.maximum(across, other) - 0.5), 0, width).astype(np.int64)
     return start, stop

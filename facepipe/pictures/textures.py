@@ -40,6 +40,7 @@ def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
     """
     where = f"texture {texture.name}"
     image = open_image(texture.image(), where)
+    image.draft(None, (largest, largest))  # a JPEG is decoded at a half or less where that is enough
     return pixels(image, "RGBA", where, max(1, max(image.size) // max(largest, 1)))
 
 
