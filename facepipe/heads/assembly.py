@@ -13,8 +13,8 @@ from facepipe.heads.expressing import sliders
 from facepipe.heads.eye_fit import Shapes, fit_eyes
 from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
 from facepipe.heads.joints import bone_limits, skeleton
-from facepipe.heads.look import Look
 from facepipe.heads.motions import TALK, animations
+from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import (
     Blendshape,
@@ -28,8 +28,6 @@ from facepipe.parts import (
     UvSet,
 )
 
-_FARTHEST = 2.5  # standard deviations of a mode's weight
-
 
 def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
     """A person's head; seed 0 is the average one. Same seed, same arrays, and one topology for all.
@@ -39,9 +37,8 @@ def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
     """
     if seed < 0:
         raise InputError("seed", f"is {seed}, expected 0 or more")
-    weights = np.random.Generator(np.random.PCG64(seed)).standard_normal(len(asset().modes))
-    bare = make_head(np.clip(weights, -_FARTHEST, _FARTHEST) * (seed > 0))
-    made = dressed(bare, Look(seed=seed), textures or None)
+    who = draw(seed)
+    made = dressed(make_head(who.identity), who.look, textures or None)
     return replace(made, recipe=Recipe(verb="sample", options={"seed": seed, "textures": textures}))
 
 

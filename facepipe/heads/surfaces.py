@@ -109,7 +109,9 @@ def point_colors(look: Look, head: Mesh) -> FloatArray:
 
 
 def _brow_color(look: Look) -> FloatArray:
-    return np.asarray(look.hair_color * min(1.0, 0.12 / look.hair_color.max()) * 0.8)
+    return np.asarray(
+        look.hair_color * min(1.0, 0.12 / look.hair_color.max(), 0.6 * look.skin.mean() / look.hair_color.mean())
+    )
 
 
 def _skin(look: Look, size: int, tile: int) -> Material:
