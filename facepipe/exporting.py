@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reports import ExportReport
 from facepipe.kinds import Watch, unwatched
-from facepipe.parts import HeldFace
+from facepipe.parts import HeldFace, HeldLevels
 from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.processors.sliders.distil_options import DISTIL, DistilOptions
 from facepipe.registry import exporter, outputs
@@ -76,6 +76,7 @@ def export(
     rename: str | None = None,
     neural: str | os.PathLike[str] | None = None,
     distil: bool = False,
+    lod: int = 0,
     watch: Watch = unwatched,
     **options: Any,
 ) -> ExportReport:
@@ -85,6 +86,7 @@ def export(
     :param rename: other names of shapes: a convention (arkit, vrm ...), or a table (.json, .csv)
     :param neural: a neural rig (.fpnr) whose controls are the sliders of the face; a .onnx is the graph of its controls
     :param distil: of a graph of the sliders, a small learned network in place of curves; needs torch
+    :param lod: the level of detail to write, 0 the finest; `lods=True` writes all into one .glb or .gltf
     :param options: of the format, like ``engine="unity"``, of `neural`, of `distil`: those of `facepipe export --help`
     :returns: the report; of `neural` with `dropped_mm`, of `distil` with `distilled`
     :raises FacepipeError: a face or option that the format can't hold, or a file that can't be read or written
@@ -97,9 +99,10 @@ def export(
     source = None if not isinstance(face, str | os.PathLike) else Path(face)
     for one in outputs(target):
         check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
-    asked = _asked(module.Options, rename, rig, distil, options)
+    asked = _asked(module.Options, rename, rig, distil, lod, options)
     with watch("export", 3 if distil else 2) as bar:
         whole: Any = face if source is None else _opened(source)
+        whole = whole.at_level(lod) if lod else whole
         bar.update()
         made = _made(whole, asked)
         if distil:
@@ -121,7 +124,9 @@ def _opened(path: Path) -> Face:
     return read_face(path)
 
 
-def _asked(kind: Any, rename: str | None, neural: Path | None, distil: bool, options: Mapping[str, Any]) -> _Asked:
+def _asked(
+    kind: Any, rename: str | None, neural: Path | None, distil: bool, lod: int, options: Mapping[str, Any]
+) -> _Asked:
     """:raises InputError: options that are unknown, out of range, or don't go together"""
     known = {one.name for one in dataclasses.fields(kind)}
     attach = {one.name for one in dataclasses.fields(AttachOptions)}
@@ -136,6 +141,8 @@ def _asked(kind: Any, rename: str | None, neural: Path | None, distil: bool, opt
     if neural is not None and distil:
         raise InputError("--neural", "given with --distil, expected one of them")
     form = kind(**{name: value for name, value in options.items() if name in known})
+    if getattr(form, "lods", False) and (neural is not None or lod):
+        raise InputError("--lods", f"given with {'--lod' if lod else '--neural'}, expected one of them")
     if distil and not getattr(form, "sliders", False):
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
     if neural is not None and hasattr(form, "sliders") and not form.encoder:
@@ -182,6 +189,9 @@ def _made(face: Face, asked: _Asked) -> _Made:
     if asked.rename is None:
         return made
     renamed = asked.rename(made.face.parts())
+    if getattr(asked.format, "lods", False):
+        lower = tuple(asked.rename(one).parts for one in face.lower_levels())
+        return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
     held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
     return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -362,6 +362,14 @@ class HasParts(Protocol):
         """The face as arrays."""
 
 
+@runtime_checkable
+class HasLevels(HasParts, Protocol):
+    """A face that may have lower levels of detail, as exporters take it; `facepipe.stage.Face` is one."""
+
+    def lower_levels(self) -> tuple[FaceParts, ...]:
+        """The face at each lower level, finest first."""
+
+
 @dataclass(frozen=True)
 class HeldFace:
     """Parts, as exporters take a face."""
@@ -371,3 +379,14 @@ class HeldFace:
     def parts(self) -> FaceParts:
         """The face as arrays."""
         return self.held
+
+
+@dataclass(frozen=True)
+class HeldLevels(HeldFace):
+    """Parts with those of lower levels."""
+
+    lower: tuple[FaceParts, ...]
+
+    def lower_levels(self) -> tuple[FaceParts, ...]:
+        """The face at each lower level, finest first."""
+        return self.lower

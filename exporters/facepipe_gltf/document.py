@@ -18,6 +18,7 @@ from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.engines import check_engine, engine_warnings
 from facepipe_gltf.joints import JointNodes, joint_nodes
+from facepipe_gltf.lods import LODS, link_level
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
@@ -45,18 +46,20 @@ class Document:
     error_mm: float | None
 
 
-def write(parts: FaceParts, options: Options, *, tangents: bool = True) -> Document:
+def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (), tangents: bool = True) -> Document:
     """The glTF document of a face.
 
+    :param levels: lower levels of detail of the face, finest first
     :param tangents: with tangents where a material needs them; without, readers make their own
     :raises ExportError: NaN or infinity, counts that don't fit, or skin weights that can't be normalised
     :raises InputError: a shape glob that matches nothing, or an option that the engine can't read
     """
     check_ranges(options)
     check_engine(options)
-    check(parts)
+    for one in (parts, *levels):
+        check(one)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
-        document = _Writer(parts, options, tangents).document()
+        document = _Writer(parts, options, tangents, levels).document()
     if not options.meshopt:
         return document
     from facepipe_gltf.meshopt import compressed
@@ -69,6 +72,7 @@ class _Writer:
     parts: FaceParts
     options: Options
     tangents: bool
+    levels: Sequence[FaceParts]
     nodes: list[Json] = field(default_factory=list)
     meshes: list[Json] = field(default_factory=list)
     targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
@@ -86,17 +90,24 @@ class _Writer:
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
         self.materials = MaterialWriter(parts.materials)
         shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
-        meshes = [bake(parts, mesh, shapes, self.space, options) for mesh in parts.meshes]
-        meshes = [baked for baked in meshes if len(baked.corners.faces)]
-        for baked in meshes:
-            self._mesh(baked)
+        meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
+        for number, level in enumerate(self.levels, 1):
+            link_level(self.nodes, self.meshes, meshes, self._meshes(level, shapes), number)
         joints, skins = self._skin(meshes)
         if joints is not None:
             scene += joints.roots
         animations = self._animations(joints) if options.animations else []
         self.record = record_of(parts, meshes, self.space, options, self.played, self.colored)
         return self._assemble(scene, skins, animations, meshes, shapes)
+
+    def _meshes(self, parts: FaceParts, shapes: Sequence[str]) -> list[Baked]:
+        """All meshes of the face or a level, those that have faces, with a node for each."""
+        meshes = [bake(parts, mesh, shapes, self.space, self.options) for mesh in parts.meshes]
+        meshes = [baked for baked in meshes if len(baked.corners.faces)]
+        for baked in meshes:
+            self._mesh(baked)
+        return meshes
 
     def _mesh(self, baked: Baked) -> None:
         """One mesh and the node that shows it, at the scene root."""
@@ -198,7 +209,7 @@ class _Writer:
             "accessors": self.buffers.accessors,
             "bufferViews": views,
             "buffers": [{"byteLength": sum(map(len, binary))}] if binary else [],
-            "extensionsUsed": sorted([*self.materials.extensions, *required]),
+            "extensionsUsed": sorted([*self.materials.extensions, *required, *([LODS] if self.levels else [])]),
             "extensionsRequired": required,
         }
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
@@ -256,6 +267,7 @@ class _Writer:
             "materials": len(self.materials.materials),
             "images": len(self.materials.textures.images),
             "sparse accessors": self.buffers.sparse_count,
+            **({"levels": 1 + len(self.levels)} if self.levels else {}),
         }
 
 

@@ -38,6 +38,7 @@ class Engine:
     sparse: bool = True  # it reads sparse accessors of morph targets
     quantized: bool = True  # it reads KHR_mesh_quantization
     meshopt: bool = False  # it reads EXT_meshopt_compression
+    lods: bool = True  # it shows one level of those that MSFT_lod names, and not all
     target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
     changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
     joint_name: Callable[[str], str] | None = None  # what a joint is called instead
@@ -51,6 +52,7 @@ ENGINES: Mapping[str, Engine] = {
         influences=4,
         sparse=False,
         quantized=False,
+        lods=False,
         target_normals=True,
         changed_names=((r'[.:@/"]', ""),),
         joint_name=_in_godot,
@@ -65,7 +67,7 @@ ENGINES: Mapping[str, Engine] = {
     "babylon": Engine(title="Babylon.js", meshopt=True, target_normals=True),
     "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, target_normals=True),
     "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
-    "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False),
+    "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False, lods=False),
 }
 
 
@@ -78,6 +80,8 @@ def check_engine(options: Options) -> None:
         raise _refused("--no-dense", engine, "gets sparse morph targets wrong")
     if options.quantize and not engine.quantized:
         raise _refused("--quantize", engine, "reads no quantised attributes reliably")
+    if options.lods and not engine.lods:
+        raise _refused("--lods", engine, "shows all levels at once")
     if options.meshopt and not engine.meshopt:
         raise _refused("--meshopt", engine, "reads no EXT_meshopt_compression")
 

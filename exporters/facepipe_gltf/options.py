@@ -30,6 +30,7 @@ class Options:
     morph_normals: bool | None = option(None, "compute the normals of blendshapes that have none")
     animations: bool = option(False, "export poses and animations")
     fps: float | None = option(None, "frames per second to sample clips at; their own keys by default", 1.0, 1000.0)
+    lods: bool = option(False, "with the lower levels of detail of a face that `facepipe lod` made (MSFT_lod)")
     quantize: bool = option(False, "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)")
     dense: bool | None = option(None, "store every value of every morph target, for readers that get sparse ones wrong")
     meshopt: bool = option(

@@ -15,6 +15,7 @@ from facepipe.parts import HasParts
 from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.files import embedded, separate, write_glb, write_gltf
+from facepipe_gltf.lods import lower_levels
 from facepipe_gltf.options import Options
 
 if TYPE_CHECKING:
@@ -34,13 +35,15 @@ def export(
     :param on_document: gets the document as a `pygltflib.GLTF2`, to change it before it is saved
     :raises ExportError: a face that glTF can't hold: NaN or infinity, counts that don't fit, no skin weights; or
         `on_document` leaves a document that is damaged
-    :raises InputError: another suffix, a folder that does not exist, a shape glob that matches nothing, or no such pose
+    :raises InputError: another suffix, a folder that does not exist, a shape glob that matches nothing, no such pose,
+        or no levels of detail where they are asked for
     """
     start = time.perf_counter()
     target = _target(path)
     options = options or Options()
     delivered = set_face(face.parts(), options.pose)
-    document = write(delivered.parts, options)
+    levels = lower_levels(face) if options.lods else ()
+    document = write(delivered.parts, options, levels=[set_face(one, options.pose).parts for one in levels])
     files = save(document, target, on_document=on_document)
     return ExportReport(
         path=target,

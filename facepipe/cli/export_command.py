@@ -9,6 +9,8 @@ examples:
   facepipe export head.usda --rename vrm -o head.glb
   facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
   facepipe export person.usda -o template.glb --pose rest
+  facepipe export lods.usda -o lods.glb --lods
+  facepipe export lods.usda -o far.glb --lod 2
   facepipe export head.usda --sliders -o sliders.onnx
   facepipe export head.usda --sliders --distil -o learned.onnx
   facepipe export head.usda --neural head.fpnr -o rig.onnx
@@ -39,6 +41,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage")
     add_output(parser, "file to write: .glb .gltf .onnx .vrm")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    level = "level of detail of a face that `facepipe lod` made, 0 the finest (default 0)"
+    parser.add_argument("--lod", type=int, default=0, metavar="N", help=level)
     finder = Parser(add_help=False, trust=False)
     finder.add_argument("-o", "--output")
     suffix = "" if {"-h", "--help"} & set(words) else Path(finder.parse_known_args(words)[0].output or "").suffix
@@ -69,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         rename=arguments.rename,
         neural=arguments.neural,
         distil=arguments.distil,
+        lod=arguments.lod,
         watch=progress,
         **{name: getattr(arguments, name) for name in names if hasattr(arguments, name)},
     )

@@ -39,6 +39,7 @@ class InspectReport(Report):
     sliders: tuple[str, ...]
     materials: tuple[str, ...]
     photos: tuple[str, ...]
+    levels: Mapping[str, int]  # of detail -> faces
     person: str
     attach_joint: str | None
     attribution: str
@@ -98,6 +99,7 @@ def report_of(face: Face) -> InspectReport:
         sliders=tuple(slider.name for slider in parts.sliders),
         materials=tuple(material.name for material in parts.materials),
         photos=tuple(photo.name for photo in parts.photos),
+        levels={name: _faces(face.at_level(number)) for number, name in enumerate(face.levels)},
         person=face.person().description,
         attach_joint=parts.attach_joint,
         attribution=parts.attribution,
@@ -105,6 +107,10 @@ def report_of(face: Face) -> InspectReport:
         neural_rig=_neural_rig(face),
         warnings=tuple(implausible(parts)),
     )
+
+
+def _faces(face: Face) -> int:
+    return sum(len(mesh.face_vertex_counts) for mesh in face.meshes)
 
 
 def _neural_rig(face: Face) -> dict[str, str] | None:
@@ -135,6 +141,7 @@ def text_of(report: InspectReport) -> str:
             for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
         ],
         *[("photos", _listing(report.photos)) for _ in report.photos[:1]],
+        *[("levels", _levels(levels)) for levels in [report.levels] if levels],
         *[("shapes' names", convention_text(report.shape_names)) for _ in report.shapes[:1]],
         ("person", report.person),
         ("inbetweens", report.inbetweens or "none"),
@@ -147,6 +154,10 @@ def text_of(report: InspectReport) -> str:
     width = max(len(name) for name, _ in facts)
     lines = [f"{name:{width}}  {text}" for name, text in facts]
     return "\n".join([report.face, "", table(rows), "", *lines])
+
+
+def _levels(levels: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} ({count:,} faces)" for name, count in levels.items())
 
 
 def _listing(names: tuple[str, ...]) -> str:

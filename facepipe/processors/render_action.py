@@ -5,6 +5,7 @@ examples:
   facepipe render head.usda -o nose.png --slider noseWidth=0.8
   facepipe render head.usda -o moved.png --set jawOpen=1 --heatmap displacement
   facepipe render head.usda -o regions.png --regions
+  facepipe render lods.usda -o far.png --lod 2
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class Render(Posed, FileAction[Report]):
     pose: str | None = option(
         None, "the person: set (as FACE is set, the default), rest (the template), or an animation's first sample"
     )
+    lod: int = option(0, "level of detail of a face that `facepipe lod` made, 0 the finest", 0, 99)
     view: Literal["front", "side", "three-quarter"] = option("front", "where it is seen from")
     size: int = option(800, "width and height", 16, 4096, "pixels")
     heatmap: str | None = option(
@@ -56,6 +58,7 @@ class Render(Posed, FileAction[Report]):
 
         with job.watch("render", 2) as bar:
             face = read_face(self.face)
+            face = face.at_level(self.lod) if self.lod else face
             parts, points = face.parts(), self._points(face)
             bar.update()
             options = PictureOptions(

@@ -205,6 +205,10 @@ class Face:
         stage = stage_at(self.stage, self.prim.GetPath(), names[number])
         return Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
 
+    def lower_levels(self) -> tuple[FaceParts, ...]:
+        """The face at each lower level of detail, finest first, as arrays."""
+        return tuple(self.at_level(number).parts() for number in range(1, len(self.levels)))
+
     def landmarks(self, scheme: str = "multipie68") -> tuple[Mesh, Landmarks]:
         """The mesh that has landmarks of `scheme`, and these.
 

@@ -172,11 +172,12 @@ def test_the_documentation_has_the_same_table() -> None:
     text = (REPOSITORY / "docs" / "files.md").read_text(encoding="utf-8")
     for name, engine in ENGINES.items():
         row = next(line for line in text.splitlines() if line.startswith(f"| `{name}`"))
-        _, influences, targets, quantize, meshopt, normals = (cell.strip() for cell in row.split("|")[1:7])
+        _, influences, targets, quantize, meshopt, lods, normals = (cell.strip() for cell in row.split("|")[1:8])
         assert int(influences) == engine.influences
         assert targets == ("sparse" if engine.sparse else "dense")
         assert quantize == ("yes" if engine.quantized else "refused")
         assert meshopt == ("yes" if engine.meshopt else "refused")
+        assert lods == ("yes" if engine.lods else "refused")
         assert normals == ("computed" if engine.target_normals else "those of the face")
 
 

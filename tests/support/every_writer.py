@@ -66,6 +66,7 @@ train-photo head.usda -o start.onnx --people 1024 --renders 8 --epochs 1 --steps
 fit-photo front.png head.usda --landmarks front.json -o me.usda --report me --start start.onnx \
 --iterations 1 --size 64 --identity 0
 lod head.usda --triangles 8000,2500 -o lods.usda
+export lods.usda -o lods.glb --lods
 lod third.usdz --triangles 3000 --flatten -o flat_lods.usdc
 import ict ict.npz ict.usdc --identity-seed 7
 import makehuman makehuman.npz mh.usdc --sliders arkit

@@ -11,6 +11,7 @@ from facepipe.core.arrays import BoolArray, IntArray
 from facepipe.geometry.polygons import components, edges, point_areas
 from facepipe.geometry.seams import welded_points
 from facepipe.parts import Mesh
+from facepipe.processors.lod.kept_points import even_points, marks, strongest
 from facepipe.processors.lod.motion import motion_of
 from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
 from facepipe.processors.lod.wedges import mesh_of, wedges_of
@@ -29,11 +30,13 @@ class Surface:
         firsts = rig.mesh_offsets
         self._point = _joined(one.points + first for one, first in zip(self._wedges, firsts, strict=False))
         self._triangles = _joined(one.triangles + start for one, start in zip(self._wedges, self._starts, strict=False))
-        self._marks = _joined(_marks(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
+        self._marks = _joined(marks(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
         self._rig = rig
         self._simplify = Simplifier()
         self._motion = motion_of(rig, MOST_ATTRIBUTES)[self._point]
-        self._fixed = np.isin(self._point, np.concatenate([self._marks, _strongest(rig), self._rings()]))
+        rims = np.setdiff1d(self._rims(), self.triangles[self.is_skin])
+        stay = np.concatenate([self._marks, strongest(rig), even_points(rig.points, self.triangles, rims)])
+        self._fixed = np.isin(self._point, stay)
 
     @property
     def full(self) -> IntArray:
@@ -81,12 +84,11 @@ class Surface:
         """(t,) number of the mesh of each triangle (t, 3) of wedges."""
         return np.searchsorted(self._starts, wedges[:, 0], side="right") - 1
 
-    def _rings(self) -> IntArray:
-        """Points off the skin where materials meet: the rims of iris and pupil are seen from afar."""
+    def _rims(self) -> IntArray:
+        """Points where materials meet."""
         materials = _joined(one.materials for one in self._wedges)
-        pairs = np.unique(np.stack([self._point, materials], axis=1), axis=0)
-        points, counts = np.unique(pairs[:, 0], return_counts=True)
-        return np.setdiff1d(points[counts > 1], self.triangles[self.is_skin])
+        points, counts = np.unique(np.unique(np.stack([self._point, materials]), axis=1)[0], return_counts=True)
+        return np.asarray(points[counts > 1])
 
     def skin_triangles(self, level: IntArray) -> int:
         """How many triangles of a level are of the skin."""
@@ -106,18 +108,6 @@ class Surface:
         if most >= len(triangles):
             return triangles
         return self._simplify(self._rig.points[self._point], self._motion, triangles, self._fixed, most)
-
-
-def _marks(mesh: Mesh) -> IntArray:
-    """Landmarks and anchor."""
-    own = [np.asarray(one.indices, np.int64) for one in mesh.landmarks.values()]
-    return _joined([*own, np.array([] if mesh.anchor is None else [mesh.anchor], np.int64)])
-
-
-def _strongest(rig: Rig) -> IntArray:
-    """The point that each sculpt moves most: no level lacks a shape."""
-    moving = [one for one in rig.targets if len(one.offsets)]
-    return np.array([one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving], np.int64)
 
 
 def _joined(arrays: Iterable[IntArray]) -> IntArray:

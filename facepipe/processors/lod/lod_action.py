@@ -10,6 +10,8 @@ examples:
   facepipe lod head.usda -o lods.usda
   facepipe lod head.usda --triangles 20000,8000,2500 -o lods.usda
   facepipe lod --edit lods.usda --triangles 10000,4000 --force
+  facepipe export lods.usda --lods -o lods.glb
+  facepipe export lods.usda --lod 2 -o far.glb
 """
 
 from __future__ import annotations

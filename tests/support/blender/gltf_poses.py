@@ -31,10 +31,12 @@ def set_bones(armature: Any, rest: Joints, joints: Joints) -> None:
 
 
 def posed(path: str, poses: Sequence[Mapping[str, Any]]) -> tuple[list[Any], list[Any]]:
-    """The mesh objects of a file, and their points pose by pose, Y up."""
+    """The mesh objects of a file that are shown, and their points pose by pose, Y up."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=path)
-    meshes = [one for one in bpy.data.objects if one.type == "MESH" and "_FACEPIPE_POINT" in one.data.attributes]
+    meshes = [
+        one for one in bpy.context.view_layer.objects if one.type == "MESH" and "_FACEPIPE_POINT" in one.data.attributes
+    ]
     armatures = [one for one in bpy.data.objects if one.type == "ARMATURE"]
     points: list[Any] = [[] for _ in meshes]
     for pose in poses:
