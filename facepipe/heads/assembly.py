@@ -9,6 +9,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
+from facepipe.heads.bone_sliders import bone_sliders
 from facepipe.heads.expressing import sliders
 from facepipe.heads.eye_fit import Shapes, fit_eyes
 from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
@@ -58,7 +59,7 @@ def make_head(identity: FloatArray) -> FaceParts:
         skeleton=skeleton(points),
         animations=animations(frozenset(head.shapes)),
         played=TALK,
-        sliders=(*sliders(frozenset(head.shapes)), *identity_sliders()),
+        sliders=(*sliders(frozenset(head.shapes)), *identity_sliders(), *bone_sliders()),
         bone_limits=bone_limits(head.joints),
         attribution=ATTRIBUTION,
     )

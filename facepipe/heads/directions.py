@@ -20,7 +20,8 @@ SIDES = ("Left", "Right")
 _EYES = ("EyeballLeft", "EyeballRight")
 STEP = 1 / 2048  # of packed weights
 _FAINTEST, _SHOWN = 0.005, 0.01  # cm: points that move less than the first stay, those of the second are as they are
-_FAINT = 1e-4  # of a mask: none
+_FAINT = 3e-4  # of a mask: none
+_TINY = 2e-3  # of the weights in a mask: none
 _INSIDE = ("Teeth", "GumsAndTongue")
 _INSIDE_LEAST = 0.04  # cm: what moves less than that altogether stays
 _MIDDLE = 1.0  # cm on each side of the middle, over which left and right mix
@@ -77,10 +78,11 @@ def combined(head: Asset, weights: FloatArray, parity: FloatArray) -> FloatArray
     for side, signs in enumerate((np.ones_like(parity), parity)):
         for number, share in enumerate(shares[side]):
             own = np.flatnonzero(share > _FAINT)
+            rows = np.flatnonzero(np.abs(weights[:, number]).max(axis=1) > _TINY)
             if len(own):
-                modes = head.modes[:, own]
-                moved = (weights[:, number] * signs).astype(np.float32) @ modes.reshape(len(modes), -1)
-                total[:, own] += share[own, None] * moved.reshape(-1, len(own), 3)
+                modes = head.modes[:, own].reshape(len(signs), -1)
+                moved = (weights[rows, number] * signs).astype(np.float32) @ modes
+                total[np.ix_(rows, own)] += share[own, None] * moved.reshape(-1, len(own), 3)
     return total
 
 

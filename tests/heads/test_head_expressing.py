@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facepipe.heads.assembly import make_head
+from facepipe.heads import make
 from facepipe.heads.expressing import VISEMES
 from facepipe.stage import Face
 
 
 @pytest.fixture(scope="module")
 def face() -> Face:
-    return Face.from_parts(make_head(np.zeros(100)))
+    return Face.from_parts(make())
 
 
 def moved(face: Face, mesh: str, sliders: dict[str, float]) -> np.ndarray:
