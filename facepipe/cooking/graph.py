@@ -189,7 +189,11 @@ def read_node(path: Path) -> Node:
         return Node(path=path, recipe=None, layers=links.layers)
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)
-    if cookable(verb_now(recipe.verb)) is None:
+    try:
+        kind = cookable(verb_now(recipe.verb))
+    except InputError as error:  # of a plug-in that can't be used
+        raise error.under(where) from None
+    if kind is None:
         verbs = ", ".join(cookables())
         raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {verbs}")
     sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_python import PYTHON, blender, needs_blender, run_blender
+from command_line import exit_code
 from faces import tiny_face
 from import_data import shared
 from node import validate as khronos
@@ -21,7 +22,6 @@ from procedural_head import make
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import save_parts
@@ -248,7 +248,7 @@ def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:
     for seed, name in enumerate("abc"):
         save_parts(replace(make(seed), played=None), tmp_path / f"{name}.usda")
     paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "blended")]
-    assert main(["blend", *paths[:2], "-o", paths[2], "--set", "nose=0.2,0.8"]) == 0
+    assert exit_code("blend", *paths[:2], "-o", paths[2], "--set", "nose=0.2,0.8") == 0
     shutil.copy(paths[2], tmp_path / "imported.usda")
     shutil.copy(tmp_path / "c.usda", paths[1])  # a source changes
     steps = [["blend", {}], ["export", {"directory": str(tmp_path), "file_name": "out"}]]
@@ -256,7 +256,7 @@ def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:
     assert found["said"].tolist() == ["", ""], said
     assert "b.usda changed" in said
     assert "recipe of 'blend' left out" not in said
-    assert main(["blend", "--edit", paths[2], "--force"]) == 0
+    assert exit_code("blend", "--edit", paths[2], "--force") == 0
     wanted = facepipe.open(paths[2])
     points = wanted.split(wanted.evaluate())
     for mesh in wanted.meshes:
@@ -283,7 +283,7 @@ def test_lost_source_of_a_recipe(tmp_path: Path) -> None:
     for seed, name in enumerate("ab"):
         save_parts(replace(make(seed), played=None), tmp_path / f"{name}.usda")
     paths = [str(tmp_path / f"{name}.usda") for name in ("a", "b", "c")]
-    assert main(["blend", *paths[:2], "-o", paths[2]]) == 0
+    assert exit_code("blend", *paths[:2], "-o", paths[2]) == 0
     Path(paths[1]).unlink()
     before = facepipe.open(paths[2])
     found, _ = blender("operators.py", paths[2], [["blend", {}]], answer=tmp_path / "a.npz")

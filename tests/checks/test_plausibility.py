@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from facepipe_gltf import read as gltf
 from faces import with_meshes
 from import_data import shared
@@ -16,7 +17,6 @@ from procedural_head import make
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.rig import implausible
@@ -113,11 +113,11 @@ def test_inspect_validate_and_export_say_it(
     file = str(tmp_path / "big.usda")
     save_parts(replace(sample, meters_per_unit=1.0), file)
     (line,) = implausible(facepipe.open(file).parts())
-    assert main(["inspect", file, "--json"]) == 0
+    assert exit_code("inspect", file, "--json") == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["warnings"] == [line]
     assert line in said.err
-    assert main(["export", file, "-o", str(tmp_path / "big.glb"), "--json"]) == 0
+    assert exit_code("export", file, "-o", tmp_path / "big.glb", "--json") == 0
     said = capsys.readouterr()
     assert line in json.loads(said.out)["warnings"]
     assert line in said.err
@@ -129,14 +129,14 @@ def test_import_takes_the_unit_and_the_axis_it_is_given(sample: FaceParts, tmp_p
     save_parts(turned(replace(sample, meters_per_unit=1.0), "+x+z-y"), tmp_path / "face.usda")
     source = tmp_path / ("face.usda" if kind == "usd" else "face.glb")
     if kind == "gltf":
-        assert main(["export", str(tmp_path / "face.usda"), "-o", str(source)]) == 0
+        assert exit_code("export", tmp_path / "face.usda", "-o", source) == 0
     words = ["import", kind, str(source), str(tmp_path / "out.usda"), "--meters-per-unit", "0.01", "--up-axis", "Z"]
-    assert main(words) == 0
+    assert exit_code(*words) == 0
     face, before = facepipe.open(tmp_path / "out.usda"), facepipe.open(tmp_path / "face.usda")
     assert (face.meters_per_unit, face.up_axis) == (0.01, "Z")
     assert implausible(face.parts()) == ()
     np.testing.assert_allclose(np.ptp(face.evaluate(), axis=0), np.ptp(before.evaluate(), axis=0), rtol=1e-5)
-    assert main([*words[:3], str(tmp_path / "bad.usda"), "--meters-per-unit", "0"]) == 2
+    assert exit_code(*words[:3], tmp_path / "bad.usda", "--meters-per-unit", "0") == 2
     assert not (tmp_path / "bad.usda").exists()
 
 

@@ -16,6 +16,7 @@ import pytest
 from faces import tiny_face
 from full_faces import good_face
 from import_data import shared
+from layers import attribute
 from neural_faces import neural_rig
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
@@ -33,12 +34,6 @@ from facepipe.stage.neural_rig_link import author_neural_rig_link
 
 NAN = float("nan")
 RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link
-
-
-def attribute(stage: Usd.Stage, path: str) -> Usd.Attribute:
-    found = stage.GetAttributeAtPath(path)
-    assert found, path
-    return found
 
 
 def changed(path: str, change: Callable[[list], list]) -> Callable[[Usd.Stage], None]:

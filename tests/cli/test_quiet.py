@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from facepipe.cli import main
+from command_line import exit_code
 
 NOISY = """
 import ctypes, os, sys, types, warnings
@@ -65,5 +64,5 @@ def test_a_closed_stderr_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_a_stderr_that_is_no_file_is_written(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", "gone.usda"]) == 2
+    assert exit_code("inspect", "gone.usda") == 2
     assert capsys.readouterr().err.count("\n") == 1

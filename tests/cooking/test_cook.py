@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -12,14 +11,14 @@ import threading
 from pathlib import Path
 
 import pytest
-from command_line import content, done, failed
+from command_line import content, done, exit_code, failed
 from cook_chain import CHAIN, LINES, actions, change, cook, layer, make_chain, why
 from faces import grid_mesh, tiny_face
+from pages import blocks
 from places import REPOSITORY, SUPPORT
 
 import facepipe
 from facepipe import cooking
-from facepipe.cli import main
 from facepipe.core.errors import FacepipeError
 from facepipe.core.locks import locked
 from facepipe.parts import FaceParts
@@ -199,8 +198,8 @@ def test_standalone_files_stay_standalone(folder: Path, capsys: Capsys) -> None:
 
 
 def test_files_that_depend_on_each_other_are_named(folder: Path, capsys: Capsys) -> None:
-    assert main(["blend", "a.usda", "b.usda", "-o", "c.usda"]) == 0
-    assert main(["blend", "c.usda", "other.usda", "-o", "d.usda"]) == 0
+    assert exit_code("blend", "a.usda", "b.usda", "-o", "c.usda") == 0
+    assert exit_code("blend", "c.usda", "other.usda", "-o", "d.usda") == 0
     text = Path("c.usda").read_text()
     Path("c.usda").write_text(text.replace('"./b.usda"', '"./d.usda"'))
     capsys.readouterr()
@@ -289,7 +288,7 @@ def test_a_file_that_another_process_cooks_is_waited_for_and_not_cooked_twice(ch
     with locked("mix.usda"):
         thread = threading.Thread(target=lambda: second.append(cooking.cook(["mix.usda"])))
         thread.start()
-        assert main(["blend", "--edit", "mix.usda", "--force"]) == 0
+        assert exit_code("blend", "--edit", "mix.usda", "--force") == 0
     thread.join()
     assert [(one.action, one.why) for one in second[0].nodes] == [("up to date", ("another process cooked it",))]
 
@@ -305,7 +304,7 @@ def test_a_stage_that_is_open_sees_files_changed_on_disk(chain: Path) -> None:
     cooking.cook(["mix.usda"])
     cooked = Path("mix.usda").read_bytes()
     del held
-    assert main(["blend", "a.usda", "b.usda", "-o", "mix.usda", "--force", *LINES[0][5:]]) == 0
+    assert exit_code("blend", "a.usda", "b.usda", "-o", "mix.usda", "--force", *LINES[0][5:]) == 0
     assert Path("mix.usda").read_bytes() == cooked
 
 
@@ -340,7 +339,7 @@ def test_checks_are_a_gate(chain: Path, capsys: Capsys) -> None:
 
 def test_the_text_tells_of_each_file_and_why(chain: Path, capsys: Capsys) -> None:
     change("b.usda")
-    assert main(["cook", "shot.usda", "--dry-run"]) == 1
+    assert exit_code("cook", "shot.usda", "--dry-run") == 1
     assert capsys.readouterr().out == (
         "mix.usda: blend: stale (b.usda changed)\n"
         "controls.usda: sliders: stale (mix.usda is to be cooked)\n"
@@ -357,7 +356,6 @@ def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) 
 
 def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:
     page = (REPOSITORY / "docs" / "cook.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     done(capsys, "blend", "a.usda", "b.usda", "-o", "child.usda")
-    exec("".join(blocks), {})
+    exec("".join(blocks(page, "python")), {})
     assert capsys.readouterr().out == "child.usda blend up to date ()\n"

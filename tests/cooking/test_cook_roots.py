@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import content, failed, run
+from command_line import content, exit_code, failed, run
 from cook_chain import TABLE, actions, change, cook, layer
 from faces import tiny_face
 from pxr import Usd
@@ -18,7 +18,6 @@ from small_sources import made
 
 import facepipe
 from facepipe import cooking
-from facepipe.cli import main
 from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
@@ -48,7 +47,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
         save_parts(made(2), "lib/b.usda")
         Path("shots/table.toml").write_text(TABLE)
         for line in LINES:
-            assert main([*line]) == 0
+            assert exit_code(*line) == 0
     return folder
 
 
@@ -106,7 +105,7 @@ def test_nothing_makes_a_cook_write_outside_the_roots(show: Path, capsys: Capsys
 
 def test_lines_for_people_name_what_is_outside(show: Path, capsys: Capsys) -> None:
     _stale(show)
-    assert main(["cook", "shots/posed.usda"]) == 1
+    assert exit_code("cook", "shots/posed.usda") == 1
     first, *_, last = capsys.readouterr().out.splitlines()
     assert first == "lib/mix.usda: blend: outside the roots (a.usda changed)"
     assert last == "3 file(s) with recipes: 2 cooked, 1 outside the roots"
@@ -191,7 +190,7 @@ def test_chains_of_files_may_be_longer_than_the_stack(tmp_path: Path, capsys: Ca
         (tmp_path / f"{number}.usda").write_text(f"#usda 1.0\n{text}\n")
     last = tmp_path / f"{count}.usda"
     last.write_text("#usda 1.0\n")
-    assert main(["cook", str(tmp_path / "0.usda")]) == 0
+    assert exit_code("cook", tmp_path / "0.usda") == 0
     last.unlink()
     capsys.readouterr()
     err = failed(capsys, "cook", tmp_path / "0.usda", folder=tmp_path)
@@ -220,7 +219,7 @@ def test_a_host_can_confine_what_a_cook_reads(show: Path) -> None:
         cooking.cook(["shots/posed.usda"])
     table = Path("table.toml")
     table.write_text(TABLE)
-    assert main(["sliders", "shots/controls.usda", "--from", "table.toml", "-o", "lib/own.usda"]) == 0
+    assert exit_code("sliders", "shots/controls.usda", "--from", "table.toml", "-o", "lib/own.usda") == 0
     with (
         trusting(Trust(roots=(show / "shots", show / "lib"), confined=True)),
         pytest.raises(InputError, match=r"table\.toml: is outside the roots"),

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import content
+from command_line import content, exit_code
 from cook_cases import CASES
 from cook_chain import actions, cook
 
-from facepipe.cli import main
 from facepipe.stage import open_face
 from facepipe.stage.author_skeleton import author_recipe
 
@@ -32,8 +31,8 @@ def test_a_recipe_gives_the_bytes_of_its_command(name: str, folder: Path, capsys
     case.put(folder)
     line = [*case.line, "-o", "results/out.usda"]
     (folder / "results").mkdir()
-    assert main(line) == case.code
-    assert main([*case.line, "-o", "flat.usda", "--flatten"]) == case.code
+    assert exit_code(*line) == case.code
+    assert exit_code(*case.line, "-o", "flat.usda", "--flatten") == case.code
     capsys.readouterr()
     before = content(folder)
     code, report, _ = cook(capsys, "results/out.usda", "flat.usda", "--force")
@@ -44,8 +43,8 @@ def test_a_recipe_gives_the_bytes_of_its_command(name: str, folder: Path, capsys
     assert (code, actions(report)) == (case.code, {"out.usda": "cooked", "flat.usda": "cooked"})
     cooked = content(folder)
     assert all(cooked[one] != before[one] for one in (folder / "results" / "out.usda", folder / "flat.usda"))
-    assert main([*line, "--force"]) == case.code
-    assert main([*case.line, "-o", "flat.usda", "--flatten", "--force"]) == case.code
+    assert exit_code(*line, "--force") == case.code
+    assert exit_code(*case.line, "-o", "flat.usda", "--flatten", "--force") == case.code
     assert content(folder) == cooked
 
 
@@ -53,11 +52,11 @@ def test_a_recipe_gives_the_bytes_of_its_command(name: str, folder: Path, capsys
 def test_an_edit_gives_the_bytes_of_the_command_with_what_it_changes(name: str, folder: Path) -> None:
     case = CASES[name]
     case.put(folder)
-    assert main([*case.line, "-o", "out.usda"]) == case.code
-    assert main([*case.command, "--edit", "out.usda", *case.edit, "-o", "edited.usda"]) == case.code
-    assert main([*case.line, *case.edit, "-o", "other.usda"]) == case.code
+    assert exit_code(*case.line, "-o", "out.usda") == case.code
+    assert exit_code(*case.command, "--edit", "out.usda", *case.edit, "-o", "edited.usda") == case.code
+    assert exit_code(*case.line, *case.edit, "-o", "other.usda") == case.code
     assert Path("edited.usda").read_bytes() == Path("other.usda").read_bytes()
-    assert main([*case.command, "--edit", "out.usda", *case.edit, "--force"]) == case.code
+    assert exit_code(*case.command, "--edit", "out.usda", *case.edit, "--force") == case.code
     assert Path("out.usda").read_bytes() == Path("other.usda").read_bytes()
 
 
@@ -65,7 +64,7 @@ def test_an_edit_gives_the_bytes_of_the_command_with_what_it_changes(name: str, 
 def test_recipes_of_the_release_before_are_cooked_to_the_same_bytes(name: str, folder: Path, capsys: Capsys) -> None:
     case = CASES[name]
     case.put(folder)
-    assert main([*case.line, "-o", "out.usda"]) == case.code
+    assert exit_code(*case.line, "-o", "out.usda") == case.code
     capsys.readouterr()
     made = Path("out.usda").read_bytes()
     face = open_face("out.usda")

@@ -12,14 +12,15 @@ import facepipe_gltf
 import gltf_reader
 import numpy as np
 import pytest
+from command_line import exit_code
 from engine_faces import FACES, LAYOUTS, LIMITS
 from engines import RUNNERS, File, godot_project, godot_server
 from facepipe_gltf.engines import ENGINES
 from node import HERE, node_packages
+from pages import blocks
 from places import REPOSITORY
 
 import facepipe
-from facepipe.cli import main
 from facepipe.rig import coefficient_matrices, rest_coefficients
 from facepipe.stage import Face
 
@@ -29,7 +30,7 @@ TURNED = {"head": (0.1, 0.2, 0.3)}  # rx, ry, rz of the page's joint
 SLIDERS = {"smile": 0.8, "noseWidth": -0.6, "blink": 0.7, "jawWidth": 0.5}
 
 
-def blocks(kind: str) -> dict[str, str]:
+def named_blocks(kind: str) -> dict[str, str]:
     """Blocks of the page by the name in their first line."""
     found = re.findall(rf"```{kind}\n(\S+ (\w+\.\w+).*?)```", PAGE, re.DOTALL)
     return {name: text for text, name in found}
@@ -39,11 +40,11 @@ def blocks(kind: str) -> dict[str, str]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder in which the page's own commands were run."""
     folder = tmp_path_factory.mktemp("made")
-    (lines,) = re.findall(r"```console\n(.*?)```", PAGE, re.DOTALL)
+    (lines,) = blocks(PAGE, "console")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for line in lines.splitlines():
-            assert main(line.split()[1:]) == 0, line
+            assert exit_code(*line.split()[1:]) == 0, line
     return folder
 
 
@@ -60,7 +61,7 @@ def turned(face: Face) -> np.ndarray:
 def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> None:
     node, face = node_packages(), facepipe.open(made / "head.usda")
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-    for name, text in blocks("js").items():
+    for name, text in named_blocks("js").items():
         (tmp_path / name).write_text(text)
     (tmp_path / "node_modules").symlink_to(HERE / "node_modules")
     words = ["--import", str(HERE / "files_fetch.mjs"), str(HERE / "page_run.mjs"), engine, "out.bin"]
@@ -81,7 +82,7 @@ def test_the_script_runs_as_it_stands(made: Path, tmp_path: Path) -> None:
     face, glb = facepipe.open(made / "head.usda"), tmp_path / "head.glb"
     facepipe_gltf.export(face, glb, facepipe_gltf.Options(engine="godot"))
     project = godot_project(tmp_path / "project", {"head.glb": glb.read_bytes()})
-    (project / "face.gd").write_text(blocks("gdscript")["face.gd"])
+    (project / "face.gd").write_text(named_blocks("gdscript")["face.gd"])
     done = subprocess.run(
         [godot_server(), "--path", str(project), "-s", "page.gd"], capture_output=True, text=True, timeout=120
     )

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from command_line import done, failed
+from command_line import done, exit_code, failed
 from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED
@@ -26,7 +26,6 @@ from vrm_export import (
     seen,
 )
 
-from facepipe.cli import main
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.names import identifier
 from facepipe.parts import FaceParts, FloatArray, Skeleton, Skin
@@ -71,7 +70,7 @@ def test_bones_that_are_missing_are_named_and_nothing_is_written(
     told = done(capsys, "export", tmp_path / "head.usda", "-o", out, "--stub-body", *terms, quiet=False)
     added = next(line for line in told.splitlines() if "move no point" in line)
     assert all(bone in added for bone in REQUIRED if bone not in own)
-    assert main(["validate", str(out)]) == 0
+    assert exit_code("validate", out) == 0
 
 
 @pytest.mark.parametrize(

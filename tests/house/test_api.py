@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import content
+from command_line import content, exit_code
 from procedural_head import make
 
 import facepipe
 from facepipe.api import given, names
-from facepipe.cli import main
 from facepipe.stage import save_parts
 
 
@@ -38,11 +37,11 @@ def test_functions_write_what_the_commands_write(folder: Path) -> None:
         Path(name).rename(f"python.{name}")
     Path("python.c.usda").rename("c.usda")
     first = Path("c.usda").read_bytes()
-    assert main(blend) == 0
+    assert exit_code(*blend) == 0
     assert Path("c.usda").read_bytes() == first
-    assert main(["sliders", "c.usda", "--set", "blink=0.5", "-o", "d.usda"]) == 0
+    assert exit_code("sliders", "c.usda", "--set", "blink=0.5", "-o", "d.usda") == 0
     assert Path("d.usda").read_bytes() == Path("python.d.usda").read_bytes()
-    assert main(["export", "d.usda", "-o", "d.glb", "--engine", "unity"]) == 0
+    assert exit_code("export", "d.usda", "-o", "d.glb", "--engine", "unity") == 0
     assert Path("d.glb").read_bytes() == Path("python.d.glb").read_bytes()
 
 
@@ -56,18 +55,18 @@ def test_any_file_is_a_face_and_any_result_is_for_the_engine(folder: Path) -> No
     report = facepipe.blend(["a.glb", "b.usda"], weights={"default": [1, 0]}, out="whole.usdc")
     assert len(report.sources) == 2
     np.testing.assert_allclose(facepipe.open("whole.usdc").evaluate(), face.evaluate(), atol=1e-4)
-    assert main(["blend", "a.glb", "b.usda", "--default", "1,0", "-o", "whole.glb", "--json"]) == 0
+    assert exit_code("blend", "a.glb", "b.usda", "--default", "1,0", "-o", "whole.glb", "--json") == 0
     np.testing.assert_allclose(facepipe.read("whole.glb").evaluate(), face.evaluate(), atol=1e-4)
     assert facepipe.blend(["a.usda", "b.usda"], out="mix.onnx")
     assert not [one for one in facepipe.validate("mix.onnx") if one.severity == "error"]
-    assert main(["inspect", "a.glb"]) == 0
+    assert exit_code("inspect", "a.glb") == 0
     assert {one.name for one in folder.iterdir()} >= {"whole.glb", "mix.onnx", "mix.onnx.json"}
-    assert main(["cook", "whole.usdc"]) == 0
+    assert exit_code("cook", "whole.usdc") == 0
 
 
 def test_exports_do_what_the_command_does(folder: Path) -> None:
     report = facepipe.export("a.usda", "a.glb", rename="vrm")
-    assert main(["export", "a.usda", "-o", "line.glb", "--rename", "vrm"]) == 0
+    assert exit_code("export", "a.usda", "-o", "line.glb", "--rename", "vrm") == 0
     assert Path("a.glb").read_bytes() == Path("line.glb").read_bytes()
     assert report.renamed["eyeBlinkLeft"] == "blinkLeft"
     for wrong, message in {

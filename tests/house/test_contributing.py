@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
+from pages import blocks
 from places import REPOSITORY
 
 PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -22,13 +23,9 @@ FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "tests" / "support").glob("*.py"))
 
 
-def blocks(kind: str) -> list[str]:
-    return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
-
-
 def test_the_checks_are_those_of_continuous_integration() -> None:
     script = (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    checks = blocks("sh")[1].splitlines()
+    checks = blocks(PAGE, "sh")[1].splitlines()
     assert len(checks) > 5
     assert [line for line in checks if line not in script] == []
 
@@ -84,7 +81,7 @@ def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path:
     def facepipe(*words: str) -> str:
         return python(house, "-m", "facepipe", *words, folder=tmp_path)
 
-    for line in blocks("sh")[2].splitlines():
+    for line in blocks(PAGE, "sh")[2].splitlines():
         said = facepipe(*line.split()[1:])
     assert "1 up to date" in said
     facepipe("sample", "-o", "head.usda", "--seed", "1", "--force")

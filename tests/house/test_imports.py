@@ -13,10 +13,11 @@ from pathlib import Path
 
 import grimp
 import pytest
+from command_line import exit_code
 
 import facepipe
 import facepipe.stage
-from facepipe.cli import command_module, commands_of, main
+from facepipe.cli import command_module, commands_of
 
 OURS = ("facepipe", "facepipe_schemas", "facepipe_gltf", "facepipe_onnx", "facepipe_web", "facepipe_blender")
 MOST_FOR_HELP, MOST_FOR_EXPORT = 30, 90
@@ -69,7 +70,7 @@ def test_help_loads_nothing_of_others(words: tuple[str, ...]) -> None:
 
 def test_export_loads_what_it_needs(tmp_path: Path) -> None:
     head = tmp_path / "head.usda"
-    assert main(["sample", str(head)]) == 0
+    assert exit_code("sample", head) == 0
     modules = loaded("export", str(head), "-o", str(tmp_path / "head.glb"))
     assert {"pxr", "numpy"} <= {*modules}
     assert not {"torch", "onnx", "onnxruntime", "facepipe.learn", "facepipe.heads", "facepipe.cli.view"} & {*modules}

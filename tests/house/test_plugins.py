@@ -325,6 +325,9 @@ def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_els
     line = run(folder, "cook", "up.usda").stderr
     assert line.startswith("facepipe: up.usda -> recipe: is of 'fly', expected one of animate, ")
     assert " lift, " in line
+    (folder / "up.usda").write_text(other.replace('"fly"', '"burst"'))
+    line = run(folder, "cook", "up.usda").stderr
+    assert line == f"facepipe: up.usda -> recipe -> plug-in burst {wrong['burst']}\n"
 
 
 def test_our_own_plug_ins_are_those_that_types_are_checked_of() -> None:

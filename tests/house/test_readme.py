@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from command_line import plain_actions
+from pages import blocks
 from places import REPOSITORY
 
 from facepipe.cli import commands_of
@@ -25,16 +26,12 @@ README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 BLEND, BONES = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("blend.md", "bones.md"))
 
 
-def blocks(kind: str, text: str = README) -> list[str]:
-    return re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)
-
-
 @pytest.mark.slow
 def test_the_tour_runs(tmp_path: Path) -> None:
     """Every console line in order, then the Python of README, blend.md and bones.md, in one folder beside ../shared."""
     folder = tmp_path / "project"
     folder.mkdir()
-    lines = [line for block in blocks("console") for line in block.splitlines()]
+    lines = [line for block in blocks(README, "console") for line in block.splitlines()]
     assert len(lines) > 12
     if SHARED.exists():
         (tmp_path / "shared").symlink_to(SHARED)
@@ -42,7 +39,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
-    pages = [block for page in (README, BLEND, BONES) for block in blocks("python", page)]
+    pages = [block for page in (README, BLEND, BONES) for block in blocks(page, "python")]
     commands += [[sys.executable, "-c", block] for block in pages]
     for command in commands:
         done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
@@ -75,7 +72,7 @@ def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
         pytest.skip("the shared data is not beside the project")
     shutil.copy(photo, tmp_path / "portrait.jpg")
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    (lines,) = (block.splitlines() for block in blocks("sh") if "fit-photo" in block)
+    (lines,) = (block.splitlines() for block in blocks(README, "sh") if "fit-photo" in block)
     for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
         done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
@@ -109,7 +106,7 @@ def test_pictures_and_links_of_the_readme_are_there() -> None:
 
 
 def test_continuous_integration_runs_the_readmes_test_command() -> None:
-    command = blocks("sh")[1].strip().rpartition("&& .venv/bin/")[2]
+    command = blocks(README, "sh")[1].strip().rpartition("&& .venv/bin/")[2]
     assert command in (REPOSITORY / ".ci" / "run").read_text()
 
 

@@ -7,11 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+from command_line import exit_code
 from places import REPOSITORY
 from procedural_head import make
 
 from facepipe.checks import validate
-from facepipe.cli import main
 from facepipe.stage import save_parts
 
 FOLDER = REPOSITORY / "samples"
@@ -29,7 +29,7 @@ def test_a_face_is_published_up_to_date_or_not_at_all(tmp_path: Path) -> None:
         save_parts(make(seed), head)
     child, out = tmp_path / "child.usda", tmp_path / "published"
     out.mkdir()
-    assert main(["blend", *map(str, heads), "-o", str(child)]) == 0
+    assert exit_code("blend", *heads, "-o", child) == 0
     first = child.read_bytes()
     shutil.copy(heads[0], heads[1])
     done = _publish(child, out)

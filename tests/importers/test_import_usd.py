@@ -11,6 +11,7 @@ import pytest
 from faces import replace_mesh
 from foreign_stages import HEAD, SKELETON, TEETH, foreign_stage, read, rich_face, warned, written
 from full_faces import PNG, full_face
+from layers import attribute
 from oracle import bake, difference, random_coefficients
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
@@ -27,12 +28,6 @@ from facepipe.stage.values import floats, ints, to_floats, to_ints, to_matrices,
 TOLERANCE = 1e-5  # of the head height
 
 Quirk = Callable[[Usd.Stage], None]
-
-
-def attribute(stage: Usd.Stage, path: str) -> Usd.Attribute:
-    found = stage.GetAttributeAtPath(path)
-    assert found, path
-    return found
 
 
 # ---- layouts that mean the same

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from feature_graphs import arcface_like, save
+from pages import blocks
 from places import REPOSITORY
 from with_torch import torch
 
@@ -20,7 +21,7 @@ from facepipe.learn.features.operators import OPERATORS
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 
 TEXT = (REPOSITORY / "docs/features.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL)
+EXAMPLES = blocks(TEXT, "json")
 
 
 def test_figures_of_the_template() -> None:

@@ -20,7 +20,6 @@ from oracle import difference, played
 from procedural_head import make as make_sample
 
 import facepipe
-from facepipe.cli import main
 from facepipe.importers import load
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
@@ -521,7 +520,7 @@ def test_a_long_clip_in_our_glb_comes_back_exactly(head: Path, tmp_path: Path) -
     """Inbetweens put keys of their own beside those of frames; far from 0 these are near in float32."""
     clip, out = live_link.write(tmp_path / "take.csv", live_link.performance(240)), tmp_path / "out.usda"
     perform(Animate(face=head, clip=clip, offset=60.0), out)
-    assert main(["export", str(out), "-o", str(tmp_path / "take.glb"), "--animations"]) == 0
+    assert exit_code("export", out, "-o", tmp_path / "take.glb", "--animations") == 0
     imported = load("gltf", tmp_path / "take.glb", GltfOptions())
     assert not any("differently" in line for line in imported.warnings)
     assert imported.parts.played == "take"

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from command_line import exit_code, failed
+from command_line import done, exit_code, failed, run
 from faces import tiny_face
 from oracle import difference, played
 from procedural_head import make
@@ -134,11 +133,6 @@ def at_limits(parts: FaceParts, precision: Precision, further: float = 0.0) -> P
     )
 
 
-def json_of(capsys: Capsys) -> tuple[dict[str, Any], str]:
-    out, err = capsys.readouterr()
-    return json.loads(out), err
-
-
 @pytest.mark.parametrize("precision", ["float16", "float32"])
 @pytest.mark.parametrize("reach", [0.1, 0.3, 0.7])
 def test_coefficients_at_a_limit_are_within_it_whatever_the_rounding(
@@ -148,9 +142,8 @@ def test_coefficients_at_a_limit_are_within_it_whatever_the_rounding(
     save_parts(parts, tmp_path / "face.usda")
     payload = sent(at_limits(parts, precision), tmp_path / "p.fpb")
     for words in (("-o", tmp_path / "out.usda"), ("-o", tmp_path / "out.npz"), ("--info",)):
-        assert exit_code("apply-bones", tmp_path / "face.usda", payload, *words, "--json") == 0
-        report, err = json_of(capsys)
-        assert (report["beyond_limits"], err) == ([], "")
+        report = json.loads(done(capsys, "apply-bones", tmp_path / "face.usda", payload, *words, "--json"))
+        assert report["beyond_limits"] == []
 
 
 @pytest.mark.parametrize("precision", ["float16", "float32"])
@@ -161,17 +154,19 @@ def test_what_is_beyond_a_limit_is_told_or_brought_back(precision: Precision, tm
     face = facepipe.open(tmp_path / "face.usda")
     content = at_limits(parts, precision, further=0.001)
     payload = sent(content, tmp_path / "p.fpb")
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.usda", "--json") == 1
-    report, err = json_of(capsys)
-    assert report["beyond_limits"] == ["root/jaw:rx"]
+    apply = ("apply-bones", tmp_path / "face.usda", payload)
+    code, out, err = run(capsys, *apply, "-o", tmp_path / "out.usda", "--json")
+    assert (code, json.loads(out)["beyond_limits"]) == (1, ["root/jaw:rx"])
     assert err == "facepipe: warning: 1 channels beyond the limits of the face: jaw:rx\n"
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "--info") == 1
-    assert capsys.readouterr().out.endswith("1 channels beyond the limits of the face: jaw:rx\n")
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", "--json") == 1
+    code, out, _ = run(capsys, *apply, "--info")
+    assert code == 1
+    assert out.endswith("1 channels beyond the limits of the face: jaw:rx\n")
+    assert exit_code(*apply, "-o", tmp_path / "out.npz", "--json") == 1
     kept = np.load(tmp_path / "out.npz")["points"]
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "in.usda", "--clamp") == 0
-    assert "1 channels brought into the limits" in capsys.readouterr().err
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "in.npz", "--clamp") == 0
+    code, _, err = run(capsys, *apply, "-o", tmp_path / "in.usda", "--clamp")
+    assert code == 0
+    assert "1 channels brought into the limits" in err
+    assert exit_code(*apply, "-o", tmp_path / "in.npz", "--clamp") == 0
     (within,) = facepipe.open(tmp_path / "in.usda").animations
     assert within.coefficients is not None
     assert (within.coefficients >= parts.bone_limits.lower).all()
@@ -201,9 +196,8 @@ def test_info_and_units_of_another_face(tmp_path: Path, capsys: Capsys) -> None:
     save_parts(tiny_face(), tmp_path / "face.usda")
     face = facepipe.open(tmp_path / "face.usda")
     payload = sent(replace(moved(face), meters_per_unit=1.0), tmp_path / "p.fpb")
-    assert exit_code("apply-bones", tmp_path / "face.usda", payload, "--info", "--json") == 1
-    report, _ = json_of(capsys)
-    assert report["fits"] is False
+    code, out, _ = run(capsys, "apply-bones", tmp_path / "face.usda", payload, "--info", "--json")
+    assert (code, json.loads(out)["fits"]) == (1, False)
     err = failed(capsys, "apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", folder=tmp_path)
     assert "units of 1 m, expected 0.01 m" in err
     with pytest.raises(InputError, match="units of 1 m"):

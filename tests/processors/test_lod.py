@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Capsys, done, failed
+from command_line import Capsys, done, exit_code, failed
 from import_data import shared
 from level_faces import MILLIMETRES, OPEN, face_with_lips
 from oracle import bake
@@ -17,7 +17,6 @@ from pxr import Usd
 from scipy.spatial import cKDTree
 
 import facepipe
-from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import edges, point_triangles
@@ -295,7 +294,7 @@ def worst(path: Path, tmp_path: Path, counts: tuple[int, ...]) -> list[tuple[flo
 
 
 def test_ict_facekit_moves_as_before(tmp_path: Path) -> None:
-    assert main(["import", "ict", str(shared("ict_facekit/ict_facekit.npz")), str(tmp_path / "ict.usdc")]) == 0
+    assert exit_code("import", "ict", shared("ict_facekit/ict_facekit.npz"), tmp_path / "ict.usdc") == 0
     fine, (mean, p95) = worst(tmp_path / "ict.usdc", tmp_path, (20000, 8000))
     assert fine < (mean, p95)
     assert mean <= 0.5
@@ -307,7 +306,7 @@ def test_ict_facekit_moves_as_before(tmp_path: Path) -> None:
 
 def test_makehuman_turns_its_joints_as_before(tmp_path: Path) -> None:
     data = str(shared("makehuman/makehuman_head.npz"))
-    assert main(["import", "makehuman", data, str(tmp_path / "mh.usdc"), "--sliders", "arkit"]) == 0
+    assert exit_code("import", "makehuman", data, tmp_path / "mh.usdc", "--sliders", "arkit") == 0
     report = facepipe.lod(tmp_path / "mh.usdc", out=tmp_path / "lods.usdc", triangles=(4000,))
     (level,) = report.levels
     assert level.errors.rest.mean_mm < 0.3

@@ -16,6 +16,7 @@ import gltf_reader
 import numpy as np
 import onnxruntime
 import pytest
+from command_line import exit_code
 from faces import tiny_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,7 +25,6 @@ from payloads import contents
 from procedural_head import make
 
 import facepipe
-from facepipe.cli import main
 from facepipe.parts import FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.rig import rest_coefficients
@@ -139,7 +139,7 @@ def test_onnx_and_gltf_are_driven_as_the_documentation_says(kind: str, tmp_path:
     assert difference(face, expected, face.evaluate()) > 0.01
     for name in ("face.onnx", "face.glb"):
         more = ["--influences", "8"] if name.endswith("glb") else []
-        assert main(["export", str(tmp_path / "face.usdc"), "-o", str(tmp_path / name), *more]) == 0
+        assert exit_code("export", tmp_path / "face.usdc", "-o", tmp_path / name, *more) == 0
 
     sidecar = json.loads((tmp_path / "face.onnx.json").read_text())
     (joints,) = (one["joints"] for one in sidecar["inputs"] if one["name"] == "coefficients")

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import failed
+from command_line import done, exit_code, failed
 from import_data import shared
 from scan_actors import Actor, ict
 from scan_simulator import ScanOptions, simulate
 from solids import ball
 
-from facepipe.cli import main
 from facepipe.core.errors import FitError
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, surface_look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
@@ -224,13 +223,12 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytes
 
     out, picture = tmp_path / "scan.landmarks.json", tmp_path / "scan.png"
     words = ["scan-landmarks", str(shared("scans/LeePerrySmith.glb")), "-o", str(out), "--picture", str(picture)]
-    assert main([*words, "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(done(capsys, *words, "--json", quiet=False))
     assert report["found"] == read_scan_landmarks(out).known.sum() == 68
     assert read_scan_landmarks(out).sigma_mm.tolist() == [3.5] * 17 + [2.2] * 51
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert ((pixels[..., 0] > 200) & (pixels[..., 1] < 80)).sum() > 68 * 20  # its red dots
-    assert main(words) == 2  # it exists now
+    assert exit_code(*words) == 2  # it exists now
 
 
 def test_bad_lines_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

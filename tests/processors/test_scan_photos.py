@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 import photo_booth
 import pytest
-from command_line import failed
+from command_line import exit_code, failed
 from photo_booth import noise_photos
 from scan_actors import Actor, ict
 from scan_simulator import visible_triangles
 
-from facepipe.cli import main
 from facepipe.core.errors import FitError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.similarity import Similarity, fit_similarity
@@ -77,7 +76,7 @@ def session(folder: Path, cameras: dict[str, PhotoCamera], flags: list[str], *, 
     words += ["--save-cameras", str(folder / "rig.json"), "--json", *flags]
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        assert main(words) == 0, err.getvalue()
+        assert exit_code(*words) == 0, err.getvalue()
     return Session(
         folder=folder, truth=truth, cameras=cameras, report=json.loads(out.getvalue()), warnings=err.getvalue()
     )

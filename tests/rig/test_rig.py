@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from faces import replace_mesh, tiny_face
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +15,6 @@ from oracle import bake, difference, random_coefficients
 from pxr import Gf, Usd, UsdSkel, Vt
 from scipy.spatial.transform import Rotation
 
-from facepipe.cli import main
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Slider
 from facepipe.rig import (
@@ -271,7 +271,7 @@ def test_a_pose_of_no_length_on_a_stage_ends_the_render_in_one_line(
     rotations = UsdSkel.Animation(source).GetRotationsAttr()
     rotations.Set(Vt.QuatfArray([Gf.Quatf(0, 0, 0, 0)] * 2), rotations.GetTimeSamples()[0])
     face.save(path)
-    assert main(["render", str(path), "--pose", "part", "-o", str(tmp_path / "face.png")]) == 2
+    assert exit_code("render", path, "--pose", "part", "-o", tmp_path / "face.png") == 2
     (line,) = capfd.readouterr().err.strip().splitlines()
     assert "part -> root/jaw/lip" in line
     assert "quaternion" in line

@@ -11,14 +11,13 @@ import facepipe_onnx
 import gltf_reader
 import numpy as np
 import pytest
-from command_line import done, failed
+from command_line import done, exit_code, failed
 from facepipe_onnx.runtime import Deformer
 from faces import tiny_face
 from oracle import bake, played
 from procedural_head import make
 
 import facepipe
-from facepipe.cli import main
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
 from facepipe.rig import (
@@ -323,11 +322,11 @@ def test_what_verbs_set_is_exported_rendered_and_can_be_left_out(tmp_path: Path,
     """sliders, then bones applied over them, then sliders again: the last one set is the person."""
     head, person = tmp_path / "head.usda", tmp_path / "person.usda"
     save_parts(make(3), head)
-    assert main(["sliders", str(head), "--set", "noseWidth=0.9", "-o", str(person)]) == 0
+    assert exit_code("sliders", head, "--set", "noseWidth=0.9", "-o", person) == 0
     for name, *options in (("set",), ("rest", "--pose", "rest"), ("template",)):
         source = head if name == "template" else person
-        assert main(["export", str(source), "-o", str(tmp_path / f"{name}.glb"), *options]) == 0
-        assert main(["render", str(source), "-o", str(tmp_path / f"{name}.png"), "--size", "96", *options]) == 0
+        assert exit_code("export", source, "-o", tmp_path / f"{name}.glb", *options) == 0
+        assert exit_code("render", source, "-o", tmp_path / f"{name}.png", "--size", "96", *options) == 0
     own, rest, template = ((tmp_path / f"{name}.png").read_bytes() for name in ("set", "rest", "template"))
     assert rest == template != own
     files = [gltf_reader.read(tmp_path / f"{name}.glb").evaluate()["Head"] for name in ("set", "rest", "template")]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pages import blocks
 from places import REPOSITORY
 
 from facepipe.processors.neural_rig import Motion
@@ -18,7 +18,7 @@ DOCS = (REPOSITORY / "docs/neural_rig.md").read_text(encoding="utf-8")
 def docs_bake() -> Callable[..., None]:
     """The writer that docs/neural_rig.md shows."""
     found: dict[str, Any] = {}
-    exec(next(one for one in re.findall(r"```python\n(.*?)```", DOCS, re.S) if "def bake" in one), found)
+    exec(next(one for one in blocks(DOCS, "python") if "def bake" in one), found)
     bake: Callable[..., None] = found["bake"]
     return bake
 

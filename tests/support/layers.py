@@ -1,4 +1,4 @@
-"""Layers written by hand, or edited as text."""
+"""Layers written by hand, or edited as text; attributes of stages to edit."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from pxr import Usd
 
 
 def prim(name: str, arcs: str = "", inside: str = "") -> str:
@@ -32,3 +34,10 @@ def with_options(change: Callable[[dict[str, Any]], object]) -> Callable[[str], 
         return text.replace(old, changed if isinstance(changed, str) else json.dumps(options))
 
     return edit
+
+
+def attribute(stage: Usd.Stage, path: str) -> Usd.Attribute:
+    """An attribute that is there."""
+    found = stage.GetAttributeAtPath(path)
+    assert found, path
+    return found

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from facepipe_onnx import Deformer
-from gltf_reader import Gltf
+from gltf_export import motion
+from gltf_reader import Gltf, local_matrix
 
 from facepipe.parts import FaceParts
 from facepipe.rig import build
@@ -29,6 +32,22 @@ class Made(NamedTuple):
     def fed(self, row: np.ndarray) -> dict[str, float]:
         """Values by name."""
         return dict(zip([one.name for one in self.rig.controls], row.tolist(), strict=True))
+
+
+def asked(
+    parts: FaceParts, glb: Gltf, graph: Deformer, found: Mapping[str, np.ndarray]
+) -> tuple[dict[str, float], dict[str, list[float]]]:
+    """Target weights and local joint matrices of what the graph gives, as three.js takes them."""
+    outputs, weights = {one["name"]: one for one in graph.metadata["outputs"]}, {}
+    if "morph_weights" in found:  # bones may leave nothing for shapes
+        names = [target["name"] for target in outputs["morph_weights"]["targets"]]
+        weights = dict(zip(names, found["morph_weights"].tolist(), strict=True))
+    if "coefficients" not in found:
+        return weights, {}
+    nodes = {node["name"]: node for node in glb.list("nodes")}
+    moves = motion(parts, glb, found["coefficients"])
+    joints = {name: (local_matrix(nodes[name]) @ move).T.ravel().tolist() for name, move in moves.items()}
+    return weights, {re.sub(r"[\[\].:/]", "", name): matrix for name, matrix in joints.items()}  # as three.js has names
 
 
 def skinned(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> np.ndarray:

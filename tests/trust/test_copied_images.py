@@ -10,13 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import failed
+from command_line import exit_code, failed
 from full_faces import PNG, full_face
 from pxr import Sdf, Usd, UsdUtils
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
 from facepipe.importers import load
@@ -158,7 +157,7 @@ def test_textures_beside_the_folder_of_a_layer_need_a_root(
         monkeypatch.setenv("FACEPIPE_ROOTS", str(tmp_path))
     else:
         (tmp_path / "facepipe.toml").touch()
-    assert main(words) == 0
+    assert exit_code(*words) == 0
     facepipe.open(face).save(tmp_path / "packed.usdz") if how == "facepipe.toml" else None
 
 
@@ -250,7 +249,7 @@ def test_pipes_are_no_textures(
     monkeypatch.chdir(home)
     os.mkfifo("pipe.png")
     naming(home / "face.usda", "./pipe.png")
-    assert main([command[0], "face.usda", *command[1:]]) in (1, 2)
+    assert exit_code(command[0], "face.usda", *command[1:]) in (1, 2)
     out, error = capsys.readouterr()
     assert "is not a regular file" in out + error
 

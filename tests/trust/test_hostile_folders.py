@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from full_faces import full_face
 from hostile_folders import (
     COOK,
@@ -48,8 +49,6 @@ from hostile_folders import (
     textured,
 )
 from small_sources import made
-
-from facepipe.cli import main
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
 
@@ -335,7 +334,7 @@ def test_a_hostile_folder_is_of_no_harm(
     hostile.make(world)
     before = _state(world)
     for number, line in enumerate(hostile.lines):
-        code = main([*line, *MODES[mode]])
+        code = exit_code(*line, *MODES[mode])
         error = capsys.readouterr().err
         assert not world.ran.exists(), line
         assert not Path("ran").exists(), line
@@ -361,10 +360,10 @@ def test_the_layout_of_a_studio_works_without_flags(world: World, capsys: Capsys
     units = 'metersPerUnit = 0.1\n    upAxis = "Z"'
     shot.write_text(f'#usda 1.0\n(\n    defaultPrim = "Tiny"\n    {units}\n    subLayers = [@{assets}/face.usda@]\n)\n')
     for words in (["inspect", "shot.usda"], ["cook", "shot.usda"], ["cook", f"{assets}/mix.usda"]):
-        assert main(words) == 0
-    assert main(["export", "shot.usda", "-o", "shot.glb"]) == 0
-    assert main(["regions", "shot.usda", "--map", "map.png", "--legend", "legend.json", "-o", "flat.usdz"]) == 0
-    assert main(["import", "usd", "shot.usda", "copy.usda"]) == 0
+        assert exit_code(*words) == 0
+    assert exit_code("export", "shot.usda", "-o", "shot.glb") == 0
+    assert exit_code("regions", "shot.usda", "--map", "map.png", "--legend", "legend.json", "-o", "flat.usdz") == 0
+    assert exit_code("import", "usd", "shot.usda", "copy.usda") == 0
     assert any(Path("copy_textures").iterdir())
     assert "outside" not in capsys.readouterr().err
 

@@ -6,9 +6,8 @@ import threading
 from pathlib import Path
 
 import pytest
-from command_line import done, failed
+from command_line import done, exit_code, failed
 
-from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.core.trust import (
     Trust,
@@ -131,12 +130,12 @@ def test_policies_that_make_no_sense_are_refused(policy: dict[str, object]) -> N
 def test_every_command_takes_roots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a.usda")
     assert "none: is no folder" in failed(capsys, "sample", out, "--root", tmp_path / "none", folder=tmp_path)
-    assert main(["sample", out, "--root", str(tmp_path)]) == 0
+    assert exit_code("sample", out, "--root", tmp_path) == 0
 
 
 @pytest.mark.parametrize("words", [["--root", "none", "info", "a.fpdb"], ["info", "a.fpdb", "--root", "none"]])
 def test_roots_stand_before_and_after_an_action(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["database", *words]) == 2
+    assert exit_code("database", *words) == 2
     assert "--root none: is no folder" in capsys.readouterr().err
 
 

@@ -12,6 +12,7 @@ import facepipe_gltf
 import numpy as np
 import pytest
 from browser import DRAWN, READY, Step, browse, run
+from command_line import exit_code
 from facepipe_onnx import Options, export_parts
 from faces import tiny_face
 from node import HERE
@@ -19,7 +20,6 @@ from slider_faces import sample_with_sliders
 from small_sources import made
 
 import facepipe
-from facepipe.cli import main
 from facepipe.parts import FaceParts, Skin, Slider
 from facepipe.payload import PayloadContent, decode, encode
 from facepipe.rig import build, rest_coefficients
@@ -123,8 +123,8 @@ def test_a_live_blend(folder: Path) -> None:
     for seed, name in enumerate("ab"):
         save_parts(made(seed), folder / f"{name}.usda")
     files = [str(folder / f"{name}.usda") for name in ("a", "b", "child", "expected")]
-    assert main(["blend", *files[:2], "-o", files[2], "--set", "mouth=0.5,0.5", "--default", "0.5,0.5"]) == 0
-    assert main(["blend", *files[:2], "-o", files[3], "--set", "mouth=0.5,1", "--default", "0.5,0.5"]) == 0
+    assert exit_code("blend", *files[:2], "-o", files[2], "--set", "mouth=0.5,0.5", "--default", "0.5,0.5") == 0
+    assert exit_code("blend", *files[:2], "-o", files[3], "--set", "mouth=0.5,1", "--default", "0.5,0.5") == 0
     rows = 'section[aria-label="Blend"] details:nth-of-type(2) .row:nth-of-type(2)'
     move = f"""const input = document.querySelector('{rows} input[type="range"]');
         input.value = "1"; input.dispatchEvent(new Event("{{}}"));"""

@@ -16,12 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import failed
+from command_line import exit_code, failed
 from facepipe_web import Options, build, view
 from facepipe_web.server import MOST_CONNECTIONS, Server
 from faces import tiny_face
 
-from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trust, trusting
 from facepipe.parts import Slider
@@ -167,7 +166,7 @@ def test_port_in_use(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert main(["view", str(face), "--port", str(port), "--no-browser"]) == 2
+        assert exit_code("view", face, "--port", port, "--no-browser") == 2
     out, err = capsys.readouterr()
     assert (out, err) == ("", f"facepipe: --port {port}: is in use, expected a free one (0 takes any)\n")
 
@@ -269,7 +268,7 @@ def test_the_person_of_a_set_face_is_at_rest(page: Path) -> None:
             viewer.close()
             thread.join()
         assert [line for line in details["notes"] if line.startswith("at rest")] == said
-        assert main(["export", "face.usda", "-o", f"{pose}.glb", "--pose", pose, "--morph-normals"]) == 0
+        assert exit_code("export", "face.usda", "-o", f"{pose}.glb", "--pose", pose, "--morph-normals") == 0
         assert Path(f"{pose}.glb").read_bytes() == glb
     assert Path("set.glb").read_bytes() != Path("rest.glb").read_bytes()
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Capsys, content, done, failed, run
+from command_line import Capsys, content, done, exit_code, failed, run
 from faces import grid_mesh, replace_mesh
 from small_sources import WORDS, made, points, saved
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli import command_module, main
+from facepipe.cli import command_module
 from facepipe.cli.parser import Parser
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept, recipe_to
@@ -181,7 +181,7 @@ def test_the_picture_of_the_seams(folder: Path, capsys: Capsys) -> None:
     assert "seams.png: exists" in failed(capsys, "blend", *words)
     out = done(capsys, "blend", *words, "--force")
     assert out.splitlines()[-1] == "seams.png"
-    assert main(["render", "c.usda", "--heatmap", "facepipe:seamResidual", "-o", "again.png"]) == 0
+    assert exit_code("render", "c.usda", "--heatmap", "facepipe:seamResidual", "-o", "again.png") == 0
     drawn, again = (np.asarray(Image.open(name).convert("RGB"), dtype=int) for name in ("seams.png", "again.png"))
     face = (slice(100, 700), slice(50, 640))  # beside the bar and its label
     assert drawn[face].std() > 5

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bone_faces import pose, save_obj, save_sources, saved, sculpt, small
-from command_line import Capsys, done, failed, run
+from command_line import Capsys, done, exit_code, failed, run
 from PIL import Image
 
 import facepipe
-from facepipe.cli import main
 from facepipe.core import atomic
 from facepipe.parts import BoneLimits
 from facepipe.performing import recipe_to
@@ -97,7 +96,7 @@ def test_payloads_hold_what_the_stage_holds(words: tuple[str, ...], folder: Path
     )
     assert out.splitlines()[-1] == f"a.fpb: {Path('a.fpb').stat().st_size} bytes"
     face = facepipe.open("a.usda")
-    assert main(["apply-bones", "rig.usda", "a.fpb", "-o", "points.npz"]) == 0
+    assert exit_code("apply-bones", "rig.usda", "a.fpb", "-o", "points.npz") == 0
     capsys.readouterr()
     points = np.load("points.npz")["points"]
     names = ["talk_2"] if words == ("talk",) else [one.name for one in face.animations][1:]

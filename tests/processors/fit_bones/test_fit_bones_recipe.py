@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from bone_faces import pose, save_sources, saved, sculpt, small
-from command_line import Capsys, content, done, failed, run
+from command_line import Capsys, content, done, exit_code, failed, run
 from hypothesis import given
 from hypothesis import strategies as st
 from import_data import refused
 from layers import with_options
 
 import facepipe
-from facepipe.cli import main
 from facepipe.declare import from_json, to_json
 from facepipe.parts import Animation, FaceParts, Recipe
 from facepipe.payload import PayloadContent, encode
@@ -437,7 +436,7 @@ def test_mistakes_in_editing(folder: Path, capsys: Capsys) -> None:
 
 def test_a_blend_is_a_rig(folder: Path, capsys: Capsys) -> None:
     """Its recipe gives way to that of the fit; the layers that it stands on count as the rig."""
-    assert main(["blend", "rig.usda", "clip.usda", "-o", "mix.usda", "--default", "0.5,0.5"]) == 0
+    assert exit_code("blend", "rig.usda", "clip.usda", "-o", "mix.usda", "--default", "0.5,0.5") == 0
     capsys.readouterr()
     done(capsys, "fit-bones", "mix.usda", *GOAL, "-o", "a.usda")
     recipe = facepipe.open("a.usda").parts().recipe

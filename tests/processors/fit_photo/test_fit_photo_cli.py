@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 import photo_files
 import pytest
-from command_line import failed
+from command_line import exit_code, failed
 from faces import with_meshes
 from onnx import TensorProto, helper
 from photographed_face import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
@@ -23,7 +23,6 @@ from procedural_head import make
 from with_torch import torch
 
 import facepipe
-from facepipe.cli import main
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.learn.photo import find_key
@@ -111,8 +110,8 @@ def test_a_cook_fits_again_where_landmarks_were_mended(studio: Path, capsys: pyt
     mended = json.loads(Path("front.json").read_text())
     mended["multipie68"] = (np.array(mended["multipie68"]) + np.eye(68, 2) * 40).tolist()
     Path("front.json").write_text(json.dumps(mended))
-    assert main(["cook", "person.usda", "--dry-run"]) == 1
-    code = main(["cook", "person.usda"])
+    assert exit_code("cook", "person.usda", "--dry-run") == 1
+    code = exit_code("cook", "person.usda")
     assert "person.usda: fit-photo: cooked" in capsys.readouterr().out
     cooked = contents(studio)
     assert cooked != before
@@ -162,7 +161,7 @@ def test_engine_files_of_the_result_are_clean(person: Path, capsys: pytest.Captu
         "eval sliders.onnx -o matrices.npz",
     )
     for line in lines:
-        assert main(line.split()) == 0, f"{line}: {capsys.readouterr()}"
+        assert exit_code(*line.split()) == 0, f"{line}: {capsys.readouterr()}"
     metadata = {one.key: one.value for one in onnx.load(person / "sliders.onnx").metadata_props}
     values = {slider.name: slider.value for slider in facepipe.open("person.usda").sliders}
     text = "".join(metadata.values())
@@ -170,7 +169,7 @@ def test_engine_files_of_the_result_are_clean(person: Path, capsys: pytest.Captu
 
 
 def test_the_person_can_be_edited(person: Path) -> None:
-    assert main(["sliders", "person.usda", "--set", "mouthWidth=0.1", "-o", "edited.usda"]) == 0
+    assert exit_code("sliders", "person.usda", "--set", "mouthWidth=0.1", "-o", "edited.usda") == 0
     before, after = (facepipe.open(name) for name in ("person.usda", "edited.usda"))
     assert {one.name: one.value for one in after.sliders}["mouthWidth"] == pytest.approx(0.1)
     assert [one.name for one in after.photos] == [one.name for one in before.photos]

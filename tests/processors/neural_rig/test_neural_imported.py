@@ -5,21 +5,20 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from facepipe_onnx import Deformer
-from gltf_export import motion
-from gltf_reader import local_matrix, read
+from gltf_reader import read
 from import_data import shared
+from neural_graphs import asked
 from node import node_packages, three_load, three_play
 
 import facepipe
-from facepipe.cli import main
 from facepipe.stage import Face
 
 pytestmark = pytest.mark.slow
@@ -50,7 +49,7 @@ def ran(*words: object) -> dict[str, Any]:
     """The JSON that a command prints."""
     text = io.StringIO()
     with contextlib.redirect_stdout(text):
-        assert main([*map(str, words), "--json"]) == 0
+        assert exit_code(*words, "--json") == 0
     found = json.loads(text.getvalue())
     assert isinstance(found, dict)
     return found
@@ -62,7 +61,7 @@ def delivered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     pytest.importorskip("torch")
     folder = tmp_path_factory.mktemp("delivered")
     head, rig = folder / "head.usdc", folder / "head.fpnr"
-    assert main(["import", "makehuman", str(shared(HEAD)), str(head)]) == 0
+    assert exit_code("import", "makehuman", shared(HEAD), head) == 0
     data = head
     if request.param == "frames":
         data = folder / "frames.usdc"
@@ -108,7 +107,7 @@ def test_clips_play_as_the_face_has_them(delivered: Delivered, tmp_path: Path) -
 def test_sliders_play_as_the_face_has_them(delivered: Delivered, values: Mapping[str, float]) -> None:
     node_packages()
     face, found = delivered.face, delivered.graph.evaluate(sliders=values)
-    answer = three_load(delivered.glb, *asked(delivered, found))
+    answer = three_load(delivered.glb, *asked(delivered.face.parts(), read(delivered.glb), delivered.graph, found))
     positions = np.concatenate([np.array(mesh["positions"]) for mesh in answer["meshes"]])
     expected, rest = face.evaluate(sliders=values), face.evaluate()
     off = millimetres(delivered, answer, positions, expected)
@@ -116,16 +115,3 @@ def test_sliders_play_as_the_face_has_them(delivered: Delivered, values: Mapping
     print(values, off, delivered.error_mm, delivered.left_mm, moved)
     assert off < delivered.error_mm + delivered.left_mm
     assert off < 0.5 * moved
-
-
-def asked(delivered: Delivered, found: Mapping[str, np.ndarray]) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """Target weights and local joint matrices of what the graph gives, as three.js takes them."""
-    glb, outputs = read(delivered.glb), {one["name"]: one for one in delivered.graph.metadata["outputs"]}
-    weights = {}
-    if "morph_weights" in found:  # bones may leave nothing for shapes
-        names = [target["name"] for target in outputs["morph_weights"]["targets"]]
-        weights = dict(zip(names, found["morph_weights"].tolist(), strict=True))
-    nodes = {node["name"]: node for node in glb.list("nodes")}
-    moves = motion(delivered.face.parts(), glb, found["coefficients"])
-    joints = {name: (local_matrix(nodes[name]) @ move).T.ravel().tolist() for name, move in moves.items()}
-    return weights, {re.sub(r"[\[\].:/]", "", name): matrix for name, matrix in joints.items()}  # as three.js has names

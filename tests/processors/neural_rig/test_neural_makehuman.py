@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import benchmark_modules  # noqa: F401
@@ -10,9 +9,9 @@ import numpy as np
 import pytest
 from facepipe_onnx import Deformer, Options, export_parts, validate
 from gltf_export import Writing, limited, motion, writing, written
-from gltf_reader import Gltf, local_matrix
+from gltf_reader import Gltf
 from import_data import SHARED, shared
-from neural_graphs import TOLERANCE, Made, skinned
+from neural_graphs import TOLERANCE, Made, asked, skinned
 from neural_rig_teacher import HEAD, Teacher, teacher
 from node import node_packages, three_load
 from with_torch import torch
@@ -82,25 +81,13 @@ def test_three_deforms_it_as_our_evaluator(made: Made, writing: Writing) -> None
     (row,) = poses(made, 1)
     found = made.matrices.evaluate(sliders=made.fed(row))
     expected, start = skinned(made, glb, found), 0
-    answer = {mesh["name"]: mesh for mesh in three_load(report.path, *asked(made, glb, found))["meshes"]}
+    shown = three_load(report.path, *asked(made.parts, glb, made.matrices, found))
+    answer = {mesh["name"]: mesh for mesh in shown["meshes"]}
     assert list(answer) == [mesh.name for mesh in made.parts.meshes]
     for mesh in made.parts.meshes:
         own = expected[start + np.array(answer[mesh.name]["points"], int)]
         start += len(mesh.points)
         assert 1e3 * np.abs(np.array(answer[mesh.name]["positions"]) - own).max() < TOLERANCE * made.height
-
-
-def asked(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """Target weights and local joint matrices of what the graph gives, as three.js takes them."""
-    outputs = {entry["name"]: entry for entry in one.matrices.metadata["outputs"]}
-    names = [target["name"] for target in outputs["morph_weights"]["targets"]]
-    weights = dict(zip(names, found["morph_weights"].tolist(), strict=True))
-    if "coefficients" not in found:
-        return weights, {}
-    nodes = {node["name"]: node for node in glb.list("nodes")}
-    moves = motion(one.parts, glb, found["coefficients"])
-    joints = {name: (local_matrix(nodes[name]) @ move).T.ravel().tolist() for name, move in moves.items()}
-    return weights, {re.sub(r"[\[\].:/]", "", name): matrix for name, matrix in joints.items()}  # as three.js has names
 
 
 def test_a_quantised_file_is_within_the_error_that_is_told(made: Made, writing: Writing) -> None:
@@ -118,7 +105,7 @@ def test_a_quantised_file_is_within_the_error_that_is_told(made: Made, writing: 
 
 def posed(one: Made, glb: Gltf, found: dict[str, np.ndarray]) -> np.ndarray:
     """(n, 3) metres of joints that move by the graph's coefficients, and targets by its weights."""
-    weights, _ = asked(one, glb, found)
+    weights, _ = asked(one.parts, glb, one.matrices, found)
     meshes = [mesh.name for mesh in one.parts.meshes]
     activations = {name: np.array([weights[target] for target in glb.targets(name)]) for name in meshes}
     motions = motion(one.parts, glb, found["coefficients"]) if "coefficients" in found else None

@@ -8,6 +8,7 @@ from pathlib import Path
 import neutral_files
 import pytest
 import scan_domes
+from command_line import exit_code
 from rebuild_project import put_drawer
 from rebuild_stages import Files, put_scans
 
@@ -18,13 +19,12 @@ from facepipe.stage import save_parts
 @pytest.fixture(scope="session")
 def stages(tmp_path_factory: pytest.TempPathFactory) -> Files:
     """All stages of a rebuild, one after another; not to be changed."""
-    from facepipe.cli import main
 
     files = put_scans(tmp_path_factory.mktemp("stages"))
     words = list(files.personal())
     words[words.index(files["p.usda"])] = files["personal.usda"]
     for command in (words, files.register("open"), files.register("both"), files.split()):
-        assert main([str(word) for word in command]) == 0
+        assert exit_code(*command) == 0
     return files
 
 

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scan_domes
-from command_line import failed
+from command_line import exit_code, failed
 from PIL import Image
 from places import names
 from rebuild_project import put
 
-from facepipe.cli import main
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
@@ -89,7 +88,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     (former / "expressions" / "gone.png").write_bytes(b"old")
     words = Made(folder, {}, "").words("--json", "--report", former)
     with contextlib.redirect_stdout(io.StringIO()) as out:
-        assert main([str(word) for word in words]) in (0, 1)
+        assert exit_code(*words) in (0, 1)
     return Made(folder, json.loads(out.getvalue()), out.getvalue())
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import failed
+from command_line import done, exit_code, failed
 from faces import grid_mesh, tiny_face
 from node import validate as khronos
 from oracle import bake, difference, random_coefficients
@@ -18,7 +18,6 @@ from skin_joints import HELD, KINDS, head, landmark_joints, weights_of, without_
 
 import facepipe
 from facepipe.checks import validate_stage
-from facepipe.cli import main
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions, SkinReport, read_joints
@@ -331,8 +330,7 @@ def test_the_command_authors_a_layer_with_recipe_and_picture(
     save_parts(without_joints(head("sample")), face)
     joints.write_text(json.dumps({**GOOD, "parts": {"Teeth*": {"upper": "head", "lower": "head/jaw"}}}))
     words = ["skin", str(face), "--joints", str(joints), "-o", str(out), "--picture", str(tmp_path / "w.png")]
-    assert main([*words, "--influences", "1", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(done(capsys, *words, "--influences", "1", "--json", quiet=False))
     assert report["influences"] == 1
     assert report["joints"] == 2
     again = facepipe.open(out)
@@ -343,14 +341,14 @@ def test_the_command_authors_a_layer_with_recipe_and_picture(
     assert "points = [" not in out.read_text()  # only what changed
     assert (tmp_path / "w.png").stat().st_size > 1000
     first = out.read_bytes()
-    assert main([*words, "--influences", "1", "--force"]) == 0
+    assert exit_code(*words, "--influences", "1", "--force") == 0
     assert out.read_bytes() == first
     for flags in (["--influences", "0"], ["--sharpness", "nan"]):
-        assert main([*words, "--force", *flags]) == 2
-    assert main(["skin", str(out), "--joints", str(joints), "-o", str(tmp_path / "again.usda")]) == 0
+        assert exit_code(*words, "--force", *flags) == 2
+    assert exit_code("skin", out, "--joints", joints, "-o", tmp_path / "again.usda") == 0
     joints.write_text(json.dumps({"joints": {"other": {"position": [0, 0, 0]}}}))
-    assert main(["skin", str(out), "--joints", str(joints), "-o", str(tmp_path / "other.usda")]) == 2
-    assert "has 2 joints, expected a face without" in capsys.readouterr().err
+    line = failed(capsys, "skin", out, "--joints", joints, "-o", tmp_path / "other.usda", folder=tmp_path)
+    assert "has 2 joints, expected a face without" in line
 
 
 def test_a_face_without_surface_is_refused() -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from faces import with_meshes
 from skin_joints import head, weights_of, without_joints
 
 import facepipe
-from facepipe.cli import main
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import FaceParts, Recipe
 from facepipe.performing import perform, read_kept, recipe_to
@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 def skin(folder: Path, *words: str) -> Path:
     out = folder / "results" / "out.usda"
-    assert main(["skin", str(folder / "face.usda"), *words, "-o", str(out), "--force"]) == 0
+    assert exit_code("skin", folder / "face.usda", *words, "-o", out, "--force") == 0
     return out
 
 
@@ -134,10 +134,10 @@ def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
 
 def test_edit_changes_what_is_given(folder: Path) -> None:
     out = skin(folder, "--joints", str(folder / "joints.json"), "--influences", "3")
-    assert main(["skin", "--edit", str(out), "--sharpness", "2", "--force"]) == 0
+    assert exit_code("skin", "--edit", out, "--sharpness", "2", "--force") == 0
     changed = read_kept(out, Skin).values
     assert (changed["influences"], changed["sharpness"]) == (3, 2.0)
     other = ["--from", str(folder / "other.usdc"), "--no-joints", "-o", str(folder / "b.usda")]
-    assert main(["skin", "--edit", str(out), *other]) == 0
+    assert exit_code("skin", "--edit", out, *other) == 0
     found = read_kept(folder / "b.usda", Skin).values
     assert (found["joints"], found["source"], found["influences"]) == (None, folder / "other.usdc", 3)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import failed
+from command_line import done, failed
 from faces import with_meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from skin_joints import head, retopologised, weights_of, without_joints
 
 from facepipe.checks import validate_stage
-from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.geometry.warp import fit_warp, nearest_rotations
 from facepipe.processors.skin import SkinFace, SkinOptions, SkinReport
@@ -252,11 +251,9 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
     ):
         files = (tmp_path / f"{target}.usdc", "--from", tmp_path / f"{source}.usdc", "-o", tmp_path / "out.usdc")
         assert message in failed(capsys, "skin", *files, folder=tmp_path)
-    words = ["skin", str(tmp_path / "bare.usdc"), "--from", str(tmp_path / "rigged.usdc")]
-    assert main([*words, "-o", str(tmp_path / "out.usdc")]) == 0
-    assert "mm from their own" in capsys.readouterr().out
-    capsys.readouterr()
-    assert main([*words, "--joints", words[1], "-o", str(tmp_path / "out.usdc"), "--force"]) == 2
-    assert "expected one of them (--joints, --from)" in capsys.readouterr().err
+    words = ("skin", tmp_path / "bare.usdc", "--from", tmp_path / "rigged.usdc")
+    assert "mm from their own" in done(capsys, *words, "-o", tmp_path / "out.usdc", quiet=False)
+    line = failed(capsys, *words, "--joints", words[1], "-o", tmp_path / "out.usdc", "--force", folder=tmp_path)
+    assert "expected one of them (--joints, --from)" in line
     with pytest.raises(InputError, match="expected one of them"):
         SkinFace()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done, failed
+from command_line import done, exit_code, failed
 from facepipe_onnx import Deformer
 from network_faces import SLIDERS, network, networked, save_network
 from oracle import bake_all
@@ -19,7 +19,6 @@ from slider_faces import random_values
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli import main
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.importers.slider_network import read_network
 from facepipe.parts import FaceParts, SliderNetwork
@@ -174,7 +173,7 @@ def test_damage_on_a_stage_is_found(message: str, tmp_path: Path) -> None:
 
 def test_import_keeps_the_network(tmp_path: Path) -> None:
     save_parts(networked(network()), tmp_path / "face.usda")
-    assert main(["import", "usd", str(tmp_path / "face.usda"), str(tmp_path / "again.usda")]) == 0
+    assert exit_code("import", "usd", tmp_path / "face.usda", tmp_path / "again.usda") == 0
     assert same(facepipe.open(tmp_path / "again.usda").slider_network, network())
 
 

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done, failed, run
+from command_line import done, exit_code, failed, run
 from faces import tiny_face
 from oracle import difference, played
 from places import REPOSITORY
 from procedural_head import make
 
 import facepipe
-from facepipe.cli import main
 from facepipe.parts import Animation, BoneLimits, FaceParts, Recipe, Slider
 from facepipe.performing import perform, read_kept
 from facepipe.processors.fit_bones import LimitRules
@@ -127,7 +126,7 @@ def test_a_table_is_authored_over_the_face(suffix: str, folder: Path, capsys: Ca
     assert "4 sliders, 2 of them replaced, over 4 channels and 1 shapes" in done(
         capsys, "sliders", "face.usda", "--from", "table.toml", "-o", out
     )
-    assert main(["validate", str(out)]) == 0
+    assert exit_code("validate", out) == 0
     table = read_table(folder / "table.toml")
     expected = {one.name: one for one in SLIDERS}
     new = {one.name: one for one in table.resolve(tiny_face().skeleton.joints, ("jawOpen",), 0.01)}
@@ -232,7 +231,7 @@ def test_a_viewer_shows_the_posed_face(suffix: str, more: tuple[str, ...], folde
     out = folder / f"out{suffix}"
     text = done(capsys, "sliders", "face.usda", "--set", "open=0.75", "--set", "jawLeft=0.3", "-o", out, *more)
     assert "open 0.75, jawLeft 0.3: 2 joints off rest, 1 shapes on" in text
-    assert main(["validate", str(out)]) == 0
+    assert exit_code("validate", out) == 0
     assert difference(face, played(out)[0], rounded(face, values)) < TOLERANCE
     posed = facepipe.open(out)
     np.testing.assert_allclose(posed.evaluate(sliders={}), face.evaluate(sliders=values), atol=1e-6)
