@@ -27,6 +27,7 @@ from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
 from packing import packed, write_arrays
 from skeleton import Skeleton, skeleton
+from teeth import smaller
 from tongue import tongue_out
 
 from facepipe.geometry.borders import back_of_border
@@ -50,7 +51,9 @@ def main() -> None:
     out.mkdir(exist_ok=True)
     mirror = mirror_points(model.points, model.shapes, model.indices, model.counts)
     model = replace(model, shapes=evened(model.shapes, mirror))
-    jaw, tongue = jaw_of(model), tongue_of(model)
+    jaw = jaw_of(model)
+    model = smaller(model, jaw)
+    tongue = tongue_of(model)
     regions = head_regions(model.points)
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
