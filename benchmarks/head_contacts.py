@@ -17,12 +17,15 @@ import numpy as np
 from arguments import positive
 from contacts import Contact, Sheet, Subject
 
+from facepipe.importers.ict import shape_name
+from facepipe.importers.ict_topology import EXPRESSIONS
+from facepipe.rig.arkit import ARKIT_SHAPES
+
 SINGLE = (4, 0.3)  # cells and mm that a shape alone may have
 COMBINED = (20, 0.5)  # and that a combination may have
 SHAPES = (5, 9)  # of a combination, by a weight from 0 to 1 each
 PRESSED = dict.fromkeys(("mouthPressLeft", "mouthPressRight"), 1.0)  # lips without the gap that they have at rest
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
-WIDEST = 2.5  # standard deviations
 PARTLY = (0.25, 0.5, 0.75)
 
 Weights = Mapping[str, float]
@@ -71,8 +74,9 @@ def measure(people: People, count: int, combinations: int) -> Result:
     """The average head's shapes, then everyone's combinations and blinks."""
     average = people(0)
     mouth = mouth_sheet(average)
-    single = {name: mouth.before_skin(average.points({name: 1.0})) for name in average.shapes}
-    drawn = list(draw_combinations(average.shapes, combinations))
+    shapes = expressions(average)
+    single = {name: mouth.before_skin(average.points({name: 1.0})) for name in shapes}
+    drawn = list(draw_combinations(shapes, combinations))
     combined, eyes = [], {}
     for seed in range(1, count + 1):
         subject = people(seed)
@@ -80,6 +84,12 @@ def measure(people: People, count: int, combinations: int) -> Result:
         eyes[seed] = blink(subject, eye_sheets(average))
         print(f"{seed} of {count}", end="\r", file=sys.stderr)
     return Result({name: one for name, one in single.items() if one.cells}, combined, eyes)
+
+
+def expressions(subject: Subject) -> tuple[str, ...]:
+    """Shapes of expressions, by the names of ARKit or of its halves: a head may have others for who it is."""
+    known = ARKIT_SHAPES | {shape_name(name, True) for name in EXPRESSIONS}
+    return tuple(name for name in subject.shapes if name in known)
 
 
 def mouth_sheet(average: Subject) -> Sheet:
@@ -112,11 +122,10 @@ def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
 
 
 def person(seed: int) -> Subject:
-    """A person of the head in the box, all modes drawn from N(0, 1) up to 2.5; 0 is the average head."""
-    from facepipe.heads.assembly import make_head
+    """A person of the head in the box; 0 is the average head."""
+    from facepipe.heads import make
 
-    draws = np.random.Generator(np.random.PCG64(seed)).standard_normal(100)
-    return Subject(make_head(np.clip(draws, -WIDEST, WIDEST) * (seed > 0)))
+    return Subject(make(seed))
 
 
 def raw_person(source: Path, seed: int) -> Subject:

@@ -1,0 +1,28 @@
+"""Teeth of drawn people stay behind their lips, whatever expressions come together."""
+
+from __future__ import annotations
+
+import benchmark_modules
+import numpy as np
+
+assert benchmark_modules.BENCHMARKS.is_dir()
+
+from head_contacts import COMBINED, SINGLE, draw_combinations, expressions, mouth_sheet, person  # noqa: E402
+
+
+def test_no_shape_brings_teeth_through_lips() -> None:
+    head = person(0)
+    mouth = mouth_sheet(head)
+    found = {name: mouth.before_skin(head.points({name: 1.0})) for name in expressions(head)}
+    assert {name for name, one in found.items() if one.cells > SINGLE[0] or one.depth > SINGLE[1]} == set()
+
+
+def test_few_combinations_bring_teeth_through_lips() -> None:
+    average = person(0)
+    mouth, drawn = mouth_sheet(average), list(draw_combinations(expressions(average), 60))
+    over = []
+    for seed, own in enumerate(np.array_split(np.array(drawn, object), 3), 1):
+        subject = person(seed)
+        found = [mouth.before_skin(subject.points(weights)) for weights in own]
+        over += [one.cells > COMBINED[0] or one.depth > COMBINED[1] for one in found]
+    assert np.mean(over) <= 0.02
