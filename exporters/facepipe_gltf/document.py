@@ -18,7 +18,6 @@ from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.engines import check_engine, engine_warnings
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.lods import LODS, link_level
 from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.options import Options
@@ -93,6 +92,8 @@ class _Writer:
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
         for number, level in enumerate(self.levels, 1):
+            from facepipe_gltf.lods import link_level
+
             link_level(self.nodes, self.meshes, meshes, self._meshes(level, shapes), number)
         joints, skins = self._skin(meshes)
         if joints is not None:
@@ -209,7 +210,7 @@ class _Writer:
             "accessors": self.buffers.accessors,
             "bufferViews": views,
             "buffers": [{"byteLength": sum(map(len, binary))}] if binary else [],
-            "extensionsUsed": sorted([*self.materials.extensions, *required, *([LODS] if self.levels else [])]),
+            "extensionsUsed": sorted([*self.materials.extensions, *required, *(["MSFT_lod"] if self.levels else [])]),
             "extensionsRequired": required,
         }
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import ExportReport
-from facepipe.parts import HasParts
+from facepipe.parts import FaceParts, HasParts
 from facepipe.rig import set_face
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.files import embedded, separate, write_glb, write_gltf
-from facepipe_gltf.lods import lower_levels
 from facepipe_gltf.options import Options
 
 if TYPE_CHECKING:
@@ -42,7 +41,11 @@ def export(
     target = _target(path)
     options = options or Options()
     delivered = set_face(face.parts(), options.pose)
-    levels = lower_levels(face) if options.lods else ()
+    levels: tuple[FaceParts, ...] = ()
+    if options.lods:
+        from facepipe_gltf.lods import lower_levels
+
+        levels = lower_levels(face)
     document = write(delivered.parts, options, levels=[set_face(one, options.pose).parts for one in levels])
     files = save(document, target, on_document=on_document)
     return ExportReport(
