@@ -53,11 +53,8 @@ def cards(name: str) -> Cards:
     )
 
 
-def mesh(name: str, held: Cards, head: Mesh, region: str, material: str) -> Mesh:
-    """Cards on a head, moved by its shapes and joints.
-
-    :param region: of all points
-    """
+def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
+    """Cards on a head, moved by its shapes and joints, all in one region, with the material of their name."""
     counts, indices = _faces(held.grid)
     normals = point_normals(head.points, point_triangles(head.face_vertex_counts, head.face_vertex_indices))
     shapes = (_shape(held, shape, len(head.points)) for shape in head.blendshapes)
@@ -72,7 +69,7 @@ def mesh(name: str, held: Cards, head: Mesh, region: str, material: str) -> Mesh
         skin=None if head.skin is None else _skin(held, head.skin),
         blendshapes=tuple(shape for shape in shapes if shape is not None),
         regions={one: zeros + (one == region) for one in head.regions},
-        material=material,
+        material=name,
         double_sided=True,
     )
 

@@ -33,7 +33,15 @@ HAIR: dict[str, Color] = {  # linear
     "grey": (0.30, 0.29, 0.28),
     "white": (0.62, 0.60, 0.56),
 }
-STYLES = ("bald", "stubble", "crop", "parted", "bob", "long", "coils")
+STYLES = {  # how much hair colours the scalp, and the picture that its cards show
+    "bald": (0.0, ""),
+    "stubble": (0.5, ""),
+    "crop": (0.9, "hair.png"),
+    "parted": (0.9, "hair.png"),
+    "bob": (0.9, "hair.png"),
+    "long": (0.9, "hair.png"),
+    "coils": (0.97, "coils.png"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)

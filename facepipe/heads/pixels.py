@@ -21,11 +21,6 @@ def enlarged(values: Any, size: int) -> Any:
     return np.array(picture.resize((size, size), Image.Resampling.BICUBIC))
 
 
-def srgb(linear: FloatArray) -> FloatArray:
-    """Linear colours 0..1 in sRGB's encoding."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
-
-
 def to_bytes(values: FloatArray) -> Any:
     """0..1 as 0..255."""
     return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -11,8 +11,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import arrays
-from facepipe.heads.look import Look
-from facepipe.heads.pixels import enlarged, srgb, to_bytes
+from facepipe.heads.look import STYLES, Look
+from facepipe.heads.pixels import enlarged, to_bytes
+from facepipe.pictures.textures import linear_to_srgb
 
 TILES = ("face", "back")
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
@@ -39,12 +40,9 @@ def _noise(look: Look, tile: int, wavelength: float, number: int) -> FloatArray:
     return np.asarray(enlarged(values, 512) / 0.5)
 
 
-def coarse(look: Look, tile: int, scalp: float) -> FloatArray:
-    """(512, 512, 3) linear colour without grain.
-
-    :param scalp: how much the hair's colour covers the scalp
-    """
-    m = masks(tile)
+def coarse(look: Look, tile: int) -> FloatArray:
+    """(512, 512, 3) linear colour without grain."""
+    m, scalp = masks(tile), STYLES[look.style][0]
     broad, middle, patch = (_noise(look, tile, size, i) for i, size in enumerate((3.2, 1.1, 0.55)))
     light = 1 - 0.6 * look.darkness
     warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
@@ -71,17 +69,17 @@ def _mix(colors: FloatArray, other: FloatArray, share: FloatArray) -> FloatArray
     return np.asarray(colors + share[..., None] * (other - colors))
 
 
-def albedo(look: Look, tile: int, size: int, scalp: float) -> FloatArray:
+def albedo(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) sRGB bytes."""
     rng = np.random.default_rng((look.seed, 100 + tile))
-    m = masks(tile)
-    base = enlarged(to_bytes(srgb(coarse(look, tile, scalp))), size).astype(np.float32)
+    m, scalp = masks(tile), STYLES[look.style][0]
+    base = enlarged(to_bytes(linear_to_srgb(coarse(look, tile))), size).astype(np.float32)
     skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
     blood = skin * np.float32(0.03) * enlarged(patches, size)
     melanin = skin * (0.05 * grain + enlarged(_spots(look, tile, rng), size))
-    hairs = _hairs(look, m, size, rng, scalp)
+    hairs = _hairs(look, m, size, rng)
     for channel in range(3):
         base[..., channel] *= np.exp(
             -(blood * np.float32(_BLOOD[channel]) + melanin * np.float32(_MELANIN[channel]) + hairs) / 2.2
@@ -109,9 +107,9 @@ def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
     return np.asarray(result * (1 - 0.6 * look.darkness) * skin)
 
 
-def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Generator, scalp: float) -> FloatArray:
+def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Generator) -> FloatArray:
     """(size, size) darkening by the dots of shaved hairs."""
-    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if 0 < scalp <= 0.7 else 0), 0, 1)
+    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
     if not share.any():
         return np.zeros((1, 1), np.float32)
     dots = (rng.random((size, size), np.float32) < 0.06 * enlarged(share, size)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The materials of a person, with textures made for them."""
+"""A person's colours: materials with textures, and the cards of brows, lashes and hair."""
 
 from __future__ import annotations
 
@@ -6,64 +6,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads import cards, skin
-from facepipe.heads.look import IRIS, Look
+from facepipe.heads.look import IRIS, STYLES, Look
 from facepipe.heads.pixels import texture
-from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
+from facepipe.parts import Color, FaceParts, Material, Mesh, Texture, TextureInput
 
-SKIN = ("M_Face", "M_BackHead")  # of the tiles
-_NORMAL = {"scale": (2.0, 2.0, 2.0, 1.0), "bias": (-1.0, -1.0, -1.0, 0.0)}
-SCALP = {
-    "bald": 0.0,
-    "stubble": 0.5,
-    "crop": 0.9,
-    "parted": 0.9,
-    "bob": 0.9,
-    "long": 0.9,
-    "coils": 0.97,
-}  # that hair colours
-_MEAN = 0.35  # linear, of the grey in pictures of hairs
-
-
-def materials(look: Look, size: int) -> tuple[Material, ...]:
-    """Skin, eyes, mouth and hairs.
-
-    :param size: texels a side of the skin's colour and relief
-    """
-    white, iris = _picture("sclera.png"), TextureInput(texture=_picture(f"iris_{look.eyes}.jpg"))
-    dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
-    color = TextureInput(texture=white, scale=(dim, dim, dim * 0.97, 1.0))
-    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
-    with ThreadPoolExecutor(len(SKIN)) as pool:
-        skins = pool.map(partial(_skin, look, size), range(len(SKIN)))
-    found = [
-        *skins,
-        Material(name="M_GumsTongue", diffuse_color=_input(_picture("gums.jpg")), roughness=0.3),
-        Material(name="M_Teeth", diffuse_color=_input(_picture("teeth.jpg")), roughness=0.22),
-        *(Material(name=f"M_Sclera{side}", diffuse_color=color, roughness=0.18) for side in ("Left", "Right")),
-        *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.4) for side in ("Left", "Right")),
-        Material(name="Pupil", diffuse_color=iris, roughness=0.4),
-        Material(
-            name="Cornea",
-            diffuse_color=color,
-            opacity=TextureInput(texture=white, channels="a"),
-            roughness=0.03,
-            ior=1.376,
-        ),
-        _hairs("Brows", brows, _brow_color(look)),
-        _hairs("Lashes", "lashes.png", np.array([0.012, 0.009, 0.008])),
-    ]
-    if look.style in HAIR:
-        found.append(_hairs("Hair", HAIR[look.style], look.hair_color, cut=0.5))
-    return tuple(found)
-
-
-HAIR = {"crop": "hair.png", "parted": "hair.png", "bob": "hair.png", "long": "hair.png", "coils": "coils.png"}
+SKIN = ("M_Face", "M_BackHead")  # of the skin's tiles
+_GREY = 0.35  # linear, the mean of the pictures of hairs
+_LASHES = np.array([0.012, 0.009, 0.008])
 
 
 def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
@@ -73,75 +27,88 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
     """
     head, *others = face.meshes
     if size is None:
-        colored = replace(head, colors=point_colors(look, head))
-        return replace(face, meshes=(colored, *others), materials=plain(look))
-    return replace(face, meshes=(head, *others, *meshes(look, head)), materials=materials(look, size))
+        skins = [Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN]
+        head = replace(head, colors=_point_colors(look, head))
+        return replace(face, meshes=(head, *others), materials=(*skins, *_loose(look, textured=False)))
+    with ThreadPoolExecutor(len(SKIN)) as pool:
+        skins = list(pool.map(partial(_skin, look, size), range(len(SKIN))))
+    hairs = {"Brows": ("brows", "eyebrows"), "Lashes": ("lashes", "eyes"), "Hair": (look.style, "forehead")}
+    materials = (*skins, *_loose(look, textured=True), *_hairs(look))
+    drawn = {material.name for material in materials}
+    grown = [cards.mesh(name, cards.cards(kind), head, at) for name, (kind, at) in hairs.items() if name in drawn]
+    return replace(face, meshes=(*face.meshes, *grown), materials=materials)
 
 
-def meshes(look: Look, head: Mesh) -> tuple[Mesh, ...]:
-    """Brows, lashes and hair on a head."""
-    kinds = [("Brows", "brows", "eyebrows"), ("Lashes", "lashes", "eyes")]
-    kinds += [("Hair", look.style, "forehead")] * (look.style in HAIR)
-    return tuple(cards.mesh(name, cards.cards(kind), head, region, name) for name, kind, region in kinds)
-
-
-def plain(look: Look) -> tuple[Material, ...]:
-    """Materials without textures; the skin's white is that of the colours at points."""
-    white, iris = (0.5, 0.46, 0.42), IRIS[look.eyes]
-    return (
-        *(Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN),
-        Material(name="M_GumsTongue", diffuse_color=(0.42, 0.14, 0.13), roughness=0.3),
-        Material(name="M_Teeth", diffuse_color=(0.66, 0.60, 0.48), roughness=0.22),
-        *(Material(name=f"M_Sclera{side}", diffuse_color=white, roughness=0.18) for side in ("Left", "Right")),
-        *(Material(name=f"M_Iris{side}", diffuse_color=iris, roughness=0.3) for side in ("Left", "Right")),
-        Material(name="Pupil", diffuse_color=(0.002, 0.002, 0.002), roughness=0.1),
-        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), opacity=0.05, roughness=0.03, ior=1.376),
-    )
-
-
-def point_colors(look: Look, head: Mesh) -> FloatArray:
-    """(n, 3) linear colours of the head's points, for a head without textures."""
+def _point_colors(look: Look, head: Mesh) -> FloatArray:
+    """(n, 3) linear colours of the head's points."""
     uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
     uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
-    tiles = np.stack([skin.coarse(look, tile, SCALP[look.style]) for tile in (0, 1)])
+    tiles = np.stack([skin.coarse(look, tile) for tile in range(len(SKIN))])
     tile, size = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
     return np.asarray(tiles[tile, ((1 - uv[:, 1]) * size).astype(int), ((uv[:, 0] - tile) * size).astype(int)])
 
 
-def _brow_color(look: Look) -> FloatArray:
-    return np.asarray(
-        look.hair_color * min(1.0, 0.12 / look.hair_color.max(), 0.6 * look.skin.mean() / look.hair_color.mean())
-    )
-
-
 def _skin(look: Look, size: int, tile: int) -> Material:
-    stem, scalp = f"skin_{skin.TILES[tile]}", SCALP[look.style]
+    stem = f"skin_{skin.TILES[tile]}"
     packed = texture(f"{stem}_orm.jpg", skin.roughness(look, tile, size // 2))
+    relief = texture(f"{stem}_normal.jpg", skin.relief(look, tile, size))
     return Material(
         name=SKIN[tile],
-        diffuse_color=_input(texture(f"{stem}.jpg", skin.albedo(look, tile, size, scalp))),
-        roughness=_input(packed, channels="g"),
-        occlusion=_input(packed, channels="r"),
-        normal=_input(texture(f"{stem}_normal.jpg", skin.relief(look, tile, size)), **_NORMAL),
+        diffuse_color=TextureInput(texture=texture(f"{stem}.jpg", skin.albedo(look, tile, size))),
+        roughness=TextureInput(texture=packed, channels="g"),
+        occlusion=TextureInput(texture=packed, channels="r"),
+        normal=TextureInput(texture=relief, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)),
         ior=1.4,
     )
 
 
-def _input(image: Texture, **how: Any) -> TextureInput:
-    return TextureInput(texture=image, **how)
+def _loose(look: Look, *, textured: bool) -> list[Material]:
+    """Mouth and eyes, whose pictures come with the package."""
+    dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
+    iris, white = f"iris_{look.eyes}.jpg", (0.5 * dim, 0.46 * dim, 0.42 * dim)
+    rows: list[tuple[str, str, Color, float, float]] = [  # material, picture, colour without it, roughness, dimmed to
+        ("M_GumsTongue", "gums.jpg", (0.42, 0.14, 0.13), 0.3, 1.0),
+        ("M_Teeth", "teeth.jpg", (0.66, 0.60, 0.48), 0.22, 1.0),
+        *((f"M_Sclera{side}", "sclera.png", white, 0.18, dim) for side in ("Left", "Right")),
+        *((f"M_Iris{side}", iris, IRIS[look.eyes], 0.4, 1.0) for side in ("Left", "Right")),
+        ("Pupil", iris, (0.002, 0.002, 0.002), 0.4, 1.0),
+        ("Cornea", "sclera.png", (0.0, 0.0, 0.0), 0.03, dim),
+    ]
+    found = []
+    for name, picture, color, roughness, factor in rows:
+        scale = (factor, factor, factor, 1.0)
+        diffuse = TextureInput(texture=_picture(picture), scale=scale) if textured else color
+        found.append(Material(name=name, diffuse_color=diffuse, roughness=roughness))
+    clear = TextureInput(texture=_picture("sclera.png"), channels="a") if textured else 0.05
+    found[-1] = replace(found[-1], opacity=clear, ior=1.376)
+    return found
 
 
-def _hairs(name: str, picture: str, color: FloatArray, cut: float = 0.0) -> Material:
-    image = _picture(picture)
-    red, green, blue = np.minimum(color / _MEAN, 1.0).tolist()
-    return Material(
-        name=name,
-        diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
-        opacity=TextureInput(texture=image, channels="a"),
-        opacity_threshold=cut,
-        roughness=0.85,
-        ior=1.25,  # the sides of cards would mirror more than hairs do
-    )
+def _hairs(look: Look) -> list[Material]:
+    hair, skin_level = look.hair_color, look.skin.mean()
+    brows = hair * min(1.0, 0.12 / hair.max(), 0.6 * skin_level / hair.mean())  # darker than the skin
+    rows = [
+        ("Brows", f"brows{int(np.clip(3 * look.brows, 0, 2))}.png", brows, 0.0),
+        ("Lashes", "lashes.png", _LASHES, 0.0),
+    ]
+    picture = STYLES[look.style][1]
+    if picture:
+        rows.append(("Hair", picture, hair, 0.5))
+    found = []
+    for name, picture, color, cut in rows:
+        image = _picture(picture)
+        red, green, blue = np.minimum(color / _GREY, 1.0).tolist()
+        found.append(
+            Material(
+                name=name,
+                diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
+                opacity=TextureInput(texture=image, channels="a"),
+                opacity_threshold=cut,
+                roughness=0.85,
+                ior=1.25,  # the sides of cards would mirror more than hairs do
+            )
+        )
+    return found
 
 
 def _picture(name: str) -> Texture:

@@ -48,7 +48,7 @@ class Canvas:
                 self.alpha[at] = np.maximum(self.alpha[at], cover[seen])
 
     def save(self, path: Path) -> None:
-        """As PNG: grey in red, green and blue, which go on beyond the hairs' edges."""
+        """As PNG, its sides powers of two: grey in red, green and blue, which go on beyond the hairs' edges."""
         from scipy.ndimage import distance_transform_edt
 
         nearest = distance_transform_edt(self.alpha < 0.5, return_distances=False, return_indices=True)
@@ -56,7 +56,10 @@ class Canvas:
         shape = (self.height, FINE, self.width, FINE)
         grey, alpha = (one.reshape(shape).mean(axis=(1, 3)) for one in (value, self.alpha))
         pixels = np.stack([grey, alpha], axis=-1)
-        Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8), "LA").save(path, compress_level=9)
+        image = Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8), "LA")
+        image.resize((1 << (self.width - 1).bit_length(), 1 << (self.height - 1).bit_length())).save(
+            path, compress_level=9
+        )
 
 
 def brows(fullness: float) -> Canvas:

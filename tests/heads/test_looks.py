@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from facepipe.heads import cards, skin, surfaces
+from facepipe.heads import cards, skin
 from facepipe.heads.assembly import make_head
 from facepipe.heads.look import IRIS, STYLES, Look
+from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts, TextureInput
 
-SETS = ("brows", "lashes", *surfaces.HAIR)
+HAIR = [style for style, (_, picture) in STYLES.items() if picture]
+SETS = ("brows", "lashes", *HAIR)
 SIZE = 256
 
 
@@ -42,7 +44,7 @@ def test_the_two_tiles_have_one_colour_where_they_meet(head: FaceParts, tone: fl
     assert len(seams[0]) > 100
     colors = []
     for tile, uv in enumerate(seams):
-        pixels = skin.albedo(look, tile, size, 0.0).astype(float)
+        pixels = skin.albedo(look, tile, size).astype(float)
         column, row = (uv[:, 0] * size).astype(int), ((1 - uv[:, 1]) * size).astype(int)
         colors.append(pixels[row.clip(0, size - 1), column.clip(0, size - 1)])
     apart = np.abs(colors[0] - colors[1]).mean(axis=1)
@@ -53,7 +55,7 @@ def test_the_two_tiles_have_one_colour_where_they_meet(head: FaceParts, tone: fl
 def test_skin_darkens_with_the_tone_and_lips_are_redder_than_cheeks() -> None:
     lips = skin.masks(0)["lips"] > 0.9
     cheeks = skin.masks(0)["cheeks"] > 0.7
-    colors = [skin.coarse(Look(tone=float(tone)), 0, 0.0) for tone in range(1, 11)]
+    colors = [skin.coarse(Look(tone=float(tone)), 0) for tone in range(1, 11)]
     levels = [color[cheeks].mean() for color in colors]
     assert (np.diff(levels) < 0).all()
     for color in colors:
@@ -63,8 +65,8 @@ def test_skin_darkens_with_the_tone_and_lips_are_redder_than_cheeks() -> None:
         )
 
 
-def test_the_same_look_gives_the_same_bytes_and_another_seed_others() -> None:
-    first, again, other = (surfaces.materials(Look(seed=seed), SIZE)[0].diffuse_color for seed in (1, 1, 2))
+def test_the_same_look_gives_the_same_bytes_and_another_seed_others(head: FaceParts) -> None:
+    first, again, other = (dressed(head, Look(seed=seed), SIZE).materials[0].diffuse_color for seed in (1, 1, 2))
     pictures = [one.texture.data for one in (first, again, other) if isinstance(one, TextureInput)]
     assert pictures[0] == pictures[1] != pictures[2]
 
@@ -73,16 +75,16 @@ def test_the_same_look_gives_the_same_bytes_and_another_seed_others() -> None:
 def test_every_material_that_a_mesh_asks_for_is_there(head: FaceParts, style: str) -> None:
     look = Look(style=style)
     for size in (SIZE, None):
-        made = surfaces.dressed(head, look, size)
+        made = dressed(head, look, size)
         asked = {one.material for mesh in made.meshes for one in mesh.material_faces}
         asked |= {mesh.material for mesh in made.meshes}
         assert asked - {None} <= {one.name for one in made.materials}
-        assert ("Hair" in asked) == (size is not None and style in surfaces.HAIR)
+        assert ("Hair" in asked) == (size is not None and style in HAIR)
 
 
 @pytest.mark.parametrize("eyes", IRIS)
-def test_an_eye_is_clear_before_the_iris_and_white_around_it(eyes: str) -> None:
-    cornea = next(one for one in surfaces.materials(Look(eyes=eyes), SIZE) if one.name == "Cornea")
+def test_an_eye_is_clear_before_the_iris_and_white_around_it(head: FaceParts, eyes: str) -> None:
+    cornea = next(one for one in dressed(head, Look(eyes=eyes), SIZE).materials if one.name == "Cornea")
     assert isinstance(cornea.opacity, TextureInput)
     alpha = np.asarray(Image.open(io.BytesIO(cornea.opacity.texture.data)))[..., 3] / 255
     middle = len(alpha) // 2
@@ -103,7 +105,7 @@ def test_cards_are_held_by_points_of_the_head(head: FaceParts, name: str) -> Non
 
 @pytest.mark.parametrize("name", ["brows", "lashes"])
 def test_brows_and_lashes_are_on_the_skin_and_the_same_on_both_sides(head: FaceParts, name: str) -> None:
-    made = cards.mesh("Cards", cards.cards(name), head.meshes[0], "eyes", "Cards")
+    made = cards.mesh("Cards", cards.cards(name), head.meshes[0], "eyes")
     roots = made.points.reshape(*cards.cards(name).grid, 3)[:, 0 if name == "lashes" else slice(None)]
     assert np.abs(cards.cards(name).offsets.reshape(*cards.cards(name).grid, 3)[:, 0]).max() < 0.12
     left, right = roots[roots[..., 0] > 0], roots[roots[..., 0] < 0] * [-1, 1, 1]
@@ -113,7 +115,7 @@ def test_brows_and_lashes_are_on_the_skin_and_the_same_on_both_sides(head: FaceP
 
 
 def test_lashes_come_down_with_the_lid(head: FaceParts) -> None:
-    made = cards.mesh("Lashes", cards.cards("lashes"), head.meshes[0], "eyes", "Lashes")
+    made = cards.mesh("Lashes", cards.cards("lashes"), head.meshes[0], "eyes")
     blink = next(shape for shape in made.blendshapes if shape.name == "eyeBlinkLeft")
     points = made.points.copy()
     points[blink.point_indices] += blink.offsets
@@ -127,9 +129,9 @@ def test_lashes_come_down_with_the_lid(head: FaceParts) -> None:
 
 def test_hair_follows_the_skull(head: FaceParts) -> None:
     wide = make_head(np.eye(100)[0] * 2.5).meshes[0]
-    for style in surfaces.HAIR:
+    for style in HAIR:
         held = cards.cards(style)
-        average, person = (cards.mesh("Hair", held, mesh, "forehead", "Hair") for mesh in (head.meshes[0], wide))
+        average, person = (cards.mesh("Hair", held, mesh, "forehead") for mesh in (head.meshes[0], wide))
         move = person.points - average.points
         np.testing.assert_allclose(move, held.carry(wide.points - head.meshes[0].points), atol=1e-9)
         assert average.skin is not None
@@ -138,7 +140,7 @@ def test_hair_follows_the_skull(head: FaceParts) -> None:
 
 def test_without_textures_the_skin_is_coloured_at_its_points(head: FaceParts) -> None:
     look = Look(tone=6.0)
-    made = surfaces.dressed(head, look, None)
+    made = dressed(head, look, None)
     assert not any(isinstance(value, TextureInput) for one in made.materials for value in vars(one).values())
     colors = made.meshes[0].colors
     assert colors is not None
