@@ -28,15 +28,11 @@ BLEND, BONES = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for nam
 
 @pytest.mark.slow
 def test_the_tour_runs(tmp_path: Path) -> None:
-    """Every console line in order, then the Python of README, blend.md and bones.md, in one folder beside ../shared."""
+    """Every console line in order, then the Python of README, blend.md and bones.md, in a folder with nothing beside it."""
     folder = tmp_path / "project"
     folder.mkdir()
     lines = [line for block in blocks(README, "console") for line in block.splitlines()]
     assert len(lines) > 12
-    if SHARED.exists():
-        (tmp_path / "shared").symlink_to(SHARED)
-    else:
-        lines = [line for line in lines if "../shared" not in line and not re.search(r"\b(ict|makehuman)\.usdc", line)]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
     pages = [block for page in (README, BLEND, BONES) for block in blocks(page, "python")]
