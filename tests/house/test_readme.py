@@ -28,7 +28,7 @@ BLEND, BONES = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for nam
 
 @pytest.mark.slow
 def test_the_tour_runs(tmp_path: Path) -> None:
-    """Every console line in order, then the Python of README, blend.md and bones.md, in a folder with nothing beside it."""
+    """Every console line in order, then the Python of README, blend.md and bones.md, with nothing beside the folder."""
     folder = tmp_path / "project"
     folder.mkdir()
     lines = [line for block in blocks(README, "console") for line in block.splitlines()]

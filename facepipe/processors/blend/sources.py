@@ -11,6 +11,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
+from facepipe.processors.blend.cards import with_cards
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
 from facepipe.rig import Rig, build, set_face
 from facepipe.stage import Face
@@ -65,8 +66,11 @@ def stack(faces: Sequence[Face]) -> Sources:
     parts, warnings = [base], []
     for name, face in zip(names[1:], faces[1:], strict=True):
         other = set_face(face.parts()).parts
-        parts.append(in_order(base, names[0], other, name))
         _check_joints(f"{name} -> {other.skeleton.name}", other.skeleton.joints, base.skeleton.joints, names[0])
+        other, worn = with_cards(base, other, _to_base(other, base))
+        if worn:
+            warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
+        parts.append(in_order(base, names[0], other, name))
         extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
         if extra:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
