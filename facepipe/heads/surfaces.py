@@ -101,8 +101,8 @@ def _hairs(look: Look) -> list[Material]:
         found.append(
             Material(
                 name=name,
-                diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
-                opacity=TextureInput(texture=image, channels="a"),
+                diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0), wrap_t="clamp"),
+                opacity=TextureInput(texture=image, channels="a", wrap_t="clamp"),  # roots don't show at the tips
                 opacity_threshold=cut,
                 roughness=0.85,
                 ior=1.25,  # the sides of cards would mirror more than hairs do

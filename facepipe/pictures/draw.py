@@ -172,6 +172,8 @@ def _softened(shaded: Shaded, spots: Spots, window: _Window, focal: float, mm: f
     """Samples with shadows free of grain, and with the light that comes to them below the surface."""
     share, depth = window.image(spots.share), window.image(spots.share * shaded.depth)
     open_to = window.read(open_share(depth, share, _HOLLOW / mm, focal))
+    apart = np.abs(shaded.depth * window.read(share) - window.read(depth)) > _STEP / focal * shaded.depth
+    open_to[apart] = 1.0  # edges before something farther away are no hollows
     hidden = window.read(smoothed(window.image(spots.share * shaded.key_light), share, depth, focal))
     shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=shaded.lit.dimmed(open_to))
     light = np.stack([window.image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)

@@ -196,10 +196,10 @@ def _as_normals(source: TextureInput) -> TextureInput:
 
 
 def _cut(opacity: Floats, threshold: float, texels: Floats) -> Floats:
-    """Opacities as they are, or cut at a threshold with an edge that is about a pixel wide."""
+    """Opacities as they are, or cut at a threshold with an edge of a pixel at most, and of half a texel."""
     if threshold <= 0:
         return np.clip(opacity, 0.0, 1.0)
-    return np.clip((opacity - threshold) / np.clip(texels, 0.02, 1.0) + 0.5, 0.0, 1.0)
+    return np.clip((opacity - threshold) / np.clip(texels, 0.02, 0.5) + 0.5, 0.0, 1.0)
 
 
 def _constant(value: T | TextureInput, otherwise: T) -> T:

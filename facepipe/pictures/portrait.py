@@ -16,7 +16,7 @@ from facepipe.pictures.lighting import GREY, Color, Lit, Samples
 from facepipe.pictures.occlusion import Sky
 
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
-_SCATTER = 0.8  # of the light that enters skin, in the channel that scatters farthest
+_SCATTER = 0.7  # of the light that enters skin, in the channel that scatters farthest
 _CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
 
 
@@ -162,7 +162,7 @@ def scatter_share(base: FloatArray) -> FloatArray:
 
     Red light goes farthest in skin because skin absorbs it least; white things scatter all colours alike.
     """
-    return np.asarray(_SCATTER * (base / np.maximum(base.max(axis=1, keepdims=True), 1e-4)) ** 1.5)
+    return np.asarray(_SCATTER * (base / np.maximum(base.max(axis=1, keepdims=True), 1e-4)) ** 1.25)
 
 
 def filmic(color: FloatArray) -> FloatArray:
@@ -192,6 +192,7 @@ PORTRAIT = Portrait(
         Softbox(direction=(0.95, 0.10, 0.60), color=(0.10, 0.112, 0.128), size=(0.5, 0.8)),
         Softbox(direction=(0.75, 0.35, -0.75), color=(0.34, 0.365, 0.40), size=(0.2, 0.8), glare=0.5),
         Softbox(direction=(-0.85, 0.35, -0.80), color=(0.16, 0.17, 0.185), size=(0.2, 0.8), glare=0.5),
+        Softbox(direction=(0.0, 0.05, -1.0), color=(0.30, 0.31, 0.33), size=(0.9, 0.9), glare=0.8),
     ),
     sky=(0.19, 0.20, 0.22),
     ground=(0.095, 0.082, 0.074),

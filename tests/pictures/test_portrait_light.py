@@ -32,7 +32,7 @@ def samples(cosine: np.ndarray, base: float, roughness: float, metallic: bool = 
         up=np.array([0, 1, 0], np.float32),
         base=np.full((count, 3), base, np.float32),
         roughness=np.full(count, roughness, np.float32),
-        carried=np.ones((count, 4), np.float32),
+        carried=np.ones((count, 8), np.float32),
         mirror=mirror,
         inside=np.ones(count, np.float32),
     )
