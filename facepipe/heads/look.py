@@ -24,7 +24,7 @@ IRIS: dict[str, Color] = {  # linear, of its middle ring
     "blue": (0.062, 0.11, 0.17),
 }
 HAIR: dict[str, Color] = {  # linear
-    "black": (0.008, 0.0065, 0.006),
+    "black": (0.012, 0.009, 0.008),
     "dark": (0.022, 0.013, 0.009),
     "brown": (0.055, 0.030, 0.016),
     "light": (0.13, 0.075, 0.036),

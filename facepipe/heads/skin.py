@@ -51,7 +51,7 @@ def coarse(look: Look, tile: int) -> FloatArray:
     blood += (0.55 + 0.8 * look.lips) * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
     melanin = 0.025 * broad + 0.02 * middle * (1 + look.age) + (0.16 + 0.12 * look.age) * m["under_eye"]
     melanin += 0.10 * m["lid"] + (0.10 + 0.25 * look.darkness) * m["lips"] - 0.04 * m["neck"]
-    shade = 0.9 * m["lip_line"] * m["lips"] + 0.75 * (1 - m["open"]) ** 1.5 * (1 - m["mouth"])
+    shade = 0.9 * m["lip_line"] * m["lips"] + 0.9 * np.clip(1 - m["open"] / 0.55, 0, 1) * (1 - m["mouth"])
     shade += look.beard * (0.34 * m["beard"] + 0.1 * m["moustache"]) * (0.5 + 0.5 * light)
     colors = np.log(look.skin) - sum(
         amount[..., None] * tint for amount, tint in ((blood, _BLOOD), (melanin, _MELANIN), (shade, _SHADE))

@@ -86,7 +86,9 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
 
 def _hairs(look: Look) -> list[Material]:
     hair, skin_level = look.hair_color, look.skin.mean()
-    brows = hair * min(1.0, 0.12 / hair.max(), 0.6 * skin_level / hair.mean())  # darker than the skin
+    brows = (
+        0.8 * hair * min(1.0, 0.12 / hair.max(), 0.6 * skin_level / hair.mean()) + 0.05 * look.skin
+    )  # below its skin's
     rows = [
         ("Brows", f"brows{int(np.clip(3 * look.brows, 0, 2))}.png", brows, 0.0),
         ("Lashes", "lashes.png", _LASHES, 0.0),
@@ -104,8 +106,8 @@ def _hairs(look: Look) -> list[Material]:
                 diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0), wrap_t="clamp"),
                 opacity=TextureInput(texture=image, channels="a", wrap_t="clamp"),  # roots don't show at the tips
                 opacity_threshold=cut,
-                roughness=0.85,
-                ior=1.25,  # the sides of cards would mirror more than hairs do
+                roughness=0.6,
+                ior=1.35,  # the sides of cards would mirror more than hairs do
             )
         )
     return found

@@ -290,7 +290,9 @@ def combed(skin: Skin, style: Style, root: Array, layer: float, rng: Any) -> tup
     if style.end is not None:
         end = style.end + rng.normal(0, 0.35, count) + 1.2 * layer * rng.random(count)
         length = np.maximum((line[..., 1] > end).sum(axis=0) * DS, 2.0)
-    at = np.linspace(0, 1, style.rows)[:, None] * np.minimum(length / DS, len(line) - 1.01)
+    at = np.linspace(0, 1, style.rows)[:, None] ** (1.6 if style.falls else 1.0) * np.minimum(
+        length / DS, len(line) - 1.01
+    )
     low, share = at.astype(int), (at % 1)[..., None]
     each = np.arange(count)
     line, across = (one[low, each] * (1 - share) + one[low + 1, each] * share for one in (line, across))
@@ -307,7 +309,7 @@ def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Gr
         layer = number / (len(style.spacing) - 1)
         root = roots(template, (scalp > 0.5) & (above > style.edge + 0.25 * number), spacing, rng)
         line, across = combed(skin, style, root, layer, rng)
-        half = np.interp(np.arange(style.rows) / style.rows, [0, 0.15], [0.6, 1])[:, None]
+        half = np.interp(np.arange(style.rows) / style.rows, [0, 0.15], [0.75 if style.falls else 0.6, 1])[:, None]
         half = (
             half
             * np.where(above_hairline(root) < 0.7, 0.6, 1)[:, None, None]
@@ -318,9 +320,9 @@ def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Gr
         )
         points.append(np.stack([line - half * across, line + half * across], axis=2))
         column = (number + (rng.random(len(root)) < 0.25) + (number == 2)).clip(0, 3)
-        column[above_hairline(root) < (0.7 if not style.falls else 0.3)] = 2  # a soft edge
+        column[above_hairline(root) < 0.7] = 1 if style.falls else 2  # a soft edge
         u = (column[:, None] + np.where(rng.random(len(root))[:, None] < 0.5, [0.03, 0.97], [0.97, 0.03])) / 4
-        v = np.linspace(0.005, 0.995, style.rows)
+        v = 0.005 + 0.99 * np.linspace(0, 1, style.rows) ** (1.6 if style.falls else 1.0)
         uvs.append(np.stack(np.broadcast_arrays(u[:, None, :], v[None, :, None]), axis=-1))
     points = np.concatenate(points)
     held = np.broadcast_to(points.mean(axis=2, keepdims=True), points.shape)
