@@ -8,11 +8,11 @@ from arcs import about_axis
 from model import Floats, Model
 from scipy.interpolate import CubicSpline
 
-OPEN = 0.34  # of jawOpen, with which the tongue has room
+OPEN = 0.37  # of jawOpen, with which the tongue has room
 HALFWAY = 0.5
 # The middle line of the tongue that is out, root to tip: z and y in cm where jawOpen is at OPEN.
-LINE = np.array([(3.4, -4.3), (5.6, -3.9), (8.0, -3.95), (10.0, -4.1), (11.4, -4.3), (12.6, -4.95), (13.3, -5.9)])
-THIN, NARROW = 0.7, 0.95  # at the tip, of its thickness and width at rest
+LINE = np.array([(3.4, -4.3), (5.6, -3.95), (7.6, -4.05), (9.6, -4.2), (11.3, -4.38), (12.5, -5.0), (13.2, -5.95)])
+THIN, NARROW = 0.66, 0.95  # at the tip, of its thickness and width at rest
 ROOT = (0.05, 0.5)  # along the tongue: before it stays, after it follows the line
 OUT = {HALFWAY: (0.6, 0.3), 1.0: (1.0, 1.0)}  # weight -> shares of the jaw's and of the tongue's way: the jaw is first
 
