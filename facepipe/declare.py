@@ -205,8 +205,8 @@ class Field:
         """:raises InputError: out of range, not finite, or none of its choices; of a tuple or mapping, one in it"""
         if value is None and self.default is None:
             return
-        items = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
-        for one in items:
+        inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else None
+        for one in (value,) if inside is None or not self.several else inside:
             self._check(one)
 
     def _check(self, value: object) -> None:

@@ -29,7 +29,7 @@ _TRIES = 3  # of a file whose sources change while it is made
 
 
 def cook(
-    paths: Sequence[AnyPath],
+    paths: AnyPath | Sequence[AnyPath],
     options: CookOptions | None = None,
     *,
     watch: Watch = unwatched,
@@ -42,13 +42,14 @@ def cook(
     Each file is written whole or not at all, by one process at a time: a cook that was killed is just begun again.
     Files outside the roots of the one of `paths` that led to them stay as they are.
 
+    :param paths: files; or one
     :param watch: shows progress: called with a label and a number of steps for a context manager whose `update()` is
         called after each
     :param told: called with what was done about each file, once it is
     :raises FacepipeError: what can't be read or cooked; files that were cooked before it stay
     """
     start, options = time.perf_counter(), options or CookOptions()
-    files = [Path(path) for path in paths]
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     run = _Run(read_graph(files), options, watch)
     nodes = []
     for node in run.nodes(files):

@@ -83,6 +83,12 @@ def test_exports_do_what_the_command_does(folder: Path) -> None:
     ("given", "message"),
     [
         pytest.param({"heatmap": "c.jpg"}, "c.jpg: suffix '.jpg', expected .png", id="a picture of another suffix"),
+        pytest.param(
+            {"static_mm": (3.0,)}, "option static_mm: is (3.0,), expected a number", id="a list of one number"
+        ),
+        pytest.param(
+            {"edges": ["uniform"]}, "option edges: is ('uniform',), expected one of", id="a list of one choice"
+        ),
         pytest.param({"sources": []}, "SOURCE: none given", id="no sources"),
         pytest.param({"sources": "abc"}, "abc: suffix ''", id="a source that is a name alone"),
     ],
@@ -98,6 +104,7 @@ def test_a_file_alone_is_a_list_of_one(folder: Path) -> None:
     for name, sources in {"one.usda": "a.usda", "list.usda": ["a.usda"]}.items():
         facepipe.blend(sources, out=name)
     assert Path("one.usda").read_bytes() == Path("list.usda").read_bytes()
+    assert facepipe.cook("one.usda").nodes == facepipe.cook(["one.usda"]).nodes
 
 
 def test_a_result_from_a_file_that_is_imported_is_cooked_again(folder: Path) -> None:
