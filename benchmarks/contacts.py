@@ -34,14 +34,17 @@ class Contact:
 
 
 class Subject:
-    """A face in millimetres with its meshes in one index space: Head, Teeth, EyeballLeft, EyeballRight."""
+    """A face in millimetres with its meshes in one index space: Head, Teeth, EyeballLeft, EyeballRight.
 
-    def __init__(self, parts: FaceParts) -> None:
+    :param shapes: those that count; None: all
+    """
+
+    def __init__(self, parts: FaceParts, shapes: tuple[str, ...] | None = None) -> None:
         self._rig: Rig = build(parts)
         self._scale = 1000.0 * parts.meters_per_unit
         starts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
         self._meshes = {mesh.name: (mesh, int(start)) for mesh, start in zip(parts.meshes, starts, strict=False)}
-        self.shapes: tuple[str, ...] = tuple(self._rig.shapes)
+        self.shapes: tuple[str, ...] = shapes or tuple(self._rig.shapes)
         self.neutral = self.points({})
 
     def points(self, weights: Mapping[str, float]) -> FloatArray:

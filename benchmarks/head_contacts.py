@@ -122,10 +122,12 @@ def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
 
 
 def person(seed: int) -> Subject:
-    """A person of the head in the box; 0 is the average head."""
-    from facepipe.heads import make
+    """A person of the head in the box, with its shapes of expressions; 0 is the average head."""
+    from facepipe.heads.assembly import make_head
+    from facepipe.heads.asset import asset
+    from facepipe.heads.people import draw
 
-    return Subject(make(seed))
+    return Subject(make_head(draw(seed).identity), tuple(asset().shapes))
 
 
 def raw_person(source: Path, seed: int) -> Subject:

@@ -73,6 +73,7 @@ _SLIDERS: dict[str, dict[str, Rows]] = {
         "earHeight": ((("ear*",), ("ty",), 0.5),),
         "earTilt": ((("ear*",), ("rx",), 0.25),),
     },
+    "head": {"headSize": ((("head",), _SIZE, 0.08),)},
     "forehead": {
         "foreheadDepth": ((("forehead",), ("tz",), 0.4),),
         "foreheadHeight": ((("forehead",), ("ty",), 0.8),),

@@ -45,7 +45,7 @@ _MIXES: dict[str, dict[str, dict[str, float]]] = {  # group -> slider -> measure
         },
     },
     "head": {
-        "headSize": {"headLength": 0.7, "headWidth": 0.7, "headHeight": 0.7},
+        "craniumSize": {"headLength": 0.5, "headWidth": 0.5, "headHeight": 0.5},
         "longHead": {"headLength": 0.6, "headWidth": -0.6},
         "tallHead": {"headHeight": 0.8, "foreheadHeight": 0.5},
         "highForehead": {"foreheadHeight": 0.8, "foreheadRound": 0.3},
