@@ -73,18 +73,17 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) sRGB bytes."""
     rng = np.random.default_rng((look.seed, 100 + tile))
     m, scalp = masks(tile), STYLES[look.style][0]
-    base = enlarged(to_bytes(linear_to_srgb(coarse(look, tile))), size).astype(np.float32)
+    base = enlarged(to_bytes(linear_to_srgb(coarse(look, tile))), size)
     skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
-    blood = skin * np.float32(0.03) * enlarged(patches, size)
+    blood = 0.03 * skin * enlarged(patches, size)
     melanin = skin * (0.05 * grain + enlarged(_spots(look, tile, rng), size))
     hairs = _hairs(look, m, size, rng)
-    for channel in range(3):
-        base[..., channel] *= np.exp(
-            -(blood * np.float32(_BLOOD[channel]) + melanin * np.float32(_MELANIN[channel]) + hairs) / 2.2
-        )
-    return np.asarray(np.clip(base, 0, 255), np.uint8)
+    for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
+        light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding
+        base[..., channel] = np.minimum(base[..., channel] * light, 255)
+    return np.asarray(base)
 
 
 def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
@@ -134,8 +133,8 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     rng = np.random.default_rng((look.seed, 200 + tile))
     m, places = masks(tile), _places(tile)
     texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
-    texel = enlarged(np.clip(gaussian_filter(texel, 2), 0.004, 0.04), size)  # cm
     scale = size / 2048
+    texel = enlarged(np.clip(gaussian_filter(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
     skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"]) * (1 - 0.7 * m["neck"])
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
     pores = enlarged(pores, size)
@@ -146,10 +145,12 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     height += 0.0016 * fine * enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * enlarged(m["lips"], size) * 2
     height += enlarged(_lines(look, tile), size)
-    slope_u = np.gradient(height, axis=1) / texel
-    slope_v = -np.gradient(height, axis=0) / texel
-    length = 1 / np.sqrt(1 + slope_u**2 + slope_v**2)
-    return np.asarray(to_bytes(0.5 + 0.5 * np.stack([-slope_u * length, -slope_v * length, length], axis=-1)))
+    slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
+    up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+    normals = np.empty((size, size, 3), np.uint8)
+    for axis, side in enumerate((*slopes, 1)):
+        normals[..., axis] = 128 + side * up
+    return np.asarray(normals)
 
 
 def _lines(look: Look, tile: int) -> FloatArray:
@@ -159,4 +160,4 @@ def _lines(look: Look, tile: int) -> FloatArray:
     across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
     forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
     rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
-    return np.asarray(-0.035 * look.age * (forehead + 0.5 * rings))
+    return np.asarray(-0.035 * look.age * (forehead + 0.2 * rings))

@@ -10,11 +10,13 @@ from importlib.resources import files
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
 from facepipe.heads import cards, skin
 from facepipe.heads.look import IRIS, STYLES, Look
 from facepipe.heads.pixels import texture
 from facepipe.parts import Color, FaceParts, Material, Mesh, Texture, TextureInput
 
+SMALLEST = 16  # texels a side
 SKIN = ("M_Face", "M_BackHead")  # of the skin's tiles
 _GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
@@ -24,7 +26,10 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
     """A bare head with colours, brows, lashes and hair.
 
     :param size: texels a side of the skin's textures; None: colours at points and no textures, so no cards of hairs
+    :raises InputError: a size too small
     """
+    if size is not None and size < SMALLEST:
+        raise InputError("textures", f"{size} texels a side, expected 0 for none, or {SMALLEST} and more")
     head, *others = face.meshes
     if size is None:
         skins = [Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from facepipe.core.errors import InputError
 from facepipe.heads import cards, skin
 from facepipe.heads.assembly import make_head
 from facepipe.heads.look import IRIS, STYLES, Look
@@ -147,3 +148,20 @@ def test_without_textures_the_skin_is_coloured_at_its_points(head: FaceParts) ->
     lips = [made.meshes[0].landmarks["multipie68"].indices[number] for number in (62, 66)]
     np.testing.assert_allclose(np.median(colors, axis=0), look.skin, rtol=0.35)
     assert (colors[lips, 0] / colors[lips, 1] > 1.15 * look.skin[0] / look.skin[1]).all()
+
+
+def test_sizes_from_the_smallest_are_made_and_smaller_ones_refused(head: FaceParts) -> None:
+    for size in (16, 100):
+        made = dressed(head, Look(), size).materials[0]
+        assert isinstance(made.diffuse_color, TextureInput)
+        assert Image.open(io.BytesIO(made.diffuse_color.texture.data)).size == (size, size)
+    with pytest.raises(InputError, match="textures: 15 texels a side"):
+        dressed(head, Look(), 15)
+
+
+def test_normals_of_the_relief_are_unit_and_face_outwards() -> None:
+    for tile in (0, 1):
+        normals = skin.relief(Look(age=0.9), tile, 1024).astype(float) / 127.5 - 1
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0, atol=0.02)
+        assert np.percentile(normals[..., 2], 1) > 0.7
+        np.testing.assert_allclose(normals.mean(axis=(0, 1)), [0.0, 0.0, 1.0], atol=0.03)
