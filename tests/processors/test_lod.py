@@ -15,6 +15,7 @@ from level_faces import MILLIMETRES, OPEN, face_with_lips
 from oracle import bake
 from pxr import Usd
 from scipy.spatial import cKDTree
+from solids import ball
 
 import facepipe
 from facepipe.core.errors import InputError
@@ -152,8 +153,9 @@ def test_errors_are_those_of_the_surfaces(tmp_path: Path) -> None:
             assert said.points == moved.sum()
             assert mean <= said.mean_mm + 1e-9 <= said.p95_mm <= said.max_mm
             assert said.mean_mm < mean + 1
-        assert one.errors.lost == 0
+        assert one.errors.lost == {}
         assert one.errors.joints["head/jaw"].points > 0
+        assert one.errors.skin_shapes == one.errors.shapes  # the eye does not move
         means.append(one.errors.shapes["open"].mean_mm)
     assert means == sorted(means)
     assert report.levels[0].errors.shapes["open"].p95_mm < 2
@@ -223,6 +225,34 @@ def test_levels_are_made_again(tmp_path: Path, capsys: Capsys) -> None:
     report = json.loads(done(capsys, "lod", "--edit", out, "-o", tmp_path / "other.usda", "--json", "--no-triangles"))
     shares = [one["triangles"] / report["triangles"] for one in report["levels"]]
     np.testing.assert_allclose(shares, [0.4, 0.15, 0.05], atol=0.01)
+
+
+def test_a_budget_for_each_part(tmp_path: Path, capsys: Capsys) -> None:
+    """Many rough pieces leave every mesh at least half of its share; lost pieces are named."""
+    parts = face_with_lips()
+    points, sides = ball(4, 2.0)
+    rng = np.random.default_rng(0)
+    beads = np.float32(np.concatenate([points + place for place in rng.uniform(-30, 30, (60, 3))]))
+    faces = np.concatenate([sides + number * len(points) for number in range(60)]).astype(np.int32)
+    many = Mesh(
+        name="Beads",
+        points=beads,
+        face_vertex_counts=np.full(len(faces), 3, np.int32),
+        face_vertex_indices=faces.ravel(),
+    )
+    save_parts(dataclasses.replace(parts, meshes=(*parts.meshes, many)), tmp_path / "face.usda")
+    words = ("lod", tmp_path / "face.usda", "--triangles", "1500,200", "-o", tmp_path / "lods.usda", "--json")
+    report = json.loads(done(capsys, *words, quiet=False))
+    others = {"Eye": 960, "Beads": len(faces)}
+    for level in report["levels"]:
+        left = level["triangles"] - level["skin_triangles"]
+        assert level["skin_triangles"] >= 0.59 * level["triangles"]
+        for name, count in others.items():
+            assert level["meshes"][name] >= 0.45 * left * count / sum(others.values())
+    fine, coarse = (level["errors"]["lost"] for level in report["levels"])
+    assert fine == {}
+    assert coarse["Beads"] % len(points) == 0  # whole beads
+    assert any("lod2: no triangle is left of some pieces" in line for line in report["warnings"])
 
 
 def test_a_share_for_the_skin(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
 from facepipe.processors.lod.wedges import mesh_of, wedges_of
 from facepipe.rig import Rig
 
+_LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
 
 
@@ -66,19 +67,27 @@ class Surface:
         :param skin_share: of the triangles that the skin gets, or more where all else needs fewer than the rest
         :param above: the level above, which a mesh that would have no triangle left takes its own from
         """
-        found = self._level(count, skin_share, np.ones(len(self._triangles), bool))
-        lost = ~np.isin(self._mesh(above), self._mesh(found))
-        if not lost.any():
-            return found
-        others = ~np.isin(self._mesh(self._triangles), self._mesh(above[lost]))
-        return np.concatenate([self._level(count - int(lost.sum()), skin_share, others), above[lost]])
-
-    def _level(self, count: int, skin_share: float, chosen: BoolArray) -> IntArray:
-        parts = self.is_skin & chosen, ~self.is_skin & chosen
-        skin, others = (int(part.sum()) for part in parts)
+        skin, others = int(self.is_skin.sum()), int((~self.is_skin).sum())
         for_skin = min(skin, max(round(count * skin_share), count - others))
-        most = for_skin, min(count - for_skin, others)
-        return _joined(map(self._simplified, parts, most))
+        of_skin = self._simplified(self.is_skin, for_skin)
+        return np.concatenate([of_skin, self._others(min(count - for_skin, others), above[~self._on_skin(above)])])
+
+    def _others(self, most: int, above: IntArray) -> IntArray:
+        """What is not skin, by errors; but each mesh has at least half of what its share of the triangles would be."""
+        mesh, chosen, apart = self._mesh(self._triangles), ~self.is_skin, list[IntArray]()
+        sizes = np.bincount(mesh[chosen], minlength=len(self._wedges))
+        least = np.ceil(_LEAST * most * sizes / max(sizes.sum(), 1)).astype(int).tolist()
+        while True:
+            found = self._simplified(chosen, most)
+            short = np.flatnonzero(np.bincount(self._mesh(found), minlength=len(sizes)) < least)
+            short = np.intersect1d(short, mesh[chosen])
+            if not len(short):
+                return np.concatenate([*apart, found])
+            for number in short:
+                own = self._simplified(chosen & (mesh == number), least[number])
+                apart.append(own if len(own) else above[self._mesh(above) == number])
+                most -= len(apart[-1])
+            chosen &= ~np.isin(mesh, short)
 
     def _mesh(self, wedges: IntArray) -> IntArray:
         """(t,) number of the mesh of each triangle (t, 3) of wedges."""
@@ -92,7 +101,10 @@ class Surface:
 
     def skin_triangles(self, level: IntArray) -> int:
         """How many triangles of a level are of the skin."""
-        return int(np.isin(level[:, 0], self._triangles[self.is_skin]).sum())
+        return int(self._on_skin(level).sum())
+
+    def _on_skin(self, level: IntArray) -> BoolArray:
+        return np.isin(level[:, 0], self._triangles[self.is_skin])
 
     def points_of(self, level: IntArray) -> IntArray:
         """(t, 3) points of a level's wedges."""
@@ -106,7 +118,7 @@ class Surface:
     def _simplified(self, chosen: BoolArray, most: int) -> IntArray:
         triangles = self._triangles[chosen]
         if most >= len(triangles):
-            return triangles
+            return np.asarray(triangles)
         return self._simplify(self._rig.points[self._point], self._motion, triangles, self._fixed, most)
 
 

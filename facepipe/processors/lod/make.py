@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.kinds import Watch
@@ -51,16 +50,18 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
     surface = Surface(face.meshes, face.rig())
     total = len(surface.triangles)
     counts = _checked(face, counts or [round(share * total) for share in _SHARES], total)
-    full = FullFace(face.rig(), surface.triangles, face.mm_per_unit)
-    made, reports, rows = [], [], surface.full
-    with watch("levels", len(counts)) as bar:
-        for number, count in enumerate(counts, 1):
-            rows = surface.level(count, skin_share, rows)
-            made.append(surface.meshes(rows))
-            reports.append(_level(f"lod{number}", face.meshes, made[-1], surface, rows, full))
+    full = FullFace(face.rig(), surface.triangles, surface.is_skin, face.mm_per_unit)
+    rows = [surface.full]
+    with watch("levels", len(counts) + full.poses) as bar:
+        for count in counts:
+            rows.append(surface.level(count, skin_share, rows[-1]))
             bar.update()
+        errors = full.errors([surface.points_of(one) for one in rows[1:]], bar.update)
+    made = [surface.meshes(one) for one in rows[1:]]
     author_levels(face, made)
-    return LodReport(triangles=total, levels=tuple(reports), warnings=tuple(_warnings(reports, counts)))
+    each = zip(made, (surface.skin_triangles(one) for one in rows[1:]), errors, strict=True)
+    levels = tuple(_level(f"lod{number}", *one) for number, one in enumerate(each, 1))
+    return LodReport(triangles=total, levels=levels, warnings=tuple(_warnings(levels, counts)))
 
 
 def _checked(face: Face, counts: Sequence[int], total: int) -> list[int]:
@@ -71,17 +72,15 @@ def _checked(face: Face, counts: Sequence[int], total: int) -> list[int]:
     return list(counts)
 
 
-def _level(
-    name: str, meshes: Sequence[Mesh], made: Sequence[Mesh], surface: Surface, rows: IntArray, full: FullFace
-) -> Level:
-    counts = [len(one.face_vertex_counts) for one in made]
+def _level(name: str, meshes: Sequence[Mesh], skin_triangles: int, errors: LevelErrors) -> Level:
+    counts = {mesh.name: len(mesh.face_vertex_counts) for mesh in meshes}
     return Level(
         name=name,
-        triangles=sum(counts),
-        skin_triangles=surface.skin_triangles(rows),
-        points=sum(len(one.points) for one in made),
-        meshes={mesh.name: count for mesh, count in zip(meshes, counts, strict=True)},
-        errors=full.errors(surface.points_of(rows)),
+        triangles=sum(counts.values()),
+        skin_triangles=skin_triangles,
+        points=sum(len(mesh.points) for mesh in meshes),
+        meshes=counts,
+        errors=errors,
     )
 
 
@@ -89,3 +88,6 @@ def _warnings(levels: Sequence[Level], counts: Sequence[int]) -> Iterator[str]:
     for level, count in zip(levels, counts, strict=True):
         if level.triangles > _MISSED * count:
             yield f"{level.name}: {level.triangles:,} triangles, {count:,} can't be reached: seams and borders stay"
+        if level.errors.lost:
+            gone = ", ".join(f"{name} ({points:,})" for name, points in level.errors.lost.items())
+            yield f"{level.name}: no triangle is left of some pieces (points): {gone}: they are in no error"

@@ -12,9 +12,12 @@ from facepipe.processors.lod.make import LodReport
 
 def lod_text(report: LodReport, out: Path) -> str:
     """The levels as a table."""
-    rows: list[list[object]] = [["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "joints"]]
+    rows: list[list[object]] = [
+        ["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "on the skin", "joints"]
+    ]
     for one in report.levels:
-        rest, *moved = ({"rest": one.errors.rest}, one.errors.shapes, one.errors.joints)
+        errors = one.errors
+        rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
         counts = (f"{count:,}" for count in (one.triangles, one.skin_triangles, one.points))
         rows.append([one.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
     return "\n".join(
