@@ -160,4 +160,4 @@ def _lines(look: Look, tile: int) -> FloatArray:
     across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
     forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
     rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
-    return np.asarray(-0.035 * look.age * (forehead + 0.2 * rings))
+    return np.asarray(-0.022 * look.age * (forehead + 0.2 * rings))

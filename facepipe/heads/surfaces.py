@@ -111,7 +111,7 @@ def _hairs(look: Look) -> list[Material]:
                 diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0), wrap_t="clamp"),
                 opacity=TextureInput(texture=image, channels="a", wrap_t="clamp"),  # roots don't show at the tips
                 opacity_threshold=cut,
-                roughness=0.6,
+                roughness=0.9 if picture == "coils.png" else 0.6,
                 ior=1.35,  # the sides of cards would mirror more than hairs do
             )
         )
