@@ -18,6 +18,7 @@ from facepipe.processors.inspect_action import report_of, text_of
 if TYPE_CHECKING:
     from facepipe.stage import Face
 
+TEXTURES = "head_textures"  # the folder beside head.usda
 FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
 POSE = {"jawOpen": 0.7, "mouthSmileLeft": 0.5}
 SHEET = (
@@ -44,7 +45,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make everything, saying what was made."""
-    from facepipe.core.atomic import hidden_folder, replacing, together
+    from facepipe.core.atomic import hidden_folder, replacing, replacing_folder, together
 
     start = time.perf_counter()
     folder = _folder(arguments)
@@ -54,7 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
             for name in FILES:
                 with replacing(folder / name) as temporary:
                     (inner / name).replace(temporary)
-    print(f"\n{folder}: {', '.join(FILES)}\ndone in {time.perf_counter() - start:.1f} s")
+            with replacing_folder(folder / TEXTURES) as temporary:
+                for image in (inner / TEXTURES).iterdir():
+                    image.replace(temporary / image.name)
+    print(f"\n{folder}: {', '.join((*FILES, TEXTURES))}\ndone in {time.perf_counter() - start:.1f} s")
     return 1 if errors else 0
 
 
@@ -86,7 +90,7 @@ def _folder(arguments: argparse.Namespace) -> Path:
     folder = Path(arguments.folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "is a file, expected a folder")
-    there = [name for name in FILES if (folder / name).exists()]
+    there = [name for name in (*FILES, TEXTURES) if (folder / name).exists()]
     if there and not arguments.force:
         raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,11 +136,11 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
 
 
 def _sheet(face: Face, out: Path) -> None:
-    from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
+    from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
 
     parts = face.parts()
     options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())
     shapes = [name for name in SHEET if name in face.shapes]
-    poses = [("neutral", {}), *((name, {name: 1.0}) for name in shapes)]
-    images = [(name, picture(parts, face.evaluate(weights), options)) for name, weights in poses]
-    save_png(contact_sheet(images, columns=4), out)
+    points = [face.evaluate(), *(face.evaluate({name: 1.0}) for name in shapes)]
+    images = zip(("neutral", *shapes), poses(parts, points, options), strict=True)
+    save_png(contact_sheet(list(images), columns=4), out)

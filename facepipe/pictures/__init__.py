@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.pictures.face_picture import PictureOptions, picture, save_png
+    from facepipe.pictures.face_picture import PictureOptions, picture, poses, save_png
     from facepipe.pictures.heatmap import HeatMap
     from facepipe.pictures.photo_sheets import PhotoSheet, SheetPhoto, photo_sheet
     from facepipe.pictures.regions import RegionColors
@@ -22,5 +22,6 @@ __all__ = [
     "contact_sheet",
     "photo_sheet",
     "picture",
+    "poses",
     "save_png",
 ]

@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float32]
 CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 _MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
 _CUT = 0.02  # opacity in a texture below which nothing is there
-_STRANDS = 0.4  # of the highlights of a flat card: the hairs on it are round
+_STRANDS = 0.25  # of the highlights of a flat card: the hairs on it are round
 _PLAIN = Material(name="", diffuse_color=CLAY)
 _NUMBERS = {"metallic": 0.0, "roughness": 0.5, "opacity": 1.0, "occlusion": 1.0}  # and their values without a texture
 _TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")

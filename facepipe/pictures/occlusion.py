@@ -13,7 +13,7 @@ from facepipe.core.threads import mapped
 from facepipe.pictures.rasterise import rasterise, screen_triangles
 
 AMBIENT_DIRECTIONS = 24
-AMBIENT_RESOLUTION = 256
+SKY_RESOLUTION = 256  # map pixels
 SHADOW_RESOLUTION = 768
 _FACING = 0.02  # cosine between a normal and a direction from which light can arrive
 _TAPS = 12  # samples of a soft shadow, and to find how wide it is
@@ -113,10 +113,13 @@ def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, reso
     return DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearness)
 
 
-def visible_sky(points: FloatArray, normals: FloatArray, triangles: IntArray, two_sided: BoolArray) -> Sky:
+def visible_sky(
+    points: FloatArray, normals: FloatArray, triangles: IntArray, two_sided: BoolArray, resolution: int
+) -> Sky:
     """What points (n, 3) with unit normals see of the sky past triangles (t, 3).
 
     :param two_sided: (n,) whether to look at what the backs of the points see too; else nothing
+    :param resolution: pixels a side of the map that each direction has
     """
     directions = sphere_directions(AMBIENT_DIRECTIONS)
     seen = np.zeros((len(points), len(directions)), np.float16)
@@ -129,7 +132,7 @@ def visible_sky(points: FloatArray, normals: FloatArray, triangles: IntArray, tw
             seen[facing, number] = 1.0
             return
         outward = normals[facing] * np.sign(cosine[facing])[:, None]
-        light = depth_map(points, triangles, direction, AMBIENT_RESOLUTION)
+        light = depth_map(points, triangles, direction, resolution)
         seen[facing, number] = light.lit(points[facing], outward)
 
     mapped(look, range(len(directions)))
@@ -138,7 +141,7 @@ def visible_sky(points: FloatArray, normals: FloatArray, triangles: IntArray, tw
 
 def ambient_occlusion(points: FloatArray, normals: FloatArray, triangles: IntArray) -> FloatArray:
     """(n,) share of the sky that each point sees, 0..1, weighted by the cosine with its normal."""
-    return visible_sky(points, normals, triangles, np.zeros(len(points), bool)).share(normals)
+    return visible_sky(points, normals, triangles, np.zeros(len(points), bool), SKY_RESOLUTION).share(normals)
 
 
 def sphere_directions(count: int) -> FloatArray:

@@ -16,6 +16,7 @@ from facepipe.pictures.lighting import GREY, Color, Lit, Samples
 from facepipe.pictures.occlusion import Sky
 
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
+_BOUNCED = 0.06  # share of light that finds its way even where no sky is seen
 _SCATTER = 0.7  # of the light that enters skin, in the channel that scatters farthest
 _CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
 
@@ -74,7 +75,7 @@ class Portrait:
         """The light of the dome and of all boxes."""
         shares = samples.carried * samples.inside[:, None]
         view = _View(samples)
-        open_sky = shares[:, :1]
+        open_sky = _BOUNCED + (1 - _BOUNCED) * shares[:, :1]
         # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
         seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
         up = samples.normals @ samples.up

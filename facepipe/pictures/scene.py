@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.pictures.camera import y_up
-from facepipe.pictures.occlusion import Sky, visible_sky
+from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, visible_sky
 from facepipe.pictures.textures import TextureCache
 
 _DENSE = 0.4  # opacity from which a piece of a card hides the light like a solid one
@@ -53,6 +53,7 @@ class Scene:
     surfaces: tuple[Surface, ...]
     first_point: IntArray  # (t,) first point of the triangle's mesh
     textures: TextureCache
+    size: int  # pixels a side of the largest picture that shows it
 
     @property
     def see_through(self) -> BoolArray:
@@ -91,7 +92,8 @@ class Scene:
         """What each point sees of the sky; the same for all views."""
         two_sided = np.zeros(len(self.points), bool)
         two_sided[self.triangles[self.double_sided]] = True
-        return visible_sky(self.points, self.normals, self.occluders, two_sided)
+        resolution = min(max(self.size // 3, SKY_RESOLUTION // 2), SKY_RESOLUTION)
+        return visible_sky(self.points, self.normals, self.occluders, two_sided, resolution)
 
     @cached_property
     def facets(self) -> FloatArray:
@@ -138,10 +140,13 @@ def world_points(parts: FaceParts, points: FloatArray | None, what: str = "point
     return y_up(placed, parts.up_axis)
 
 
-def build_scene(parts: FaceParts, points: FloatArray | None, size: int = 800) -> Scene:
+def build_scene(
+    parts: FaceParts, points: FloatArray | None, size: int = 800, textures: TextureCache | None = None
+) -> Scene:
     """The triangles of every mesh at `points` (n, 3) world space; None: the neutral.
 
     :param size: pixels a side of the largest picture that shows it
+    :param textures: where those of the materials may be decoded already
     :raises InputError: points of the wrong shape or not finite
     :raises TopologyError: a mesh refers to points or materials that it does not have
     """
@@ -167,7 +172,8 @@ def build_scene(parts: FaceParts, points: FloatArray | None, size: int = 800) ->
         surface=surface[drawn],
         surfaces=tuple(surfaces),
         first_point=first[drawn],
-        textures=TextureCache(largest=size * 5 // 4),
+        textures=textures or TextureCache(largest=size * 5 // 4),  # a face fills the picture
+        size=size,
     )
 
 

@@ -45,7 +45,7 @@ def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
 
 
 class TextureCache:
-    """Decoded textures of one picture, whole and halved again and again, each decoded once."""
+    """Decoded textures, whole and halved again and again, each decoded once."""
 
     def __init__(self, largest: int) -> None:
         """:param largest: pixels a side beyond which a texture holds more than the picture can show."""

@@ -15,6 +15,7 @@ from command_line import plain_actions
 from pages import blocks
 from places import REPOSITORY
 
+import facepipe
 from facepipe.cli import commands_of
 from facepipe.performing import read_kept
 from facepipe.processors.blend import BlendFaces
@@ -84,6 +85,7 @@ def test_the_demo_makes_everything(tmp_path: Path) -> None:
         one.name for one in (tmp_path / "demo").iterdir()
     }
     assert done.stdout.count("no errors, no warnings") == 3, done.stdout
+    assert facepipe.open(tmp_path / "demo" / "head.usda").parts().materials  # its textures are there too
     again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert again.returncode == 2
     assert "--force" in again.stderr
