@@ -15,13 +15,13 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import arrays
-from facepipe.heads.directions import STEP
 from facepipe.heads.look import Look
 
 MODES = 100
 TONES = 10  # of Monk's scale
 _FARTHEST = 2.5  # standard deviations of a mode's weight
 _YOUNG, _OLD = 18.0, 80.0  # years
+_STEP = 1 / 2048  # of packed weights
 
 _LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
 _HAIR = {  # share at those tones
@@ -97,7 +97,7 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> L
 
 def _typical(weights: FloatArray, sex: float, years: float) -> FloatArray:
     """Weights with the typical share of sex instead of a chance one, and with what age does."""
-    male, old = arrays("measures")["trait_weights"] * STEP
+    male, old = arrays("measures")["trait_weights"] * _STEP
     across = male / np.linalg.norm(male)
     aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
     return np.asarray(weights + (sex - weights @ across) * across + aged * old)

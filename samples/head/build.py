@@ -13,6 +13,7 @@ from typing import Any
 
 import arcs
 import cards
+import directions
 import eyes
 import measures
 import mouth
@@ -133,13 +134,15 @@ def joints(made: Skeleton) -> Arrays:
 
 
 def controls(model: Model, modes: npt.NDArray[np.float32], data: Path) -> Arrays:
-    """Weights of the identity modes for measures, and for what is typical of sex and age."""
+    """What measures do to the head, and the weights of identity modes that are typical of sex and age."""
     starts = {part.mesh: part.points[0] for part in reversed(KEPT)}
     parts = {name: slice(starts[name], part.points[1]) for name, part in ((part.mesh, part) for part in KEPT)}
     landmarks = np.array(LANDMARKS, np.int32)
     found = measures.build(model.points, modes, parts, (model.counts, model.indices), landmarks)
     source = data / "makehuman" / "makehuman_head.npz"
-    return found | traits.build(model.points, modes, landmarks, found["parity"], source)
+    found |= traits.build(model.points, modes, landmarks, found["parity"], source)
+    found |= directions.build(model.points, modes, parts, found)
+    return {name: values for name, values in found.items() if name not in ("weights", "parity")}
 
 
 def quiet(shape: Floats) -> Floats:

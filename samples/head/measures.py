@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from masks import MASKS, masks
 from measure_table import MEASURES, SPOTS, Measure
 
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas, point_triangles
 from facepipe.geometry.segments import to_segment
-from facepipe.heads.masks import MASKS, masks
 
 SKIN = 11248  # points of face, head and neck, without the sockets
 MM = 10.0  # of a centimetre

@@ -10,12 +10,13 @@ from places import REPOSITORY
 
 sys.path.insert(0, str(REPOSITORY / "samples" / "head"))
 import measures
+from directions import REACH
+from masks import masks
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import arrays, asset
-from facepipe.heads.directions import REACH, directions
+from facepipe.heads.directions import directions
 from facepipe.heads.identity_sliders import identity_sliders
-from facepipe.heads.masks import masks
 
 MM = 10.0  # of a centimetre
 
