@@ -12,9 +12,10 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "samples" / "head"))
 
 import measures  # noqa: E402
+from directions import REACH  # noqa: E402
 
 from facepipe.heads.asset import arrays, asset  # noqa: E402
-from facepipe.heads.directions import REACH, STEP, directions  # noqa: E402
+from facepipe.heads.directions import directions  # noqa: E402
 
 PAGE = HERE / "people.md"
 TABLE = re.compile(r"(?<=<!-- docs/measure_table.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
@@ -31,7 +32,7 @@ def main() -> None:
     effects /= REACH * deviations[:, None]
     means = np.einsum("dnc,nc->d", functionals, head.points[: measures.SKIN])
     peaks = measures.MM * np.linalg.norm(moved, axis=2).max(axis=1) / REACH / deviations
-    costs = np.sqrt(((found["weights"] * STEP) ** 2).sum(axis=(1, 2)))
+    costs = found["costs"]
     apart = ~np.eye(len(own), dtype=bool)
     others = np.abs(effects) * apart
     rows = [

@@ -68,6 +68,7 @@ def main() -> None:
     for pictures in (strokes, eyes):
         pictures.main(out)
     mouth.main(arguments.data, out)
+    shutil.copyfile(Path(__file__).parent / "mixes.json", out / "mixes.json")
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)
     for path in sorted(out.iterdir()):

@@ -81,6 +81,7 @@ def build(
         "groups": np.array([measure.group for measure in MEASURES.values()]),
         "sided": np.array([measure.sided for measure in MEASURES.values()]),
         "deviations": np.round(deviations, 4).astype(np.float32),
+        "costs": np.round(np.sqrt((weights**2).sum(axis=(1, 2))), 3),
         "parity": parity.astype(np.int8),
         "weights": np.rint(weights / STEP).astype(np.int16),
     }
