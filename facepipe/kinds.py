@@ -18,7 +18,7 @@ that.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,6 +126,10 @@ class Action(ABC, Generic[R]):
 
 class StageAction(Action[R]):
     """Base of the actions that make a face stage of others: a layer over `base`, with a recipe."""
+
+    exported: ClassVar[
+        Mapping[str, Any]
+    ] = {}  # options of the format where an exporter writes the result, if it has them
 
     @classmethod
     def replaced(cls, arguments: Any) -> Collection[str]:

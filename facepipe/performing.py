@@ -83,7 +83,9 @@ def _staged(
     warnings = (*base.warnings, *report.warnings)
     if exported:
         module = exporter(out)
-        export = module.export(open_face(stage), out, module.Options())
+        known = {one.name for one in fields_of(module.Options)}
+        options = {name: value for name, value in action.exported.items() if name in known}
+        export = module.export(open_face(stage), out, module.Options(**options))
         said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
     return Performed(report=replace(report, warnings=warnings), beside=said)
 

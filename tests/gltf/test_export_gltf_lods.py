@@ -124,6 +124,14 @@ def test_it_comes_back_as_the_finest(levels: Face, glb: Path) -> None:
     np.testing.assert_allclose(back.evaluate({"open": 1.0}), levels.evaluate({"open": 1.0}), atol=1e-4)
 
 
+def test_levels_go_into_a_glb_at_once(levels: Face, glb: Path, tmp_path: Path) -> None:
+    base = Path(levels.stage.GetRootLayer().realPath).with_name("face.usda")
+    facepipe.lod(base, out=tmp_path / "o.glb", triangles=(1000, 300))
+    assert [mesh["name"] for mesh in read(tmp_path / "o.glb").list("meshes")] == [
+        mesh["name"] for mesh in read(glb).list("meshes")
+    ]
+
+
 def test_names_change_on_all_levels(levels: Face, tmp_path: Path) -> None:
     (tmp_path / "names.json").write_text(json.dumps({"open": "jawOpen"}))
     facepipe.export(levels, tmp_path / "o.glb", lods=True, rename=str(tmp_path / "names.json"))

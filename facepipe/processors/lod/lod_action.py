@@ -16,6 +16,7 @@ examples:
 
 from __future__ import annotations
 
+import types
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,8 @@ def read_counts(words: Sequence[str]) -> tuple[int, ...]:
 @dataclass(frozen=True, kw_only=True)
 class Lod(StageAction["LodReport"]):
     """The action."""
+
+    exported = types.MappingProxyType({"lods": True})
 
     face: Path = source("face stage")
     triangles: tuple[int, ...] = option(
