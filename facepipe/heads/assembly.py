@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -29,21 +30,26 @@ from facepipe.parts import (
     UvSet,
 )
 
+Controls = Literal["measures", "bones"]
 
-def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
+
+def make(seed: int = 0, *, textures: int = 0, controls: Controls = "measures") -> FaceParts:
     """A person's head; seed 0 is the average one. Same seed, same arrays, and one topology for all.
 
     :param textures: texels a side of the skin's textures; 0: colours at points, no textures, and so no hair
+    :param controls: sliders of measures, over shapes of their own, or sliders over bones
     :raises InputError: a seed below 0
     """
     if seed < 0:
         raise InputError("seed", f"is {seed}, expected 0 or more")
     who = draw(seed)
-    made = dressed(make_head(who.identity), who.look, textures or None)
-    return replace(made, recipe=Recipe(verb="sample", options={"seed": seed, "textures": textures}))
+    made = dressed(make_head(who.identity, controls), who.look, textures or None)
+    return replace(
+        made, recipe=Recipe(verb="sample", options={"seed": seed, "textures": textures, "controls": controls})
+    )
 
 
-def make_head(identity: FloatArray) -> FaceParts:
+def make_head(identity: FloatArray, controls: Controls = "measures") -> FaceParts:
     """The bare head of a person, in centimetres: without materials.
 
     :param identity: (100,) weights of the identity modes, in standard deviations
@@ -51,7 +57,8 @@ def make_head(identity: FloatArray) -> FaceParts:
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(points, head.shapes)
-    shapes = {**shapes, **identity_shapes()}
+    if controls == "measures":
+        shapes = {**shapes, **identity_shapes()}
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,
@@ -59,7 +66,7 @@ def make_head(identity: FloatArray) -> FaceParts:
         skeleton=skeleton(points),
         animations=animations(frozenset(head.shapes)),
         played=TALK,
-        sliders=(*sliders(frozenset(head.shapes)), *identity_sliders(), *bone_sliders()),
+        sliders=(*sliders(frozenset(head.shapes)), *(identity_sliders() if controls == "measures" else bone_sliders())),
         bone_limits=bone_limits(head.joints),
         attribution=ATTRIBUTION,
     )

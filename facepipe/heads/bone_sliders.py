@@ -83,10 +83,10 @@ _SLIDERS: dict[str, dict[str, Rows]] = {
 
 
 def bone_sliders() -> tuple[Slider, ...]:
-    """The sliders, ``bone_`` before each name: those of measures have the same names without it."""
+    """All of them."""
     paths = {path.rpartition("/")[2]: path for path in asset().joints}
     return tuple(
-        Slider(name=f"bone_{name}", group=f"bones {group}", minimum=-1.0, channels=tuple(_channels(paths, rows)))
+        Slider(name=name, group=group, minimum=-1.0, channels=tuple(_channels(paths, rows)))
         for group, sliders in _SLIDERS.items()
         for name, rows in sliders.items()
     )

@@ -6,6 +6,7 @@ example: facepipe sample head.usda --seed 3
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from facepipe.core.reports import Report
 from facepipe.declare import option
@@ -32,11 +33,13 @@ class Sample(FileAction[SampleReport]):
     seed: int = option(0, "which person; 0 is the average head", 0, 10**9)
     textures: int = option(2048, "size of the skin's textures; 0: colours at points, and no hair", 0, 4096, "texels")
 
+    controls: Literal["measures", "bones"] = option("measures", "sliders of measures over shapes, or over bones alone")
+
     def write(self, job: Job) -> SampleReport:
         from facepipe.heads import make
         from facepipe.stage import save_parts
 
-        parts = make(self.seed, textures=self.textures)
+        parts = make(self.seed, textures=self.textures, controls=self.controls)
         save_parts(parts, job.out)
         return SampleReport(
             points=sum(len(mesh.points) for mesh in parts.meshes),

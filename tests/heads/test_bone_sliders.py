@@ -13,7 +13,7 @@ from facepipe.stage import Face
 
 @pytest.fixture(scope="module")
 def face() -> Face:
-    return Face.from_parts(make(0))
+    return Face.from_parts(make(0, controls="bones"))
 
 
 @pytest.fixture(scope="module")

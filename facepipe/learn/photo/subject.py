@@ -12,6 +12,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.independent_sliders import independent
 from facepipe.rig.slider_network import check_network, shape_changes
 
 _SEEN = 0.01  # change of a shape's weight from which a learned network's slider drives it: less is noise of training
@@ -31,7 +32,7 @@ class Subject:
         """The face's own controls.
 
         Sliders that drive expressions, themselves or through the face's learned network, stay as they are: a person's
-        sliders must not contain the photo's smile.
+        sliders must not contain the photo's smile. So do mixes of others, and sides of what a slider does on both.
 
         :param expressions: shapes that are expressions; None: those with ARKit's names
         :raises InputError: a shape that the face has not, a network that doesn't fit it, or no slider to fit
@@ -43,6 +44,8 @@ class Subject:
         names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
         learned = _learned(parts, rig)
         free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, learned.get(one.name))]
+        needed = independent([parts.sliders[i] for i in free])
+        free = [i for i, own in zip(free, needed, strict=True) if own or parts.sliders[i].name in learned]
         if not free:
             raise InputError(
                 f"{parts.name} -> sliders", "none that shape a person, expected some (`facepipe sliders FACE --help`)"
