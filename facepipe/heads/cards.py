@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, point_triangles
@@ -17,6 +18,8 @@ from facepipe.heads.asset import STEP, arrays
 from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, UvSet
 
 _STILL = 2e-3  # cm: smaller moves are none
+_FAR = 0.3  # cm: cards that turn further beside what holds them may dip into other skin
+_CLEAR = 0.04  # cm that each row of a card stays farther off the skin than the one before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +59,9 @@ def cards(name: str) -> Cards:
 def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     """Cards on a head, moved by its shapes and joints, all in one region, with the material of their name."""
     counts, indices = _faces(held.grid)
-    normals = point_normals(head.points, point_triangles(head.face_vertex_counts, head.face_vertex_indices))
-    shapes = (_shape(held, shape, len(head.points)) for shape in head.blendshapes)
+    triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
+    normals = point_normals(head.points, triangles)
+    shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
     return Mesh(
         name=name,
@@ -81,11 +85,18 @@ def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
     return np.full(len(indices), 4, np.int32), indices.ravel().astype(np.int32)
 
 
-def _shape(held: Cards, shape: Blendshape, count: int) -> Blendshape | None:
+def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray) -> Blendshape | None:
+    """How cards on skin (n, 3) move with a shape."""
+    own = held.motion.get(shape.name, np.zeros((1, 3)))
+
     def offsets(values: FloatArray, weight: float) -> FloatArray:
-        whole = np.zeros((count, 3))
+        whole = np.zeros_like(skin)
         whole[shape.point_indices] = values
-        return held.carry(whole) + weight * held.motion.get(shape.name, 0.0)
+        moved = held.carry(whole) + weight * own
+        if np.abs(own).max() < _FAR:
+            return moved
+        lift = _lift(held, held.carry(skin) + held.offsets + moved, skin + whole, triangles)
+        return moved + np.where(np.abs(moved).max(axis=1, keepdims=True) > _STILL, lift, 0.0)
 
     moves = {one.weight: offsets(one.offsets, one.weight) for one in shape.inbetweens}
     full = offsets(shape.offsets, 1.0)
@@ -101,6 +112,17 @@ def _shape(held: Cards, shape: Blendshape, count: int) -> Blendshape | None:
             Inbetween(name=one.name, weight=one.weight, offsets=moves[one.weight][moved]) for one in shape.inbetweens
         ),
     )
+
+
+def _lift(held: Cards, points: FloatArray, skin: FloatArray, triangles: IntArray) -> FloatArray:
+    """(n, 3) what takes cards that dip into the skin out of it."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    near = np.flatnonzero(((skin > low) & (skin < high)).all(axis=1))
+    closest = near[cKDTree(skin[near]).query(points)[1]]
+    normals = point_normals(skin, triangles)[closest]
+    height = np.einsum("nc,nc->n", points - skin[closest], normals)
+    rows = np.broadcast_to(np.arange(held.grid[1])[:, None], held.grid).ravel()
+    return np.asarray(np.where(rows > 0, np.maximum(_CLEAR * rows - height, 0.0), 0.0)[:, None] * normals)
 
 
 def _skin(held: Cards, skin: Skin) -> Skin:

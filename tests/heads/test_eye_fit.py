@@ -5,9 +5,15 @@ from __future__ import annotations
 import benchmark_modules
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import arrays, asset
+from facepipe.heads.cards import cards, mesh
 from facepipe.heads.eye_fit import fit_eyes
+from facepipe.heads.people import draw
+from facepipe.parts import Mesh
 
 assert benchmark_modules.BENCHMARKS.is_dir()
 
@@ -55,3 +61,23 @@ def test_both_eyes_of_the_average_head_blink_alike() -> None:
     for weight in (0.25, 0.5, 0.75, 1.0):
         ends = [(points + shapes[f"eyeBlink{side}"][weight])[own] for side, own in (("Left", left), ("Right", right))]
         assert np.linalg.norm(ends[0] * FLIP - ends[1], axis=1).max() < 0.05
+
+
+def test_lashes_stay_out_of_the_skin_in_a_blink() -> None:
+    held = cards("lashes")
+    for seed in (0, 3):
+        head = make_head(draw(seed).identity).meshes[0]
+        lashes = mesh("Lashes", held, head, "eyes")
+        closed = [moved(one, ("eyeBlinkLeft", "eyeBlinkRight")) for one in (lashes, head)]
+        near = cKDTree(closed[1]).query(closed[0])[1]
+        normals = point_normals(closed[1], point_triangles(head.face_vertex_counts, head.face_vertex_indices))[near]
+        height = np.einsum("nc,nc->n", closed[0] - closed[1][near], normals)
+        assert height.reshape(held.grid)[:, 1:].min() > 0.0
+
+
+def moved(one: Mesh, names: tuple[str, ...]) -> np.ndarray:
+    points = one.points.copy()
+    for shape in one.blendshapes:
+        if shape.name in names:
+            points[shape.point_indices] += shape.offsets
+    return points
