@@ -23,7 +23,7 @@ from facepipe.pictures.textures import linear_to_srgb
 
 Array = Any
 SIZE = 512  # texels a side
-GUM, TONGUE, THROAT = np.array([0.46, 0.155, 0.14]), np.array([0.47, 0.17, 0.155]), np.array([0.20, 0.05, 0.05])
+GUM, TONGUE, THROAT = np.array([0.46, 0.155, 0.14]), np.array([0.37, 0.13, 0.12]), np.array([0.20, 0.05, 0.05])
 IVORY, NECK, EDGE = np.array([0.70, 0.64, 0.52]), np.array([0.58, 0.47, 0.31]), np.array([0.60, 0.59, 0.55])
 
 
