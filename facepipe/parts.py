@@ -284,6 +284,8 @@ class Material:
     occlusion: float | TextureInput = 1.0
     normal: TextureInput | None = None  # tangent space, authored with scale 2 and bias -1
     ior: float = 1.5
+    clearcoat: float | TextureInput = 0.0  # a clear layer over it, such as tears or lip gloss
+    clearcoat_roughness: float | TextureInput = 0.01
     label: str | None = None  # as of a blendshape
 
 

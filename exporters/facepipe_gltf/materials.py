@@ -65,6 +65,7 @@ class MaterialWriter:
             result["doubleSided"] = True
         if source.ior != 1.5:
             self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
+        self._clearcoat(result, source, uv_names)
         self.materials.append(result)
         return Surface(
             index=len(self.materials) - 1,
@@ -201,6 +202,22 @@ class MaterialWriter:
             self._extend(result, "KHR_materials_emissive_strength", {"emissiveStrength": strength})
         if any(factor):
             result["emissiveFactor"] = [value / strength for value in factor]
+
+    def _clearcoat(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        if material.clearcoat == 0:
+            return
+        coat: Json = {}
+        inputs = (("clearcoat", material.clearcoat), ("clearcoatRoughness", material.clearcoat_roughness))
+        for place, (name, value) in enumerate(inputs):
+            if not isinstance(value, TextureInput):
+                coat[f"{name}Factor"] = self._clipped(material, name, [value])[0]
+                continue
+            coat[f"{name}Factor"] = self._scale(material, name, value, [_CHANNEL.get(value.channels, 0)])[0]
+            whole = _CHANNEL.get(value.channels, 0) == place
+            image = self.textures.whole(value.texture) if whole else self._merge(material, name, [_channel(value)] * 3)
+            if image is not None:
+                coat[f"{name}Texture"] = self.textures.info(image, value, uv_names)
+        self._extend(result, "KHR_materials_clearcoat", coat)
 
     def _merge(self, material: Material, role: str, channels: Sequence[Channel]) -> int | None:
         pixels = merged(channels, self.textures)

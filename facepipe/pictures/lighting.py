@@ -23,6 +23,8 @@ class Samples:
     roughness: FloatArray  # (m,)
     carried: FloatArray  # (m, c) what the studio computed at the points, for the side that is seen
     mirror: FloatArray  # (m, 3) share of light reflected straight back at normal incidence
+    coat: FloatArray  # (m,) how much of a clear layer lies over the surface
+    coat_roughness: FloatArray  # (m,)
     inside: FloatArray  # (m,) factor of all light; below 1 on the inner side of a single-sided mesh
 
 

@@ -23,7 +23,14 @@ _MATT = 0.4  # roughness from which something see-through is a loose cover, no c
 _CUT = 0.02  # opacity in a texture below which nothing is there
 _STRANDS = 0.25  # of the highlights of a flat card: the hairs on it are round
 _PLAIN = Material(name="", diffuse_color=CLAY)
-_NUMBERS = {"metallic": 0.0, "roughness": 0.5, "opacity": 1.0, "occlusion": 1.0}  # and their values without a texture
+_NUMBERS = {  # and their values without a texture
+    "metallic": 0.0,
+    "roughness": 0.5,
+    "opacity": 1.0,
+    "occlusion": 1.0,
+    "clearcoat": 0.0,
+    "clearcoat_roughness": 0.01,
+}
 _TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")
 
 
@@ -39,6 +46,8 @@ class Surfaces:
     presence: Floats  # (m,) how much of it reflects: opacity cuts, but where the surface is smooth and clear
     gloss: Floats  # (m,) factor of highlights
     occlusion: Floats  # (m,)
+    coat: Floats  # (m,) how much of a clear layer lies over it
+    coat_roughness: Floats  # (m,)
     mirror: Floats  # (m, 3) share of light reflected at normal incidence
     normals: Floats  # (m, 3) camera axes, to the outside
 
@@ -69,7 +78,9 @@ class Materials:
             presence=np.maximum(opacity, 1 - table[:, 7] / _MATT),
             gloss=np.ones(len(ids), np.float32),
             occlusion=table[:, 9].copy(),
-            mirror=np.repeat(table[:, 10:11], 3, axis=1),
+            coat=table[:, 10].copy(),
+            coat_roughness=table[:, 11].copy(),
+            mirror=np.repeat(table[:, 12:], 3, axis=1),
             normals=normals.copy(),
         )
         for number, material in enumerate(self._each):
@@ -101,6 +112,8 @@ class Materials:
             "metallic": found.metallic[:, None],
             "roughness": found.roughness[:, None],
             "occlusion": found.occlusion[:, None],
+            "clearcoat": found.coat[:, None],
+            "clearcoat_roughness": found.coat_roughness[:, None],
         }
         for name, target in targets.items():
             source = getattr(material, name)
@@ -146,14 +159,14 @@ class Materials:
 
     @cached_property
     def _table(self) -> Floats:
-        """(surfaces, 11): base and emitted colour, metallic, roughness, opacity, occlusion, mirror where constant."""
+        """(surfaces, 13): base and emitted colour, `_NUMBERS`, mirror; where they are constant."""
         rows = []
         for material, colored in zip(self._each, self._colored, strict=True):
             base = (1.0, 1.0, 1.0) if colored else _constant(material.diffuse_color, CLAY)
             emitted = _constant(material.emissive_color, (0.0, 0.0, 0.0))
             numbers = [_constant(getattr(material, name), default) for name, default in _NUMBERS.items()]
             rows.append((*base, *emitted, *numbers, ((material.ior - 1) / (material.ior + 1)) ** 2))
-        return np.array(rows, np.float32).reshape(-1, 11)
+        return np.array(rows, np.float32).reshape(-1, 13)
 
     @cached_property
     def _colored(self) -> BoolArray:

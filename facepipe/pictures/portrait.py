@@ -6,7 +6,8 @@ the box's nearest point to the mirror direction as the light (Karis 2013, "Real 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,7 @@ from facepipe.pictures.occlusion import Sky
 
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
 _BOUNCED = 0.06  # share of light that finds its way even where no sky is seen
+_COAT = 0.04  # share of light that a clear coat reflects at normal incidence
 _SCATTER = 0.7  # of the light that enters skin, in the channel that scatters farthest
 _CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
 
@@ -74,27 +76,46 @@ class Portrait:
     def light(self, samples: Samples) -> Lit:
         """The light of the dome and of all boxes."""
         shares = samples.carried * samples.inside[:, None]
+        shares[:, 0] = _BOUNCED + (1 - _BOUNCED) * shares[:, 0]
+        boxes = [
+            _row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
+            for number, box in enumerate(self.boxes)
+        ]
         view = _View(samples)
-        open_sky = _BOUNCED + (1 - _BOUNCED) * shares[:, :1]
+        diffuse, key_diffuse = (one * (1 - view.sheen) for one in self._diffuse(samples, shares[:, :1], boxes))
+        highlights, key_highlights = self._reflected(view, samples.up, shares[:, :1], boxes)
+        if samples.coat.any():
+            coat = _View(replace(samples, mirror=np.full_like(samples.mirror, _COAT), roughness=samples.coat_roughness))
+            amount = samples.coat[:, None]
+            for light in (diffuse, key_diffuse, highlights, key_highlights):
+                light *= 1 - amount * coat.sheen
+            dome, key = self._reflected(coat, samples.up, shares[:, :1], boxes)
+            highlights, key_highlights = highlights + amount * dome, key_highlights + amount * key
+        return Lit(diffuse=diffuse, highlights=highlights, key_diffuse=key_diffuse, key_highlights=key_highlights)
+
+    def _diffuse(
+        self, samples: Samples, open_sky: FloatArray, boxes: Sequence[FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(m, 3) diffuse light of all but the key, and of the key."""
         # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
         seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
-        up = samples.normals @ samples.up
-        diffuse = seen * self._dome(up * 2 / 3) * (1 - view.sheen)  # the mean over the cosine lobe of a linear dome
-        mirrored = view.mirrored @ samples.up
-        highlights = open_sky * self._dome(mirrored) * view.sheen
+        # The mean of a linear dome over the cosine lobe.
+        total = seen * self._dome(samples.normals @ samples.up * 2 / 3)
         creep = _creep(samples.base)
-        for number, box in enumerate(self.boxes):
-            light = _row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
+        each = []
+        for box, light in zip(self.boxes, boxes, strict=True):
             wrap = creep + 0.4 * box.spread
             cosine = (samples.normals @ box.axes[2])[:, None]
-            matt = light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2 * (1 - view.sheen)
-            glossy = view.reflection(box, light)
-            if number == 0:
-                key_diffuse, key_highlights = matt, glossy
-            else:
-                diffuse += matt
-                highlights += glossy
-        return Lit(diffuse=diffuse, highlights=highlights, key_diffuse=key_diffuse, key_highlights=key_highlights)
+            each.append(light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2)
+        return sum(each[1:], start=total), each[0]
+
+    def _reflected(
+        self, view: _View, up: FloatArray, open_sky: FloatArray, boxes: Sequence[FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(m, 3) what is reflected to the viewer of all but the key, and of the key."""
+        dome = open_sky * self._dome(view.mirrored @ up) * view.sheen
+        each = [view.reflection(box, light) for box, light in zip(self.boxes, boxes, strict=True)]
+        return sum(each[1:], start=dome), each[0]
 
     def tone(self, color: FloatArray) -> FloatArray:
         """Linear light as linear colours 0..1 of a screen: a film's toe and shoulder."""

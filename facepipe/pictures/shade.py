@@ -181,6 +181,8 @@ class Shader:
             roughness=surfaces.roughness,
             carried=self._carried(values, front, ids) * surfaces.occlusion[:, None],
             mirror=surfaces.mirror,
+            coat=surfaces.coat,
+            coat_roughness=surfaces.coat_roughness,
             inside=inside,
         )
 

@@ -20,6 +20,8 @@ _USD_NAMES = {
     "occlusion": "occlusion",
     "normal": "normal",
     "ior": "ior",
+    "clearcoat": "clearcoat",
+    "clearcoat_roughness": "clearcoatRoughness",
 }
 
 

@@ -42,6 +42,8 @@ def read_material(prim: Usd.Prim, name: str) -> Material | None:
         occlusion=_number(surface, "occlusion", 1.0),
         normal=_texture(surface, "normal"),
         ior=float(_value(surface, "ior", 1.5)),
+        clearcoat=_number(surface, "clearcoat", 0.0),
+        clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01),
         label=label(prim, name),
     )
 

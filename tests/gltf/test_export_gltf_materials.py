@@ -129,6 +129,15 @@ def test_roughness_alone_in_another_channel(writing: Writing) -> None:
     assert pbr(file)["metallicFactor"] == 0.5
 
 
+def test_a_clear_coat(writing: Writing) -> None:
+    rough = textured(picture("r.png", MASK), "b")
+    file, _ = writing(face(Material(name="lips", clearcoat=0.4, clearcoat_roughness=rough)))
+    coat = file.list("materials")[0]["extensions"]["KHR_materials_clearcoat"]
+    assert (coat["clearcoatFactor"], coat["clearcoatRoughnessFactor"]) == (0.4, 1.0)
+    assert (file.pixels(coat["clearcoatRoughnessTexture"])[..., 1] == MASK).all()
+    assert "clearcoatTexture" not in coat
+
+
 def test_emission_beyond_one_and_index_of_refraction(writing: Writing) -> None:
     file, _ = writing(face(Material(name="eye", emissive_color=(4.0, 2.0, 0.0), ior=1.376)))
     entry = file.list("materials")[0]

@@ -194,7 +194,11 @@ def odd_face() -> FaceParts:
         meters_per_unit=0.1,
         skeleton=replace(parts.skeleton, name="Bones", transform=np.diag([2.0, 2.0, 2.0, 1.0])),
         meshes=(shown, replace(teeth, transform=uneven @ np.diag([1.0, -1.0, 1.0, 1.0]))),
-        materials=(Material(name="skin"), Material(name="lips", ior=1.4), Material(name="spare")),
+        materials=(
+            Material(name="skin"),
+            Material(name="lips", ior=1.4, clearcoat=0.5, clearcoat_roughness=0.1),
+            Material(name="spare"),
+        ),
         animations=(
             Animation(
                 name="talk",

@@ -569,7 +569,15 @@ def textured(builder: Builder) -> None:
         "emissiveFactor": [0.1, 0.2, 0.3],
         "alphaMode": "MASK",
         "alphaCutoff": 0.3,
-        "extensions": {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
+        "extensions": {
+            "KHR_materials_ior": {"ior": 1.4},
+            "KHR_materials_emissive_strength": {"emissiveStrength": 2.0},
+            "KHR_materials_clearcoat": {
+                "clearcoatFactor": 0.6,
+                "clearcoatTexture": {"index": 1},
+                "clearcoatRoughnessFactor": 0.2,
+            },
+        },
     }
     builder.root["materials"] = [material | {"name": "skin"}]
     builder.root["meshes"][0]["primitives"][0]["material"] = 0
@@ -597,6 +605,8 @@ def test_material_inputs(tmp_path: Path) -> None:
     assert isinstance(skin.opacity, TextureInput)
     assert (skin.opacity.channels, skin.opacity.scale[3], skin.opacity_threshold) == ("a", 0.8, 0.3)
     assert skin.ior == 1.4
+    assert isinstance(skin.clearcoat, TextureInput)
+    assert (skin.clearcoat.channels, skin.clearcoat.scale[0], skin.clearcoat_roughness) == ("r", 0.6, 0.2)
 
 
 @pytest.mark.parametrize(("mode", "opacity"), [("OPAQUE", 1.0), ("BLEND", 0.25)])

@@ -44,6 +44,8 @@ def test_it_shines_as_the_lamps_of_pictures_do() -> None:
         roughness=np.full(len(normals), ROUGHNESS, np.float32),
         carried=whole[:, None],
         mirror=np.full((len(normals), 3), 0.04, np.float32),
+        coat=0 * whole,
+        coat_roughness=whole,
         inside=whole,
     )
     alone = Light(direction=DIRECTION, color=COLOR, highlight=SHINE)

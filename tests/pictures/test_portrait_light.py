@@ -21,7 +21,7 @@ DARK = Softbox(direction=(0.0, 0.0, 1.0), color=(0.0, 0.0, 0.0), size=(0.2, 0.2)
 FURNACE = Portrait(boxes=(DARK,), sky=WHITE, ground=WHITE)
 
 
-def samples(cosine: np.ndarray, base: float, roughness: float, metallic: bool = False) -> Samples:
+def samples(cosine: np.ndarray, base: float, roughness: float, metallic: bool = False, coat: float = 0.0) -> Samples:
     """Surfaces that face up, seen under angles of these cosines."""
     count = len(cosine)
     eye = np.stack([np.sqrt(1 - cosine**2), cosine, np.zeros(count)], axis=1)
@@ -34,6 +34,8 @@ def samples(cosine: np.ndarray, base: float, roughness: float, metallic: bool = 
         roughness=np.full(count, roughness, np.float32),
         carried=np.ones((count, 8), np.float32),
         mirror=mirror,
+        coat=np.full(count, coat, np.float32),
+        coat_roughness=np.full(count, 0.05, np.float32),
         inside=np.ones(count, np.float32),
     )
 
@@ -47,6 +49,15 @@ def test_a_white_surface_in_even_light_is_lost_in_it(roughness: float) -> None:
     assert leaving[cosine > 0.3].min() > 0.97
     metal = FURNACE.light(samples(cosine, 0.9, roughness, metallic=True))
     assert metal.highlights.max() <= 1.0 + 1e-5
+
+
+def test_a_clear_coat_shines_and_takes_light_from_what_it_covers() -> None:
+    cosine = np.linspace(0.1, 1, 40)
+    bare, coated = (FURNACE.light(samples(cosine, 0.3, 0.9, coat=coat)) for coat in (0.0, 1.0))
+    assert (coated.highlights > bare.highlights).all()
+    assert (coated.diffuse < bare.diffuse).all()
+    white = FURNACE.light(samples(cosine, 1.0, 0.9, coat=1.0))
+    assert (white.diffuse + white.highlights).max() <= 1.0 + 1e-5
 
 
 @pytest.mark.parametrize("roughness", [0.25, 0.5, 0.9])

@@ -27,6 +27,7 @@ SUPPORTED_EXTENSIONS = frozenset(
         EXTENSION,
         "KHR_mesh_quantization",
         "KHR_texture_transform",
+        "KHR_materials_clearcoat",
         "KHR_materials_ior",
         "KHR_materials_unlit",
         "KHR_materials_emissive_strength",

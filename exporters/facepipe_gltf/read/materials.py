@@ -24,7 +24,12 @@ _Four = tuple[float, float, float, float]
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
 _DEFAULT = "default_material"
-_IMPLEMENTED = {"KHR_materials_ior", "KHR_materials_unlit", "KHR_materials_emissive_strength"}
+_IMPLEMENTED = {
+    "KHR_materials_clearcoat",
+    "KHR_materials_ior",
+    "KHR_materials_unlit",
+    "KHR_materials_emissive_strength",
+}
 
 
 def material_names(document: Document) -> list[str]:
@@ -127,6 +132,7 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     opacity, threshold = _opacity(textures, value, surface, base[3])
     ior = _extension(value, "KHR_materials_ior")
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
+    coat = _extension(value, "KHR_materials_clearcoat") or empty
     own = given_name(value)
     return Material(
         name=name,
@@ -140,7 +146,20 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         occlusion=_occlusion(textures, value.get("occlusionTexture")),
         normal=_normal(textures, value.get("normalTexture")),
         ior=1.5 if ior is None else _factor(ior, "ior", 1.5),
+        **_clearcoat(textures, coat),
     )
+
+
+def _clearcoat(textures: _Textures, coat: Value) -> dict[str, float | TextureInput]:
+    """Nothing where there is none: its roughness doesn't count then."""
+    factor = _factor(coat, "clearcoatFactor", 0.0)
+    if factor == 0:
+        return {}
+    rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
+    return {
+        "clearcoat": _scalar(textures, coat.get("clearcoatTexture"), "r", factor),
+        "clearcoat_roughness": _scalar(textures, coat.get("clearcoatRoughnessTexture"), "g", rough),
+    }
 
 
 def _color(textures: _Textures, reference: Value | None, factor: tuple[float, ...]) -> Color | TextureInput:

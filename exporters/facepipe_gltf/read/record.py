@@ -97,6 +97,8 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
     points = np.zeros((record.point_count, 3), np.float32)
     points[numbers] = points_back(record.matrix, read.points)
     if record.loose_points is not None and record.loose_positions is not None:
+        if np.shape(record.loose_positions) != (len(record.loose_points), 3):
+            raise _misfit(f"places of the points of {husk.name} that no face uses are not three numbers each")
         points[record.loose_points] = record.loose_positions
     if record.steps is not None:
         if np.shape(record.steps) != points.shape:

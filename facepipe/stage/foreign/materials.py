@@ -20,6 +20,8 @@ _READ = {
     "occlusion",
     "normal",
     "ior",
+    "clearcoat",
+    "clearcoatRoughness",
     "useSpecularWorkflow",  # named apart
 }
 
