@@ -17,7 +17,7 @@ from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
 from facepipe.processors.lod.wedges import mesh_of, wedges_of
 from facepipe.rig import Rig
 
-_LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin
+_LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin, where no materials meet on it
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
 
 
@@ -36,6 +36,8 @@ class Surface:
         self._simplify = Simplifier()
         self._motion = motion_of(rig, MOST_ATTRIBUTES)[self._point]
         rims = np.setdiff1d(self._rims(), self.triangles[self.is_skin])
+        with_rims = np.isin(np.arange(len(meshes)), np.searchsorted(firsts, rims, side="right") - 1)
+        self._least = np.where(with_rims, 1.0, _LEAST)  # by mesh
         stay = np.concatenate([self._marks, strongest(rig), even_points(rig.points, self.triangles, rims)])
         self._fixed = np.isin(self._point, stay)
 
@@ -73,10 +75,10 @@ class Surface:
         return np.concatenate([of_skin, self._others(min(count - for_skin, others), above[~self._on_skin(above)])])
 
     def _others(self, most: int, above: IntArray) -> IntArray:
-        """What is not skin, by errors; but each mesh has at least half of what its share of the triangles would be."""
+        """What is not skin, by errors; but each mesh has at least half of its share by triangles, eyes the whole."""
         mesh, chosen, apart = self._mesh(self._triangles), ~self.is_skin, list[IntArray]()
         sizes = np.bincount(mesh[chosen], minlength=len(self._wedges))
-        least = np.ceil(_LEAST * most * sizes / max(sizes.sum(), 1)).astype(int).tolist()
+        least = np.ceil(self._least * most * sizes / max(sizes.sum(), 1)).astype(int).tolist()
         while True:
             found = self._simplified(chosen, most)
             short = np.flatnonzero(np.bincount(self._mesh(found), minlength=len(sizes)) < least)
