@@ -60,7 +60,7 @@ def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     """Cards on a head, moved by its shapes and joints, all in one region, with the material of their name."""
     counts, indices = _faces(held.grid)
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
-    normals = point_normals(head.points, triangles)
+    normals = held.carry(point_normals(head.points, triangles))
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
     return Mesh(
@@ -68,7 +68,7 @@ def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         points=held.carry(head.points) + held.offsets,
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        normals=_unit(held.carry(normals)),
+        normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
         uv_sets=(UvSet(values=held.uv),),
         skin=None if head.skin is None else _skin(held, head.skin),
         blendshapes=tuple(shape for shape in shapes if shape is not None),
@@ -103,15 +103,11 @@ def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray
     moved = np.flatnonzero(np.max([np.abs(move).max(axis=1) for move in (full, *moves.values())], axis=0) > _STILL)
     if not len(moved):
         return None
-    return replace(
-        shape,
-        point_indices=moved.astype(np.int32),
-        offsets=full[moved],
-        normal_offsets=None,
-        inbetweens=tuple(
-            Inbetween(name=one.name, weight=one.weight, offsets=moves[one.weight][moved]) for one in shape.inbetweens
-        ),
+    inbetweens = (
+        Inbetween(name=one.name, weight=one.weight, offsets=moves[one.weight][moved]) for one in shape.inbetweens
     )
+    indices, between = moved.astype(np.int32), tuple(inbetweens)
+    return replace(shape, point_indices=indices, offsets=full[moved], normal_offsets=None, inbetweens=between)
 
 
 def _lift(held: Cards, points: FloatArray, skin: FloatArray, triangles: IntArray) -> FloatArray:
@@ -135,7 +131,3 @@ def _skin(held: Cards, skin: Skin) -> Skin:
     weights = np.take_along_axis(dense, strongest, axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     return replace(skin, joint_indices=np.where(weights > 0, strongest, 0).astype(np.int32), joint_weights=weights)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -26,13 +26,10 @@ def to_bytes(values: FloatArray) -> Any:
     return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def texture(name: str, pixels: Any) -> Texture:
-    """An image file of bytes (h, w, 3 or 4): PNG, or JPEG where `name` ends so."""
+def jpeg(name: str, pixels: Any) -> Texture:
+    """An image file of bytes (h, w, 3)."""
     from PIL import Image
 
     stream = BytesIO()
-    if name.endswith(".jpg"):
-        Image.fromarray(pixels).save(stream, format="JPEG", quality=90, subsampling=0)
-    else:
-        Image.fromarray(pixels).save(stream, format="PNG", compress_level=6)
-    return Texture(name=name, data=stream.getvalue())
+    Image.fromarray(pixels).save(stream, format="JPEG", quality=90, subsampling=0)
+    return Texture(name=f"{name}.jpg", data=stream.getvalue())

@@ -125,8 +125,7 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
     rough += 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
     wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
     rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
-    occlusion = m["open"] ** 0.7
-    return np.asarray(enlarged(to_bytes(np.stack([occlusion, rough, np.zeros_like(rough)], axis=-1)), size))
+    return np.asarray(enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
 
 
 def relief(look: Look, tile: int, size: int) -> FloatArray:

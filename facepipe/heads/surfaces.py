@@ -13,7 +13,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.heads import cards, skin
 from facepipe.heads.look import IRIS, STYLES, Look
-from facepipe.heads.pixels import texture
+from facepipe.heads.pixels import jpeg
 from facepipe.parts import Color, FaceParts, Material, Mesh, Texture, TextureInput
 
 SMALLEST = 16  # texels a side
@@ -55,11 +55,12 @@ def _point_colors(look: Look, head: Mesh) -> FloatArray:
 
 def _skin(look: Look, size: int, tile: int) -> Material:
     stem = f"skin_{skin.TILES[tile]}"
-    packed = texture(f"{stem}_orm.jpg", skin.roughness(look, tile, size // 2))
-    relief = texture(f"{stem}_normal.jpg", skin.relief(look, tile, size))
+    color = jpeg(stem, skin.albedo(look, tile, size))
+    packed = jpeg(f"{stem}_orm", skin.roughness(look, tile, size // 2))
+    relief = jpeg(f"{stem}_normal", skin.relief(look, tile, size))
     return Material(
         name=SKIN[tile],
-        diffuse_color=TextureInput(texture=texture(f"{stem}.jpg", skin.albedo(look, tile, size))),
+        diffuse_color=TextureInput(texture=color),
         roughness=TextureInput(texture=packed, channels="g"),
         occlusion=TextureInput(texture=packed, channels="r"),
         normal=TextureInput(texture=relief, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)),
@@ -90,32 +91,22 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
 
 
 def _hairs(look: Look) -> list[Material]:
-    hair, skin_level = look.hair_color, look.skin.mean()
-    brows = (
-        0.8 * hair * min(1.0, 0.12 / hair.max(), 0.6 * skin_level / hair.mean()) + 0.05 * look.skin
-    )  # below its skin's
-    rows = [
-        ("Brows", f"brows{int(np.clip(3 * look.brows, 0, 2))}.png", brows, 0.0),
-        ("Lashes", "lashes.png", _LASHES, 0.0),
-    ]
-    picture = STYLES[look.style][1]
-    if picture:
-        rows.append(("Hair", picture, hair, 0.5))
-    found = []
-    for name, picture, color, cut in rows:
-        image = _picture(picture)
-        red, green, blue = np.minimum(color / _GREY, 1.0).tolist()
-        found.append(
-            Material(
-                name=name,
-                diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0), wrap_t="clamp"),
-                opacity=TextureInput(texture=image, channels="a", wrap_t="clamp"),  # roots don't show at the tips
-                opacity_threshold=cut,
-                roughness=0.9 if picture == "coils.png" else 0.6,
-                ior=1.35,  # the sides of cards would mirror more than hairs do
-            )
-        )
-    return found
+    hair, picture = look.hair_color, STYLES[look.style][1]
+    dark = min(1.0, 0.12 / hair.max(), 0.6 * look.skin.mean() / hair.mean())  # brows are darker than the skin
+    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
+    found = [_hair("Brows", brows, 0.8 * dark * hair + 0.05 * look.skin), _hair("Lashes", "lashes.png", _LASHES)]
+    return [*found, replace(_hair("Hair", picture, hair), opacity_threshold=0.5)] if picture else found
+
+
+def _hair(name: str, picture: str, color: FloatArray) -> Material:
+    image, (red, green, blue) = _picture(picture), np.minimum(color / _GREY, 1.0).tolist()
+    return Material(
+        name=name,
+        diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
+        opacity=TextureInput(texture=image, channels="a"),
+        roughness=0.9 if picture == "coils.png" else 0.6,
+        ior=1.35,  # the sides of cards would mirror more than hairs do
+    )
 
 
 def _picture(name: str) -> Texture:
