@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 from recovery_landmarks import SCHEME, FaceLandmarks
-from recovery_targets import EXPRESSION_GROUP, RecoveryTarget, posed
+from recovery_targets import EXPRESSION_GROUPS, RecoveryTarget, posed
 
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts, Slider
@@ -98,7 +98,7 @@ def slider_reach(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> dic
     return {
         one.name: float(np.linalg.norm(head(one.name, one.maximum) - head(one.name, one.minimum), axis=1).max())
         for one in parts.sliders
-        if one.group != EXPRESSION_GROUP
+        if one.group not in EXPRESSION_GROUPS
     }
 
 

@@ -1,7 +1,7 @@
 """Portraits of known people: what a fit is given, and what it should find.
 
-Every person is the built-in sample face with other sliders: 30 of its 45 bone sliders have values drawn evenly from
-their range, the others and those of expressions keep their defaults. `facepipe.pictures` draws them, which
+Every person is the built-in sample face with other sliders: 30 of the 58 that a fit may move have values drawn evenly
+from their range, the others and those of expressions keep their defaults. `facepipe.pictures` draws them, which
 shares no code with the renderer of the fit: lamps with shadows, highlights and soft shade instead of spherical
 harmonics, skin and hair in other colours, backgrounds plain to cluttered.
 """
@@ -18,6 +18,7 @@ from recovery_landmarks import FaceLandmarks
 from recovery_looks import camera_of, random_backdrop, random_pose, random_studio, recolored
 
 from facepipe.heads import make
+from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera
@@ -26,8 +27,8 @@ from facepipe.rig import Rig, build, slide
 FloatArray = npt.NDArray[np.floating]
 
 ACTIVE = 30  # sliders that are not at their default
+EXPRESSION_GROUPS = ("expression", "visemes")
 SAMPLES = 3  # of a pixel in each direction
-EXPRESSION_GROUP = "expression"
 # A person makes one of the faces of each place; both sides together or, where there are two, one of them.
 PLACES: tuple[tuple[str, ...], ...] = (
     ("browDown*", "browOuterUp*", "browInnerUp"),
@@ -123,7 +124,7 @@ def posed(parts: FaceParts, rig: Rig, sliders: Mapping[str, float], expressions:
 def random_sliders(parts: FaceParts, rng: np.random.Generator) -> dict[str, float]:
     """A value of every slider: `ACTIVE` of those of a person drawn from their ranges, the others at their defaults."""
     values = {slider.name: slider.default for slider in parts.sliders}
-    own = [slider for slider in parts.sliders if slider.group != EXPRESSION_GROUP]
+    own = Subject.of(parts).free_sliders
     for index in rng.permutation(len(own))[:ACTIVE]:
         values[own[index].name] = float(rng.uniform(own[index].minimum, own[index].maximum))
     return values
