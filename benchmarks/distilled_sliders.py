@@ -91,7 +91,7 @@ def main() -> None:
 
 def faces(data: Path) -> dict[str, FaceParts]:
     """The faces by name."""
-    sample = make(0)
+    sample = make(0, controls="bones")
     found = {"sample": sample}
     file = data / "makehuman" / "makehuman_head.npz"
     if file.is_file():

@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--mitsuba-spp", type=positive, nargs="+", default=[4, 16], metavar="N", help=spp)
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
-    parts = make(0)
+    parts = make(0, controls="bones")
     model = FaceModel(parts)
     calls = steps(parts, model, arguments.size)
     rows: list[dict[str, Any]] = []

@@ -110,7 +110,7 @@ class PhotoScene:
 
 def photo_scene(size: int, *, dtype: torch.dtype = torch.float32) -> PhotoScene:
     """The sample at rest, seen at an angle."""
-    parts = make(0)
+    parts = make(0, controls="bones")
     model = FaceModel(parts, dtype=dtype)
     points = model.rig().detach()
     own = portrait(points.double().numpy(), (YAW, PITCH), Frame(width=size, height=size))

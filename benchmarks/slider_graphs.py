@@ -44,7 +44,7 @@ class SliderRow:
 
 def slider_rows(makehuman: FaceParts | None, runs: int, other: np.ndarray[Any, Any]) -> list[SliderRow]:
     """The figures of all faces; `other` is read before each cold evaluation."""
-    faces = {"sample": make(0)}
+    faces = {"sample": make(0, controls="bones")}
     if makehuman is not None:
         names = makehuman.skeleton.joints
         faces["makehuman head"] = driven(makehuman, [name for name in names if "/head" in name])

@@ -26,6 +26,8 @@ from facepipe.rig import build
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
+_TEXTURES = 16  # texels: brows and lashes come with textures, which are not looked at here
+
 SKIN, EYE, TEETH, MOUTH, SOCKET, STRANDS, BROW, CLOTH = range(8)  # what a triangle shows
 
 # Shapes that seldom show alone; expressions are drawn from groups that go together.
@@ -192,13 +194,11 @@ class IctSubject:
 class SampleSource:
     """Persons of the built-in sample: one seed's head under random sliders."""
 
-    _EXPRESSIVE = ("eyeOpenLeft", "eyeOpenRight", "mouthCornerLeft", "mouthCornerRight", "smile", "frown", "blink")
-    _EXPRESSIVE += ("mouthOpen",)
-
     def __init__(self, seed: int, frame: Topology) -> None:
         """:param frame: ICT-FaceKit's, for the common frame"""
-        parts = make(seed)
+        parts = make(seed, textures=_TEXTURES, controls="bones")
         rig = build(parts)
+        self.expressive = np.array([bool(one.shapes) for one in parts.sliders])
         self.rig = DifferentiableRig(rig, parts.sliders)
         self.names = self.rig.sliders.names
         triangles, kinds = _pieces(parts)
@@ -230,7 +230,7 @@ class SampleSubject:
 
     def __init__(self, source: SampleSource, values: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
         self.topology = source.topology
-        expressive = np.isin(source.names, SampleSource._EXPRESSIVE)
+        expressive = source.expressive
         defaults = source.rig.sliders.default.numpy()
         self._values = np.where(expressive, defaults, values)
         self.attributes = np.where(expressive, np.nan, (self._values - lower) / (upper - lower))
@@ -250,18 +250,18 @@ class SampleSubject:
 
 def sample_attribute_names() -> tuple[str, ...]:
     """The sliders of the sample."""
-    return tuple(slider.name for slider in make(0).sliders)
+    return tuple(slider.name for slider in make(0, controls="bones").sliders)
 
 
 def _pieces(parts: FaceParts) -> tuple[IntArray, IntArray]:
     """Triangles of all meshes but the hair, and what each shows."""
-    kinds = {"Head": SKIN, "Tongue": MOUTH, "Brows": BROW, "Lashes": STRANDS}
+    kinds = {"Head": SKIN, "GumsAndTongue": MOUTH, "Teeth": TEETH, "Brows": BROW, "Lashes": STRANDS}
     triangles: list[IntArray] = []
     shown: list[IntArray] = []
     first = 0
     for mesh in parts.meshes:
         corners, _ = triangulate(mesh.face_vertex_counts)
-        kind = TEETH if mesh.name.startswith("Teeth") else EYE if mesh.name.startswith("Eye") else kinds.get(mesh.name)
+        kind = EYE if mesh.name.startswith("Eye") else kinds.get(mesh.name)
         if kind is not None:
             triangles.append(np.asarray(mesh.face_vertex_indices, np.int64)[corners] + first)
             shown.append(np.full(len(corners), kind))
