@@ -16,6 +16,7 @@ from facepipe.heads.eye_fit import Shapes, fit_eyes
 from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
 from facepipe.heads.joints import bone_limits, skeleton
 from facepipe.heads.motions import TALK, animations
+from facepipe.heads.mouth_fit import fit_mouth
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import (
@@ -56,7 +57,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
     """
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
-    points, shapes = fit_eyes(points, head.shapes)
+    points, shapes = fit_eyes(fit_mouth(points), head.shapes)
     if controls == "measures":
         shapes = {**shapes, **identity_shapes()}
     return FaceParts(

@@ -1,0 +1,52 @@
+"""The mouth's inside stays behind the skin of drawn people."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from facepipe.core.arrays import FloatArray
+from facepipe.geometry.polygons import point_triangles
+from facepipe.heads.asset import asset
+from facepipe.heads.mouth_fit import fit_mouth
+from facepipe.heads.people import draw
+
+SKIN, INSIDE = 9409, slice(11248, 13294)  # points of the face, and of the mouth's inside
+
+
+def drawn(seed: int) -> FloatArray:
+    return asset().points + np.tensordot(draw(seed).identity.astype(np.float32), asset().modes, axes=1)
+
+
+def before_the_skin(points: FloatArray) -> int:
+    """Points of the mouth's inside, deep in the average head, that no skin hides from the front.
+
+    Those between the lips may be seen.
+    """
+    lips = points[asset().landmarks[60:], 1]
+    triangles = point_triangles(asset().counts, asset().indices)
+    a, b, c = (points[triangles[(triangles < SKIN).all(axis=1)][:, corner]] for corner in range(3))
+    count = 0
+    for point in points[INSIDE][asset().points[INSIDE, 2] < 11.0]:
+        across = [
+            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+            for u, v in ((b - point, c - point), (c - point, a - point), (a - point, b - point))
+        ]
+        shares = np.stack(across)
+        over = ((shares >= 0).all(axis=0) | (shares <= 0).all(axis=0)) & (shares.sum(axis=0) != 0)
+        depths = (shares * np.stack([a[:, 2], b[:, 2], c[:, 2]]))[:, over].sum(axis=0) / shares[:, over].sum(axis=0)
+        count += not (depths > point[2]).any() and not lips.min() < point[1] < lips.max()
+    return count
+
+
+def test_the_inside_of_a_mouth_is_behind_the_skin() -> None:
+    points = drawn(21)
+    assert before_the_skin(points) > before_the_skin(fit_mouth(points)) == before_the_skin(asset().points) == 0
+
+
+@pytest.mark.parametrize("seed", [1, 21])
+def test_nothing_else_moves_and_the_average_head_stays(seed: int) -> None:
+    points = drawn(seed)
+    moved = np.flatnonzero((fit_mouth(points) != points).any(axis=1))
+    assert ((moved >= INSIDE.start) & (moved < INSIDE.stop)).all()
+    np.testing.assert_array_equal(fit_mouth(asset().points), asset().points)
