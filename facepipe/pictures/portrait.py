@@ -16,6 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.pictures.lighting import GREY, Color, Lit, Samples
 from facepipe.pictures.occlusion import Sky
 
+_LEAST_FACING = 0.05  # cosine between a normal and the direction to the viewer
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
 _BOUNCED = 0.06  # share of light that finds its way even where no sky is seen
 _COAT = 0.04  # share of light that a clear coat reflects at normal incidence
@@ -130,11 +131,13 @@ class _View:
     """Samples as their viewer sees them."""
 
     def __init__(self, samples: Samples) -> None:
-        self.normals, self.towards_eye, self.mirror = samples.normals, samples.towards_eye, samples.mirror
+        self.towards_eye, self.mirror = samples.towards_eye, samples.mirror
+        # At outlines smooth normals turn away from the viewer, who sees no such surface.
+        away = np.maximum(_LEAST_FACING - _dot(samples.normals, samples.towards_eye), 0)
+        self.normals = _unit(samples.normals + away[:, None] * samples.towards_eye)
         self.alpha = np.maximum(samples.roughness**2, _LEAST_ALPHA)
-        facing = _dot(self.normals, self.towards_eye)
-        self.facing = np.maximum(facing, 0.05)
-        self.mirrored = 2 * facing[:, None] * self.normals - self.towards_eye
+        self.facing = np.maximum(_dot(self.normals, self.towards_eye), _LEAST_FACING)
+        self.mirrored = 2 * self.facing[:, None] * self.normals - self.towards_eye
         self.sheen = _sheen(self.mirror, samples.roughness, self.facing)
 
     def reflection(self, box: Softbox, light: FloatArray) -> FloatArray:
