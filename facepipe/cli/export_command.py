@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     known = suffix.lower().removeprefix(".") in registry.suffixes()
     for name in [suffix] if known else [f".{one}" for one in registry.suffixes() if one != "gltf"]:
         add_options(parser, registry.exporter(f"out{name}").Options, f"options of {name}")
-    add_rename(parser)
+    add_rename(parser, words)
     rig = "neural rig (.fpnr) whose controls are the sliders of FACE; a .onnx is the graph of its controls"
     parser.add_argument("--neural", type=Path, metavar="RIG", help=rig)
     add_options(parser, AttachOptions, "options of --neural", sparse=True)

@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("kind", choices=kinds(), metavar="KIND", help=" ".join(kinds()))
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file or folder to read")
     add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
-    add_rename(parser)
+    add_rename(parser, words)
     named = [word for word in words if not word.startswith("-") and word in kinds()][:1]
     for kind in named or kinds():
         add_options(parser, options_of(kind), f"options of {kind}")

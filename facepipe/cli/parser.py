@@ -210,13 +210,16 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
     return picture
 
 
-def add_rename(parser: argparse.ArgumentParser) -> None:
-    """`--rename NAMES|FILE`."""
-    from facepipe.rig.conventions import CONVENTIONS
+def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
+    """`--rename NAMES|FILE`; what conventions there are is loaded for --help alone."""
+    kinds = ""
+    if {"-h", "--help"} & {*words}:
+        from facepipe.rig.conventions import CONVENTIONS
 
+        kinds = " ".join(CONVENTIONS)
     parser.add_argument(
         "--rename",
         metavar="NAMES",
-        help=f"other names of shapes, in clips and sliders too: {' '.join(CONVENTIONS)}; or a table of shapes and "
-        "joints, a .json ({old: new}) or .csv (old,new)",
+        help=f"other names of shapes, in clips and sliders too: {kinds}; or a table of shapes and joints, a .json "
+        "({old: new}) or .csv (old,new)",
     )
