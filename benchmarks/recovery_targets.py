@@ -1,6 +1,6 @@
 """Portraits of known people: what a fit is given, and what it should find.
 
-Every person is the built-in sample face with other sliders: 30 of the 58 that a fit may move have values drawn evenly
+Every person is the built-in sample face with other sliders: 30 of the 57 that a fit may move have values drawn evenly
 from their range, the others and those of expressions keep their defaults. `facepipe.pictures` draws them, which
 shares no code with the renderer of the fit: lamps with shadows, highlights and soft shade instead of spherical
 harmonics, skin and hair in other colours, backgrounds plain to cluttered.

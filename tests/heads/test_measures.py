@@ -13,10 +13,13 @@ import measures
 from directions import REACH
 from masks import masks
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.similarity import fit_similarity
+from facepipe.heads import make
 from facepipe.heads.asset import arrays, asset
 from facepipe.heads.directions import directions
 from facepipe.heads.identity_sliders import identity_sliders
+from facepipe.stage import Face
 
 MM = 10.0  # of a centimetre
 
@@ -59,6 +62,26 @@ def test_directions_are_symmetric_and_their_halves_add_up() -> None:
             left, right = one.shapes
             assert np.abs(left.offsets + right.offsets - one.offsets).max() < 0.0021, one.name
             assert not left.offsets[points[:, 0] < -1.01].any()
+
+
+def test_eyeballs_go_along_as_a_whole() -> None:
+    face = Face.from_parts(make(0))
+    rest, names = face.evaluate(), [mesh.name for mesh in face.parts().meshes]
+    ends = np.cumsum([0, *(len(mesh.points) for mesh in face.parts().meshes)])
+    for name in ("eyeSpacing", "eyeHeight", "eyeWidth", "headWidth"):
+        moved = face.evaluate(sliders={name: 1.0})
+        for side in ("Left", "Right"):
+            ball = slice(*ends[names.index(f"Eyeball{side}") :][:2])
+            fit = fit_similarity(rest[ball], moved[ball])
+            assert np.abs(fit.apply(rest[ball]) - moved[ball]).max() < 1e-4, name
+            assert np.abs(fit.rotation - np.eye(3)).max() < 1e-4, name
+            margins = [one[ball].mean(axis=0) - one[: ends[1]][lids(side)].mean(axis=0) for one in (rest, moved)]
+            assert np.linalg.norm(margins[1] - margins[0]) < 0.15, name  # cm
+
+
+def lids(side: str) -> IntArray:
+    """The landmarks around an eye."""
+    return np.asarray(asset().landmarks[42:48] if side == "Left" else asset().landmarks[36:42])
 
 
 def test_masks_sum_to_one() -> None:
