@@ -68,7 +68,8 @@ def main() -> None:
     for pictures in (strokes, eyes):
         pictures.main(out)
     mouth.main(arguments.data, out)
-    shutil.copyfile(Path(__file__).parent / "mixes.json", out / "mixes.json")
+    for table in ("mixes.json", "bone_sliders.json"):
+        shutil.copyfile(Path(__file__).parent / table, out / table)
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)
     for path in sorted(out.iterdir()):
