@@ -28,8 +28,8 @@ from agreement import (
 )
 from facepipe_gltf.engines import ENGINES, renamed
 from node import three_load
-from procedural_head import make
 
+from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.rig import coefficient_matrices
 
@@ -39,7 +39,10 @@ def judged(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     name = request.param
     if name in SOURCES and not SOURCES[name].exists():
         pytest.skip(f"needs {SOURCES[name].name} in ../shared/data")
-    parts = load(name, SOURCES[name], OPTIONS.get(name)).parts if name in SOURCES else make(0)
+    if name in SOURCES:
+        parts = load(name, SOURCES[name], OPTIONS.get(name)).parts
+    else:
+        parts = make(3, textures=16, controls="bones")
     folder = tmp_path_factory.mktemp(name)
     face = saved(limited(parts, INFLUENCES), folder / "face.usdc")
     poses = poses_of(face)
