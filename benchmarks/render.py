@@ -55,15 +55,11 @@ def measure(data: Path, runs: int) -> Json:
 
 
 def _stages(data: Path, folder: Path, reasons: list[str]) -> dict[str, Path]:
-    import facepipe
-    from facepipe import importers
-    from facepipe.stage import save_parts
-
     stages = {"head in the box": folder / "head.usdc"}
-    facepipe.sample(stages["head in the box"])
+    run_child(sys.executable, _CHILD, "sample", stages["head in the box"], folder / "report.json")
     if (data / _ICT).is_file():
         stages["ICT-FaceKit"] = folder / "ict.usdc"
-        save_parts(importers.load("ict", data / _ICT).parts, stages["ICT-FaceKit"])
+        run_child(sys.executable, _CHILD, "ict", data / _ICT, stages["ICT-FaceKit"], folder / "report.json")
     else:
         reasons.append(f"ICT-FaceKit: {data / _ICT} is not there")
     return stages

@@ -1,9 +1,11 @@
 """Child of render.py: one side's times and memory on one face.
 
-usage: render_side.py picture|facepipe|embreex STAGE REPORT
+usage: render_side.py sample STAGE REPORT
+       render_side.py ict SOURCE STAGE REPORT
+       render_side.py picture|facepipe|embreex STAGE REPORT
 
-`picture` draws the face; the other two do the same work for its front view: what is seen in 9 samples a pixel, and
-which of 24 directions of the sky each point sees.
+The first two make stages. `picture` draws the face; the other two do the same work for its front view: what is seen in
+9 samples a pixel, and which of 24 directions of the sky each point sees.
 """
 
 from __future__ import annotations
@@ -18,6 +20,23 @@ import numpy as np
 from children import Json, peak_memory, write_report
 
 SIZE, SAMPLES = 800, 3
+
+
+def sample(stage: str) -> Json:
+    """The head in the box."""
+    import facepipe
+
+    facepipe.sample(stage)
+    return {}
+
+
+def ict(source: str, stage: str) -> Json:
+    """ICT-FaceKit."""
+    from facepipe import importers
+    from facepipe.stage import save_parts
+
+    save_parts(importers.load("ict", source).parts, stage)
+    return {}
 
 
 def picture(stage: str) -> Json:
@@ -118,5 +137,6 @@ def _summary(name: str, times: list[tuple[float, float]]) -> Json:
 
 
 if __name__ == "__main__":
-    what, stage, report = sys.argv[1:]
-    write_report(report, {"picture": picture, "facepipe": facepipe, "embreex": embreex}[what](stage))
+    what, *arguments, report = sys.argv[1:]
+    sides = {one.__name__: one for one in (sample, ict, picture, facepipe, embreex)}
+    write_report(report, sides[what](*arguments))

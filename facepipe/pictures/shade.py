@@ -22,7 +22,7 @@ from facepipe.pictures.rasterise import barycentrics, interpolated
 from facepipe.pictures.scene import Scene, Surface
 
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets
-CHUNK = 32_000  # samples shaded at once
+CHUNK = 20_000  # samples shaded at once
 _PATTERN = np.array([0.06711056, 0.00583715]), 52.9829189  # interleaved gradient noise (Jimenez 2014)
 
 
