@@ -22,9 +22,9 @@ _SHADE = np.array([0.75, 0.95, 1.0])
 _FLESH = np.array([0.36, 0.12, 0.10])
 
 
-def masks(tile: int) -> dict[str, FloatArray]:
-    """Kinds of skin by name, (512, 512) of 0..1, top row first."""
-    values = arrays("skin_maps")[f"{TILES[tile]}_masks"].astype(np.float32) / 255
+def masks(tile: int, step: int = 1) -> dict[str, FloatArray]:
+    """Kinds of skin by name, (512, 512) of 0..1, top row first, or every `step`-th of them."""
+    values = arrays("skin_maps")[f"{TILES[tile]}_masks"][::step, ::step].astype(np.float32) / 255
     return {str(name): values[..., i] for i, name in enumerate(arrays("skin_maps")["names"])}
 
 
@@ -32,18 +32,19 @@ def _places(tile: int) -> FloatArray:
     return arrays("skin_maps")[f"{TILES[tile]}_places"].astype(np.float32)
 
 
-def _noise(look: Look, tile: int, wavelength: float, number: int) -> FloatArray:
-    """(512, 512) smooth noise of unit variance over space."""
+def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1) -> FloatArray:
+    """(512 / step, 512 / step) smooth noise of unit variance over space."""
     lattice = np.random.default_rng((look.seed, number)).standard_normal((24, 24, 24)).astype(np.float32)
-    at = np.moveaxis(_places(tile), -1, 0) / wavelength
+    skipped = max(step // 2, 1)  # places are known at every second texel
+    at = np.moveaxis(_places(tile)[::skipped, ::skipped], -1, 0) / wavelength
     values = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
-    return np.asarray(enlarged(values, 512) / 0.5)
+    return np.asarray(enlarged(values, 512 // step) / 0.5)
 
 
-def coarse(look: Look, tile: int) -> FloatArray:
-    """(512, 512, 3) linear colour without grain."""
-    m, scalp = masks(tile), STYLES[look.style][0]
-    broad, middle, patch = (_noise(look, tile, size, i) for i, size in enumerate((3.2, 1.1, 0.55)))
+def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
+    """(512 / step, 512 / step, 3) linear colour without grain."""
+    m, scalp = masks(tile, step), STYLES[look.style][0]
+    broad, middle, patch = (_noise(look, tile, size, i, step) for i, size in enumerate((3.2, 1.1, 0.55)))
     light = 1 - 0.6 * look.darkness
     warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
     blood = (0.25 + 0.75 * look.redness) * warm + 0.05 * middle + 0.045 * patch + 0.03 * broad

@@ -18,6 +18,7 @@ from facepipe.parts import Color, FaceParts, Material, Mesh, Texture, TextureInp
 
 SMALLEST = 16  # texels a side
 SKIN = ("M_Face", "M_BackHead")  # of the skin's tiles
+_STEP = 4  # texels from one point of the head to the next
 _GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
 
@@ -48,7 +49,7 @@ def _point_colors(look: Look, head: Mesh) -> FloatArray:
     """(n, 3) linear colours of the head's points."""
     uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
     uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
-    tiles = np.stack([skin.coarse(look, tile) for tile in range(len(SKIN))])
+    tiles = np.stack([skin.coarse(look, tile, _STEP) for tile in range(len(SKIN))])
     tile, size = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
     return np.asarray(tiles[tile, ((1 - uv[:, 1]) * size).astype(int), ((uv[:, 0] - tile) * size).astype(int)])
 
