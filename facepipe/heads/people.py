@@ -21,6 +21,7 @@ MODES = 100
 TONES = 10  # of Monk's scale
 _FARTHEST = 2.5  # standard deviations of a mode's weight
 _YOUNG, _OLD = 18.0, 80.0  # years
+_FEWER_OLD = 1.6  # the exponent of an even draw between the two
 _STEP = 1 / 2048  # of packed weights
 
 _LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
@@ -70,7 +71,7 @@ def draw(seed: int) -> Person:
     random = np.random.Generator(np.random.PCG64(seed))
     male = bool(random.random() < 0.5)
     sex = float((1.0 if male else -1.0) * np.clip(random.normal(0.9, 0.35), 0.0, 1.6))
-    years = float(random.uniform(_YOUNG, _OLD))
+    years = float(_YOUNG + (_OLD - _YOUNG) * random.random() ** _FEWER_OLD)
     weights = np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
     return Person(identity=_typical(weights, sex, years), sex=sex, years=years, look=_look(random, seed, sex, years))
 
