@@ -21,7 +21,6 @@ from children import Json, run_child
 
 _HERE = Path(__file__).resolve().parent
 _CHILD = _HERE / "facepipe_blend.py"
-_SAMPLES = _HERE.parent / "samples"
 OURS = "cholespy"
 PEER = "splu"
 RECORDED = "splu-default"  # for the record: what `splu(matrix)` gives without options
@@ -56,7 +55,7 @@ def measure(data: Path, runs: int) -> Json:
     :raises ChildError: a side fails
     """
     ict = data / "ict_facekit" / "ict_facekit.npz"
-    found = ("ICT-FaceKit", "ict", ict) if ict.is_file() else ("samples", "sample", _SAMPLES)
+    found = ("ICT-FaceKit", "ict", ict) if ict.is_file() else ("samples", "sample", _HERE)
     with tempfile.TemporaryDirectory(prefix="facepipe-benchmark-") as folder:
         face = _face(*found, Path(folder), runs)
     return {

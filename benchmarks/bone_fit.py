@@ -22,7 +22,6 @@ from children import Json, run_child
 
 _HERE = Path(__file__).resolve().parent
 _CHILD = _HERE / "facepipe_bone_fit.py"
-_SAMPLES = _HERE.parent / "samples"
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _SOFT = {"dem-bones": "0", "dem-bones-default": "10"}  # its constraint of translations: none fits best
 _OWN = ("plain", "even")
@@ -48,7 +47,7 @@ def measure(arguments: argparse.Namespace) -> Json:
     :raises ChildError: a side fails
     """
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
-    source = ("ict", ict) if ict.is_file() else ("sample", _SAMPLES)
+    source = ("ict", ict) if ict.is_file() else ("sample", _HERE)
     skipped = {} if ict.is_file() else {"ICT-FaceKit": f"no {ict}"}
     if importlib.util.find_spec("py_dem_bones") is None:
         skipped["py-dem-bones"] = "not installed"

@@ -113,16 +113,14 @@ def prepare(kind: str, source: str, joints: str, arrays: str) -> Json:
 
     import facepipe
     from facepipe import importers
+    from facepipe.heads import make
     from facepipe.importers.ict import Options
     from facepipe.processors.skin.joints_file import JointSet, JointSpec
     from facepipe.processors.skin.skin_face import SkinFace
     from facepipe.rig import build
     from facepipe.stage import save_parts
 
-    if kind == "ict":
-        parts = importers.load("ict", source, Options()).parts
-    else:
-        parts = facepipe.open(sorted(Path(source).glob("head*.usdz"))[0]).parts()
+    parts = importers.load("ict", source, Options()).parts if kind == "ict" else make(controls="bones")
     parts = _bare(parts)
     mm = 1000.0 * parts.meters_per_unit
     moving, offsets = _moving(parts, MOVES_MM / mm)

@@ -79,10 +79,9 @@ def timed_factors(default_ordering: bool) -> Clock:
 
 def prepare(kind: str, source: str, first: str, second: str) -> Json:
     """Two faces of one topology as stages."""
-    from pathlib import Path
 
-    import facepipe
     from facepipe import importers
+    from facepipe.heads import make
     from facepipe.importers.ict import Options
     from facepipe.stage import save_parts
 
@@ -90,7 +89,7 @@ def prepare(kind: str, source: str, first: str, second: str) -> Json:
         if kind == "ict":
             parts = importers.load("ict", source, Options(identity_seed=seed)).parts
         else:
-            parts = facepipe.open(sorted(Path(source).glob("head*.usdz"))[number]).parts()
+            parts = make(5 * number, controls="bones")
         save_parts(_stronger(parts, STRONGER**number), out)
     return {}
 

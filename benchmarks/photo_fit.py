@@ -3,7 +3,7 @@
 usage: python benchmarks/photo_fit.py [--runs 20] [--size 256] [--threads 1 2] [--fits 2] [--mitsuba PYTHON]
        [--mitsuba-spp 4 16] [--json out.json]
 
-The face is the built-in sample: about 20,000 triangles with textures, seen at an angle, in float32. Steps:
+The face is the built-in sample: about 48,000 triangles, seen at an angle, in float32. Steps:
 
   rig       sliders and shape weights to points
   image     points to an image: normals, rasterising, textures, spherical-harmonics light, blended outlines
