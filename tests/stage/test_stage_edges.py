@@ -147,7 +147,7 @@ def test_prims_of_one_name_get_names_of_their_own(tmp_path: Path) -> None:
     for mesh in face.meshes:
         points = UsdGeom.Mesh(face.mesh_prim(mesh.name)).GetPointsAttr().Get()
         assert np.array_equal(np.array(points), mesh.points)
-    assert list(face._material_names.values()) == ["_Tiny_A_Skin_2", "_Tiny_B_Skin", "_Tiny_A_Skin"]
+    assert list(face.material_names.values()) == ["_Tiny_A_Skin_2", "_Tiny_B_Skin", "_Tiny_A_Skin"]
 
 
 def test_left_handed_meshes_read_as_their_right_handed_twins(tmp_path: Path) -> None:
