@@ -25,13 +25,13 @@ Floats = npt.NDArray[np.float64]
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def build(points: Floats, modes: npt.NDArray[np.float32], parts: Mapping[str, slice], found: Arrays) -> dict[str, Any]:
+def build(points: Floats, modes: npt.NDArray[Any], parts: Mapping[str, slice], found: Arrays) -> dict[str, Any]:
     """Offsets of the points by each direction, packed, and what it does to the eyes.
 
     :param found: weights of the modes for measures and traits
     """
-    weights, parity = found["weights"] * np.float32(STEP), found["parity"]
-    traits = np.tensordot(found["trait_weights"] * np.float32(STEP), modes, axes=1)
+    weights, parity, modes = found["weights"] * STEP, found["parity"], modes.astype(np.float64)
+    traits = np.tensordot(found["trait_weights"] * STEP, modes, axes=1)
     moved = np.concatenate([REACH * combined(points, modes, parts, weights, parity), traits])
     eyes = np.stack([_as_a_whole(points[parts[name]], moved[:, parts[name]]) for name in EYES], axis=1)
     for name in EYES:
@@ -42,9 +42,7 @@ def build(points: Floats, modes: npt.NDArray[np.float32], parts: Mapping[str, sl
     return {"offsets": packed(_quiet(moved)), "eyes": np.round(eyes, 6).astype(np.float32)}
 
 
-def combined(
-    points: Floats, modes: npt.NDArray[np.float32], parts: Mapping[str, slice], weights: Floats, parity: Floats
-) -> Floats:
+def combined(points: Floats, modes: Floats, parts: Mapping[str, slice], weights: Floats, parity: Floats) -> Floats:
     """(d, n, 3) offsets of weights (d, masks, modes), those on the right times the parity (modes,)."""
     total = np.zeros((len(weights), *points.shape))
     for shares, signs in zip(masks(points, parts), (np.ones_like(parity), parity), strict=True):
