@@ -551,6 +551,7 @@ def test_materials_and_textures_in_every_layout(tmp_path: Path) -> None:
         surface = UsdShade.Shader.Define(stage, f"/Looks/{name}/S")
         surface.CreateIdAttr("UsdPreviewSurface")
         surface.CreateInput("clearcoat", Sdf.ValueTypeNames.Float).Set(0.5)
+        surface.CreateInput("displacement", Sdf.ValueTypeNames.Float).Set(0.5)
         surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.25)
         texture = UsdShade.Shader.Define(stage, f"/Looks/{name}/T")
         texture.CreateIdAttr("UsdUVTexture")
@@ -571,7 +572,8 @@ def test_materials_and_textures_in_every_layout(tmp_path: Path) -> None:
     assert third.diffuse_color == (0.18, 0.18, 0.18)
     assert third.roughness == 0.25
     warned(imported, "texture @./gone.png@ can't be found: left out")
-    warned(imported, "clearcoat of the material: left out")
+    warned(imported, "displacement of the material: left out")
+    assert third.clearcoat == 0.5
     head, teeth = imported.parts.meshes
     assert (head.material, teeth.material) == (first.name, third.name)
     assert [(one.material, one.faces.tolist()) for one in head.material_faces] == [(second.name, [1, 2])]

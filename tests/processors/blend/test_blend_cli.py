@@ -19,7 +19,6 @@ import facepipe
 from facepipe.checks import validate
 from facepipe.cli import command_module
 from facepipe.cli.parser import Parser
-from facepipe.parts import FaceParts
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.blend import Blend, BlendFaces, Weights
 from facepipe.processors.blend.lids import LidContact
@@ -227,7 +226,8 @@ def test_match_takes_no_weights(folder: Path, capsys: Capsys, words: tuple[str, 
 
 
 def test_a_target_of_another_topology(folder: Path, capsys: Capsys) -> None:
-    save_parts(FaceParts(meshes=(grid_mesh(), grid_mesh("Teeth", 4))), Path("odd.usda"))
+    odd = (grid_mesh(), grid_mesh("Teeth", 4))
+    save_parts(dataclasses.replace(facepipe.open("a.usda").parts(), meshes=odd), Path("odd.usda"))
     error = failed(capsys, "blend", "--match", "odd.usda", "a.usda", "b.usda", "-o", "c.usda")
     assert "odd.usda -> Teeth: 16 points, expected 9" in error
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done, exit_code, failed
+from command_line import done, failed, run
 from faces import grid_mesh, tiny_face
 from node import validate as khronos
 from oracle import bake, difference, random_coefficients
@@ -341,11 +341,11 @@ def test_the_command_authors_a_layer_with_recipe_and_picture(
     assert "points = [" not in out.read_text()  # only what changed
     assert (tmp_path / "w.png").stat().st_size > 1000
     first = out.read_bytes()
-    assert exit_code(*words, "--influences", "1", "--force") == 0
+    done(capsys, *words, "--influences", "1", "--force", quiet=False)
     assert out.read_bytes() == first
     for flags in (["--influences", "0"], ["--sharpness", "nan"]):
-        assert exit_code(*words, "--force", *flags) == 2
-    assert exit_code("skin", out, "--joints", joints, "-o", tmp_path / "again.usda") == 0
+        assert run(capsys, *words, "--force", *flags)[0] == 2
+    done(capsys, "skin", out, "--joints", joints, "-o", tmp_path / "again.usda", quiet=False)
     joints.write_text(json.dumps({"joints": {"other": {"position": [0, 0, 0]}}}))
     line = failed(capsys, "skin", out, "--joints", joints, "-o", tmp_path / "other.usda", folder=tmp_path)
     assert "has 2 joints, expected a face without" in line
