@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 TEXTURES = "head_textures"  # the folder beside head.usda
 FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
+_TEXTURES = 1024  # texels a side, which is what the sheet shows
 POSE = {"jawOpen": 0.7, "mouthSmileLeft": 0.5}
 SHEET = (
     "jawOpen",
@@ -69,7 +70,7 @@ def _made(folder: Path, seed: int) -> int:
 
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
-        perform(Sample(seed=seed), path["head.usda"])
+        perform(Sample(seed=seed, textures=_TEXTURES), path["head.usda"])
         bar.update()
         face = _inspected(path["head.usda"])
         for name in ("head.glb", "head.onnx"):
