@@ -20,7 +20,7 @@ VISEMES: dict[str, dict[str, float]] = {
     "sil": {"mouthPress": 0.05},
     "PP": {"mouthPress": 0.5, "mouthRollLower": 0.3, "mouthRollUpper": 0.25, "mouthPucker": 0.1},
     "FF": {"jawOpen": 0.04, "mouthRollLower": 0.55, "mouthUpperUp": 0.3, "mouthShrugLower": 0.15},
-    "TH": {"tongueOut": 0.62, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1},
+    "TH": {"tongueOut": 0.72, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1},
     "DD": {"jawOpen": 0.12, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15},
     "kk": {"jawOpen": 0.2, "mouthStretch": 0.15, "mouthLowerDown": 0.15},
     "CH": {"jawOpen": 0.07, "mouthFunnel": 0.7, "mouthPucker": 0.2, "mouthShrugUpper": 0.15},
