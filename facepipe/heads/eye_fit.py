@@ -127,7 +127,7 @@ def _touching(ball: _Ball, lids: FloatArray) -> _Ball:
         miss = height[own] - goal
         weights = np.where(miss < 0, _INSIDE, 1.0)
         rows = np.vstack([directions[own] * weights[:, None], np.eye(3)])
-        step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre))[0]
+        step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
         ball = replace(ball, centre=ball.centre + step)
     return ball
 
