@@ -69,7 +69,7 @@ def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> N
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
     found = np.fromfile(tmp_path / "out.bin", "<f4").reshape(2, -1, 3)
-    expected = [face.evaluate({"jawOpen": 0.7}, coefficients=turned(face)), face.evaluate(sliders=SLIDERS)]
+    expected = [face.evaluate({"mouthSmileLeft": 0.7}, coefficients=turned(face)), face.evaluate(sliders=SLIDERS)]
     for own, points in zip(found, expected, strict=True):
         by_mesh = face.split(points * face.meters_per_unit)
         wanted = np.concatenate([by_mesh[mesh][numbers] for mesh, numbers in File(made / "head.glb", []).primitives()])
@@ -90,7 +90,9 @@ def test_the_script_runs_as_it_stands(made: Path, tmp_path: Path) -> None:
     assert "SCRIPT ERROR" not in done.stderr
     found = json.loads((project / "page.json").read_text())
     assert {name: weight for name, weight in found["shapes"].items() if weight} == {
-        mesh.name: pytest.approx(0.7) for mesh in face.meshes if "jawOpen" in [one.name for one in mesh.blendshapes]
+        mesh.name: pytest.approx(0.7)
+        for mesh in face.meshes
+        if "mouthSmileLeft" in [one.name for one in mesh.blendshapes]
     }
     document = gltf_reader.read(glb)
     moved = {"head": coefficient_matrices(turned(face))[document.joint_names().index("head")]}

@@ -34,9 +34,10 @@ from facepipe.processors.database import save_database
 from facepipe.stage import save_parts
 
 HEADS = """
-sample head.usda
-sample other.usdc --seed 1
-sample third.usdz --seed 2
+sample head.usda --textures 0
+sample other.usdc --seed 1 --textures 0
+sample third.usdz --seed 2 --textures 0
+sample dressed.usda --seed 3 --textures 128
 export head.usda -o head.gltf --animations
 export head.usda -o head.glb --quantize
 export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/

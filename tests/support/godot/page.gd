@@ -1,4 +1,4 @@
-# Runs face.gd of docs/engines.md as it stands, and writes page.json: weights of jawOpen by mesh, and where the head is.
+# Runs face.gd of docs/engines.md as it stands, and writes page.json: weights of mouthSmileLeft by mesh, and where the head is.
 extends SceneTree
 
 func _initialize():
@@ -8,7 +8,7 @@ func _initialize():
 	var skeleton = node.face.get_node("Skeleton")
 	var shapes = {}
 	for mesh in skeleton.get_children():
-		shapes[mesh.name] = mesh.get("blend_shapes/jawOpen")
+		shapes[mesh.name] = mesh.get("blend_shapes/mouthSmileLeft")
 	var head = skeleton.get_bone_global_pose(skeleton.find_bone("head"))
 	var rows = []
 	for i in 3:
