@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
 from facepipe.heads.bone_sliders import bone_sliders
 from facepipe.heads.expressing import sliders
@@ -34,6 +35,7 @@ from facepipe.parts import (
 Controls = Literal["measures", "bones"]
 
 
+@one_thread()
 def make(seed: int = 0, *, textures: int = 0, controls: Controls = "measures") -> FaceParts:
     """A person's head; seed 0 is the average one. Same seed, same arrays, and one topology for all.
 
