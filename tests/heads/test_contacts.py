@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import benchmark_modules
+import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
+from contacts import STEP, Sheet, Subject
+from head_contacts import blink, eye_sheets, mouth_sheet
 from import_data import shared
 from solids import ball
 
 from facepipe.importers import ict, load
-
-assert benchmark_modules.BENCHMARKS.is_dir()
-
-from contacts import STEP, Sheet, Subject  # noqa: E402
-from head_contacts import blink, eye_sheets, mouth_sheet  # noqa: E402
 
 RADIUS = 10.0
 

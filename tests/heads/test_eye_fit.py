@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import benchmark_modules
+import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
+from head_contacts import blink, eye_sheets, person
 from scipy.spatial import cKDTree
 
 from facepipe.geometry.polygons import point_normals, point_triangles
@@ -14,10 +15,6 @@ from facepipe.heads.cards import cards, mesh
 from facepipe.heads.eye_fit import fit_eyes
 from facepipe.heads.people import draw
 from facepipe.parts import Mesh
-
-assert benchmark_modules.BENCHMARKS.is_dir()
-
-from head_contacts import blink, eye_sheets, person  # noqa: E402
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

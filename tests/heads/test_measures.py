@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
+import head_scripts  # noqa: F401  (finds the modules of samples/head/)
+import measures
 import numpy as np
 import pytest
-from places import REPOSITORY
-
-sys.path.insert(0, str(REPOSITORY / "samples" / "head"))
-import measures
 from directions import REACH
 from masks import masks
 
