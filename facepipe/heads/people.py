@@ -51,6 +51,7 @@ _STYLES = {  # share of women and of men
     "long": (0.30, 0.04),
     "coils": (0.08, 0.03),
 }
+_GREYING = 0.4  # share of the oldest who show it
 _COILS = (0.2, 1.0, 3.0)  # times for coils at light, middle and dark tones
 
 
@@ -115,8 +116,8 @@ def _styles(tone: float, male: bool) -> dict[str, float]:
 
 
 def _greyed(random: np.random.Generator, hair: str, years: float) -> str:
-    """Grey or white, the older the likelier."""
-    grey, white = 1.0 / (1.0 + np.exp((np.array([52.0, 72.0]) - years) / 5.0))
+    """Grey or white, the older the likelier; more than half never are, as they colour their hair."""
+    grey, white = _GREYING / (1.0 + np.exp((np.array([55.0, 72.0]) - years) / 5.0))
     chance = random.random()
     return "white" if chance < white else "grey" if chance < grey else hair
 

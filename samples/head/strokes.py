@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from brows_lashes import LASH_BANDS
 from PIL import Image
 
 Array = Any
@@ -48,7 +49,7 @@ class Canvas:
                 self.alpha[at] = np.maximum(self.alpha[at], cover[seen])
 
     def save(self, path: Path) -> None:
-        """As PNG, its sides powers of two: grey in red, green and blue, which go on beyond the hairs' edges."""
+        """As PNG, its sides powers of two, 16 steps of grey, which goes on beyond the hairs' edges, and of alpha."""
         from scipy.ndimage import distance_transform_edt
 
         nearest = distance_transform_edt(self.alpha < 0.5, return_distances=False, return_indices=True)
@@ -57,9 +58,9 @@ class Canvas:
         grey, alpha = (one.reshape(shape).mean(axis=(1, 3)) for one in (value, self.alpha))
         pixels = np.stack([grey, alpha], axis=-1)
         image = Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8), "LA")
-        image.resize((1 << (self.width - 1).bit_length(), 1 << (self.height - 1).bit_length())).save(
-            path, compress_level=9
-        )
+        image = image.resize((1 << (self.width - 1).bit_length(), 1 << (self.height - 1).bit_length()))
+        steps = np.rint(np.asarray(image) / 17).astype(np.uint8)
+        Image.fromarray(17 * steps, "LA").save(path, compress_level=9)
 
 
 def brows(fullness: float) -> Canvas:
@@ -84,9 +85,9 @@ def brows(fullness: float) -> Canvas:
 
 
 def lashes() -> Canvas:
-    """Upper lashes in the upper half, lower ones in the lower; roots at the bottom of each, tips up."""
+    """Upper lashes in the upper band, lower ones in the lower; roots at the bottom of each, tips up."""
     rng, canvas = np.random.default_rng(12), Canvas(512, 1024)
-    for floor, count, long, thick in ((256, 78, 215, 6.5), (512, 50, 150, 4.2)):
+    for (low, _), count, long, thick in ((LASH_BANDS["upper"], 78, 175, 6.5), (LASH_BANDS["lower"], 50, 122, 4.2)):
         for root in (np.arange(count) + rng.uniform(0.1, 0.9, count)) / count:
             clump = (np.round(root * count / 3) * 3 + 0.5) / count
             tip = root + 0.45 * (clump - root) + rng.normal(0, 0.004) + 0.02 * (root - 0.5)
@@ -95,7 +96,7 @@ def lashes() -> Canvas:
             length = long * edge * rng.uniform(0.72, 1.05)
             xs = 1024 * (root + (tip - root) * u**1.5)
             width = thick * (1 - u) ** 0.7 * rng.uniform(0.7, 1.05) + 0.5
-            canvas.stroke(xs, floor - 3 - length * u, width, 0.5)
+            canvas.stroke(xs, 512 - low - 5 - length * u, width, 0.5)
     return canvas
 
 

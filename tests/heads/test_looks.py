@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -165,3 +166,17 @@ def test_normals_of_the_relief_are_unit_and_face_outwards() -> None:
         np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0, atol=0.02)
         assert np.percentile(normals[..., 2], 1) > 0.7
         np.testing.assert_allclose(normals.mean(axis=(0, 1)), [0.0, 0.0, 1.0], atol=0.03)
+
+
+def test_upper_and_lower_lashes_are_apart_in_their_picture() -> None:
+    """Coarse levels of the picture mix eight of its rows and more: rows that no card shows are empty."""
+    alpha = np.asarray(Image.open(io.BytesIO((files("facepipe.heads") / "data" / "lashes.png").read_bytes())))[..., 1]
+    v = cards.cards("lashes").uv[:, 1]
+    shown = np.zeros(len(alpha), bool)
+    for low, high in ((v[v < 0.5].min(), v[v < 0.5].max()), (v[v > 0.5].min(), v[v > 0.5].max())):
+        shown[int((1 - high) * len(alpha)) : int((1 - low) * len(alpha)) + 1] = True
+    assert alpha[~shown].max() == 0
+    gaps = np.diff(np.flatnonzero(np.concatenate([shown, shown[:1]])))
+    assert gaps.max() > 16
+    assert np.flatnonzero(shown).min() > 8
+    assert np.flatnonzero(~shown).max() == len(alpha) - 1

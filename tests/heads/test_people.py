@@ -48,6 +48,16 @@ def test_hair_and_eyes_go_with_the_tone(people: list[Person]) -> None:
     dark = [person.look for person in people if person.look.tone >= 7.0]
     assert {look.eyes for look in dark} <= {"dark", "brown"}
     assert {look.hair for look in dark} <= {"black", "dark", "grey", "white"}
-    young = [person for person in people if person.years < 30]
-    assert np.mean([person.look.hair in ("grey", "white") for person in young]) < 0.05
+    assert np.mean([_is_grey(person) for person in people if person.years < 30]) < 0.05
     assert not any(person.look.beard for person in people if person.sex < 0)
+
+
+def test_some_of_the_old_are_grey_and_few_of_the_others(people: list[Person]) -> None:
+    grey, old = (np.array(each) for each in zip(*((_is_grey(one), one.years > 55) for one in people), strict=True))
+    assert 0.25 < grey[old].mean() < 0.5
+    assert grey[~old].mean() < 0.1
+    assert 4 <= sum(_is_grey(draw(seed)) for seed in range(1, 51)) <= 7
+
+
+def _is_grey(person: Person) -> bool:
+    return person.look.hair in ("grey", "white")
