@@ -20,7 +20,7 @@ from solids import ball
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
-from facepipe.geometry.polygons import edges, point_triangles
+from facepipe.geometry.polygons import components, edges, point_triangles
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import Face, save_parts
 
@@ -342,6 +342,78 @@ def test_makehuman_turns_its_joints_as_before(tmp_path: Path) -> None:
     assert level.errors.rest.mean_mm < 0.3
     assert np.median([one.mean_mm for one in level.errors.joints.values() if one.points]) < 0.5
     assert facepipe.validate(tmp_path / "lods.usdc") == ()
+
+
+def with_strips() -> FaceParts:
+    """The face with 40 strips of 2 by 10 points that stand on it, 1 wide and 9 high, and turn with its jaw."""
+    parts = face_with_lips()
+    rng = np.random.default_rng(3)
+    x, z = np.meshgrid([-0.5, 0.5], np.arange(10.0))
+    one = np.stack([x, 0.02 * z**2, z], axis=-1).reshape(-1, 3)
+    places = np.column_stack([rng.uniform(-30, 30, (40, 2)), np.ones(40)])
+    points = np.concatenate([one + place for place in places]).astype(np.float32)
+    rows = 2 * np.arange(9)[:, None]
+    quads = np.concatenate([rows + [0, 1, 3, 2] + 20 * number for number in range(40)]).astype(np.int32)
+    skin = parts.meshes[0].skin
+    assert skin is not None
+    joints = np.tile(skin.joint_indices.max(axis=0, keepdims=True), (800, 1))
+    weights = np.tile(np.eye(joints.shape[1])[:1], (800, 1))
+    strips = Mesh(
+        name="Strips",
+        points=points,
+        face_vertex_counts=np.full(len(quads), 4, np.int32),
+        face_vertex_indices=quads.ravel(),
+        skin=dataclasses.replace(skin, joint_indices=joints, joint_weights=weights),
+    )
+    return dataclasses.replace(parts, meshes=(*parts.meshes, strips))
+
+
+def test_cards_go_as_a_whole_and_others_get_wider(tmp_path: Path) -> None:
+    """Those that stay are as high and bent as before; what is gone is in no error, and far from others at most."""
+    save_parts(with_strips(), tmp_path / "face.usda")
+    report = facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=(1000, 400))
+    assert report.warnings == ()
+    face = facepipe.open(tmp_path / "lods.usda")
+    kept = []
+    for number, said in enumerate(report.levels, 1):
+        mesh = face.at_level(number).meshes[2]
+        pairs, _ = edges(mesh.face_vertex_counts, mesh.face_vertex_indices)
+        piece = components(len(mesh.points), pairs)
+        cards = [mesh.points[piece == one] for one in np.unique(piece)]
+        kept.append(len(cards))
+        for card in cards:
+            assert 8.5 < np.ptp(card[:, 2]) < 10
+            assert 1.3 < np.ptp(card[:, 0]) < 3.2
+            middle = card[:, 1] - 0.02 * (card[:, 2] - 1) ** 2
+            assert np.ptp(middle) < 0.25
+        assert said.errors.lost == {}
+        gone = said.errors.cards["Strips"]
+        assert gone.points == 20 * (40 - len(cards))
+        assert 0 < gone.mean_mm < 30 * MILLIMETRES
+        assert said.errors.joints["head/jaw"].p95_mm < MILLIMETRES
+    assert 20 > kept[0] > kept[1] > 1
+
+
+def test_a_few_cards_are_simplified_as_other_meshes_are(tmp_path: Path) -> None:
+    parts = with_strips()
+    strips = parts.meshes[2]
+    few = dataclasses.replace(
+        strips,
+        points=strips.points[:200],
+        face_vertex_counts=strips.face_vertex_counts[:90],
+        face_vertex_indices=strips.face_vertex_indices[:360],
+        skin=None,
+    )
+    save_parts(dataclasses.replace(parts, meshes=(*parts.meshes[:2], few)), tmp_path / "face.usda")
+    report = facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=(1000,))
+    assert report.levels[0].errors.cards == {}
+
+
+def test_a_head_with_long_hair_moves_as_before(tmp_path: Path) -> None:
+    facepipe.sample(tmp_path / "head.usdc", seed=8, textures=16)
+    ((mean, p95),) = worst(tmp_path / "head.usdc", tmp_path, (8000,))
+    assert mean <= 0.5
+    assert p95 <= 2.0
 
 
 def flat_shaded() -> FaceParts:

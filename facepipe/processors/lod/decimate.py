@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import components, edges, point_areas
 from facepipe.geometry.seams import welded_points
-from facepipe.parts import Mesh
+from facepipe.parts import FaceParts, Mesh
+from facepipe.processors.lod.cards import apart, cards_of, widened, within
 from facepipe.processors.lod.kept_points import even_points, marks, strongest
 from facepipe.processors.lod.motion import motion_of
 from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
 from facepipe.processors.lod.wedges import mesh_of, wedges_of
-from facepipe.rig import Rig
+from facepipe.rig import Rig, mesh_spaces
 
 _LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin, where no materials meet on it
+_HAIR = 0.7  # of its share of the triangles that are not of the skin: cards lie several deep
+_WHOLE = 0.9  # power of the share of triangles that is the share of cards; those that stay lose the rest
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
 
 
 class Surface:
     """The meshes of a face in wedges, one mesh after another."""
 
-    def __init__(self, meshes: Sequence[Mesh], rig: Rig) -> None:
-        """:param rig: of these meshes"""
+    def __init__(self, parts: FaceParts, rig: Rig) -> None:
+        """:param rig: of these parts"""
+        meshes, self._spaces = parts.meshes, mesh_spaces(parts)
         self._wedges = [wedges_of(mesh) for mesh in meshes]
         self._starts = np.cumsum([0, *(len(one.points) for one in self._wedges)])
         firsts = rig.mesh_offsets
@@ -38,7 +43,9 @@ class Surface:
         rims = np.setdiff1d(self._rims(), self.triangles[self.is_skin])
         with_rims = np.isin(np.arange(len(meshes)), np.searchsorted(firsts, rims, side="right") - 1)
         self._least = np.where(with_rims, 1.0, _LEAST)  # by mesh
-        stay = np.concatenate([self._marks, strongest(rig), even_points(rig.points, self.triangles, rims)])
+        hairs = self.triangles[self.cards >= 0]
+        stay = np.setdiff1d(np.append(strongest(rig), even_points(rig.points, self.triangles, rims)), hairs)
+        stay = np.append(stay, self._marks)
         self._fixed = np.isin(self._point, stay)
 
     @property
@@ -63,6 +70,12 @@ class Surface:
         sizes = np.bincount(part[self._marks]) if len(self._marks) else np.bincount(part, areas)
         return np.asarray(part[triangles[:, 0]] == sizes.argmax())
 
+    @cached_property
+    def cards(self) -> IntArray:
+        """(t,) the card that each triangle is of, -1 for none."""
+        mesh = np.where(self.is_skin, len(self._wedges), self._mesh(self._triangles))
+        return np.where(self.is_skin, -1, cards_of(self._rig.points, self.triangles, mesh))
+
     def level(self, count: int, skin_share: float, above: IntArray) -> IntArray:
         """(t, 3) wedges of at most `count` triangles, or of what can be reached.
 
@@ -71,12 +84,44 @@ class Surface:
         """
         skin, others = int(self.is_skin.sum()), int((~self.is_skin).sum())
         for_skin = min(skin, max(round(count * skin_share), count - others))
-        of_skin = self._simplified(self.is_skin, for_skin)
-        return np.concatenate([of_skin, self._others(min(count - for_skin, others), above[~self._on_skin(above)])])
+        found, left = [self._simplified(self.is_skin, for_skin)], min(count - for_skin, others)
+        mesh, is_card = self._mesh(self._triangles), self.cards >= 0
+        for number in np.unique(mesh[is_card]):
+            own = is_card & (mesh == number)
+            found.append(self._fewer_cards(own, int(_HAIR * left * own.sum() / others)))
+        rest = ~self.is_skin & ~is_card
+        left -= sum(map(len, found[1:]))
+        return np.concatenate([*found, self._others(rest, left, above[~self._among(above, self.is_skin | is_card)])])
 
-    def _others(self, most: int, above: IntArray) -> IntArray:
-        """What is not skin, by errors; but each mesh has at least half of its share by triangles, eyes the whole."""
-        mesh, chosen, apart = self._mesh(self._triangles), ~self.is_skin, list[IntArray]()
+    def _fewer_cards(self, chosen: BoolArray, most: int) -> IntArray:
+        """The cards of a mesh, some of them gone, the others with fewer triangles along them."""
+        share = most / int(chosen.sum())
+        if share >= 1:
+            return np.asarray(self._triangles[chosen])
+        order = apart(self._rig.points, self.triangles[chosen], self.cards[chosen])
+        kept = order[: max(1, min(round(share**_WHOLE * len(order)), most // 2))]
+        found = self._simplified(np.isin(self.cards, kept), most)
+        return np.asarray(found[within(self._card_of(found), order, most)])
+
+    def _card_of(self, level: IntArray) -> IntArray:
+        """(t,) the card of triangles of a level, -1 for none."""
+        card = np.full(self._starts[-1], -1)
+        card[self._triangles] = self.cards[:, None]
+        return np.asarray(card[level[:, 0]])
+
+    def places(self, level: IntArray) -> FloatArray:
+        """(n, 3) points of the rig at a level: those of cards farther apart, as these stand for those that are gone."""
+        points, kept = self._rig.points, np.isin(self.cards, self._card_of(level)) & (self.cards >= 0)
+        mesh = self._mesh(self._triangles)
+        for number in np.unique(mesh[kept]):
+            own, whole = (np.flatnonzero(one & (mesh == number)) for one in (kept, self.cards >= 0))
+            share = len(np.unique(self.cards[own])) / len(np.unique(self.cards[whole]))
+            points = widened(points, self.triangles[own], self.cards[own], share) if share < 1 else points
+        return points
+
+    def _others(self, chosen: BoolArray, most: int, above: IntArray) -> IntArray:
+        """What is chosen, by errors; but each mesh has at least half of its share by triangles, eyes the whole."""
+        mesh, single = self._mesh(self._triangles), list[IntArray]()
         sizes = np.bincount(mesh[chosen], minlength=len(self._wedges))
         least = np.ceil(self._least * most * sizes / max(sizes.sum(), 1)).astype(int).tolist()
         while True:
@@ -84,12 +129,12 @@ class Surface:
             short = np.flatnonzero(np.bincount(self._mesh(found), minlength=len(sizes)) < least)
             short = np.intersect1d(short, mesh[chosen])
             if not len(short):
-                return np.concatenate([*apart, found])
+                return np.concatenate([*single, found])
             for number in short:
                 own = self._simplified(chosen & (mesh == number), least[number])
-                apart.append(own if len(own) else above[self._mesh(above) == number])
-                most -= len(apart[-1])
-            chosen &= ~np.isin(mesh, short)
+                single.append(own if len(own) else above[self._mesh(above) == number])
+                most -= len(single[-1])
+            chosen = chosen & ~np.isin(mesh, short)
 
     def _mesh(self, wedges: IntArray) -> IntArray:
         """(t,) number of the mesh of each triangle (t, 3) of wedges."""
@@ -103,10 +148,11 @@ class Surface:
 
     def skin_triangles(self, level: IntArray) -> int:
         """How many triangles of a level are of the skin."""
-        return int(self._on_skin(level).sum())
+        return int(self._among(level, self.is_skin).sum())
 
-    def _on_skin(self, level: IntArray) -> BoolArray:
-        return np.isin(level[:, 0], self._triangles[self.is_skin])
+    def _among(self, level: IntArray, chosen: BoolArray) -> BoolArray:
+        """(t,) triangles of a level that are of the chosen pieces of the face."""
+        return np.isin(level[:, 0], self._triangles[chosen])
 
     def points_of(self, level: IntArray) -> IntArray:
         """(t, 3) points of a level's wedges."""
@@ -114,8 +160,18 @@ class Surface:
 
     def meshes(self, level: IntArray) -> tuple[Mesh, ...]:
         """Each mesh at a level; one without triangles as it is."""
-        own = [level[self._mesh(level) == i] - self._starts[i] for i in range(len(self._wedges))]
-        return tuple(mesh_of(one, rows) if len(rows) else one.mesh for one, rows in zip(self._wedges, own, strict=True))
+        moved, found = self.places(level) - self._rig.points, []
+        firsts = self._rig.mesh_offsets
+        for number, one in enumerate(self._wedges):
+            own = level[self._mesh(level) == number] - self._starts[number]
+            mesh = mesh_of(one, own) if len(own) else one.mesh
+            away = moved[firsts[number] : firsts[number + 1]]
+            if len(own) and away.any():
+                kept = np.unique(one.points[own])
+                away = away[kept] @ np.linalg.inv(self._spaces[number])[:3, :3].T
+                mesh = replace(mesh, points=mesh.points + away.astype(mesh.points.dtype))
+            found.append(mesh)
+        return tuple(found)
 
     def _simplified(self, chosen: BoolArray, most: int) -> IntArray:
         triangles = self._triangles[chosen]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.geometry.closest_points import closest_among, place_shares
+from facepipe.geometry.closest_points import closest_among, closest_places, place_shares
 from facepipe.geometry.geodesics import nearest_sources, surface_graph
 from facepipe.rig import Rig
 
@@ -36,25 +36,28 @@ class LevelErrors:
     shapes: Mapping[str, Distances]
     skin_shapes: Mapping[str, Distances]  # of the skin alone
     joints: Mapping[str, Distances]
-    lost: Mapping[str, int]  # mesh -> points of its connected pieces that the level has no triangle of
+    cards: Mapping[str, Distances]  # mesh -> points of its cards that are gone, from what is left of it, at rest
+    lost: Mapping[str, int]  # mesh -> points of other connected pieces that the level has no triangle of
 
 
 class _Places(NamedTuple):
     """Where the points of the full face are on a level."""
 
-    shares: Any  # (n, n) of the points of the level
-    found: BoolArray  # (n,) points that have a place
+    rows: IntArray  # (r,) points that have one
+    shares: Any  # (r, n) of the points of the level
 
 
 class FullFace:
     """The points of a full face, posed, to measure its levels against."""
 
-    def __init__(self, rig: Rig, triangles: IntArray, is_skin: BoolArray, mm_per_unit: float) -> None:
-        """:param triangles: (t, 3) of the points of all meshes; `is_skin` (t,) of them"""
+    def __init__(
+        self, rig: Rig, triangles: IntArray, is_skin: BoolArray, is_card: BoolArray, mm_per_unit: float
+    ) -> None:
+        """:param triangles: (t, 3) of the points of all meshes; `is_skin` and `is_card` (t,) of them"""
         self._rig, self._mm = rig, mm_per_unit
         self._rest = rig.evaluate()
         self._used = np.unique(triangles)
-        self._skin = np.isin(np.arange(len(self._rest)), triangles[is_skin])
+        self._skin, self._card = (np.isin(np.arange(len(self._rest)), triangles[one]) for one in (is_skin, is_card))
         self._graph = surface_graph(self._rest, np.pad(triangles, ((0, 0), (0, 1)), constant_values=-1))
 
     @property
@@ -62,64 +65,103 @@ class FullFace:
         """How many there are to measure in."""
         return len(self._rig.shapes) + len(self._rig.joints)
 
-    def errors(self, levels: Sequence[IntArray], step: Callable[[], object]) -> list[LevelErrors]:
-        """Of levels, each triangles (t, 3) of points of the face.
+    def errors(self, levels: Sequence[tuple[IntArray, FloatArray]], step: Callable[[], object]) -> list[LevelErrors]:
+        """Of levels, each triangles (t, 3) of points of the face, and where these are at the level, (n, 3) of the rig.
 
         A point's place is the nearest one on the triangles about the point of the level that is nearest to it along
         the surface, so that it is on its own lip, lid and part; the place then moves with the corners of its triangle.
+        A point of a piece that the level lacks has no place, and is in no error; of a card, its distance at rest from
+        what is left of its mesh is.
 
         :param step: called after every pose
         """
-        places = [_places(self._rest, self._graph, triangles, self._used) for triangles in levels]
+        rigs = [replace(self._rig, points=points) for _, points in levels]
+        rest = [rig.evaluate() for rig in rigs]
+        places = [
+            _places(self._rest, at, self._graph, one, self._used) for at, (one, _) in zip(rest, levels, strict=True)
+        ]
         shapes, skin, joints = ([dict[str, Distances]() for _ in levels] for _ in range(3))
         for name in self._rig.shapes:
             posed = self._rig.evaluate({name: 1.0})
             moved = self._moves(posed)
-            for number, one in enumerate(places):
-                shapes[number][name] = self._off(one, posed, moved)
-                skin[number][name] = self._off(one, posed, moved & self._skin)
+            for number, (one, at) in enumerate(zip(places, rest, strict=True)):
+                off = self._off(one, posed, posed + (at - self._rest))
+                shapes[number][name] = _distances(off[moved[one.rows]])
+                skin[number][name] = _distances(off[(moved & self._skin)[one.rows]])
             step()
-        for name, posed in self._turned():
-            for number, one in enumerate(places):
-                joints[number][name] = self._off(one, posed, self._moves(posed))
+        for name, coefficients in self._turns():
+            posed = self._rig.evaluate(coefficients=coefficients)
+            moved = self._moves(posed)
+            for number, (one, rig) in enumerate(zip(places, rigs, strict=True)):
+                off = self._off(one, posed, rig.evaluate(coefficients=coefficients))
+                joints[number][name] = _distances(off[moved[one.rows]])
             step()
-        rest = [self._off(one, self._rest, one.found) for one in places]
-        each = zip(rest, shapes, skin, joints, map(self._lost, places), strict=True)
-        return [LevelErrors(rest=a, shapes=b, skin_shapes=c, joints=d, lost=e) for a, b, c, d, e in each]
+        found = []
+        for number, (one, at) in enumerate(zip(places, rest, strict=True)):
+            found.append(
+                LevelErrors(
+                    rest=_distances(self._off(one, self._rest, at)),
+                    shapes=shapes[number],
+                    skin_shapes=skin[number],
+                    joints=joints[number],
+                    cards=self._cards(one, at, levels[number][0]),
+                    lost=self._lost(one),
+                )
+            )
+        return found
 
-    def _turned(self) -> Iterator[tuple[str, FloatArray]]:
+    def _turns(self) -> Iterator[tuple[str, FloatArray]]:
         for number, joint in enumerate(self._rig.joints):
             coefficients = np.tile([0.0] * 6 + [1.0] * 3, (len(self._rig.joints), 1))
             coefficients[number, 3] = _TURN
-            yield joint, self._rig.evaluate(coefficients=coefficients)
+            yield joint, coefficients
 
     def _moves(self, posed: FloatArray) -> BoolArray:
         return np.asarray(np.linalg.norm(posed - self._rest, axis=1) * self._mm >= _MOVED)
 
-    def _off(self, places: _Places, posed: FloatArray, among: BoolArray) -> Distances:
-        rows = np.flatnonzero(among & places.found)
-        off = np.linalg.norm(posed[rows] - places.shares[rows] @ posed, axis=1) * self._mm
-        if not len(off):
-            return Distances(points=0, mean_mm=0.0, p95_mm=0.0, max_mm=0.0)
-        p95 = float(np.percentile(off, 95))
-        return Distances(points=len(off), mean_mm=float(off.mean()), p95_mm=p95, max_mm=float(off.max()))
+    def _off(self, places: _Places, posed: FloatArray, level: FloatArray) -> FloatArray:
+        """(r,) mm from the points that have places to these."""
+        return np.asarray(np.linalg.norm(posed[places.rows] - places.shares @ level, axis=1) * self._mm)
+
+    def _cards(self, places: _Places, at: FloatArray, level: IntArray) -> dict[str, Distances]:
+        """How far the points of cards that are gone are from those that stay, at their places `at` (n, 3)."""
+        gone = self._by_mesh(np.setdiff1d(np.flatnonzero(self._card), places.rows))
+        found = dict[str, Distances]()
+        of_level = self._mesh(level[:, 0])
+        for number, points in gone.items():
+            left = closest_places(self._rest[points], at, level[of_level == number])
+            found[self._rig.mesh_names[number]] = _distances(left.distances * self._mm)
+        return found
 
     def _lost(self, places: _Places) -> dict[str, int]:
-        away = np.setdiff1d(self._used, np.flatnonzero(places.found))
-        number = np.searchsorted(self._rig.mesh_offsets, away, side="right") - 1
-        counts = np.bincount(number, minlength=len(self._rig.mesh_names))
-        return {name: int(count) for name, count in zip(self._rig.mesh_names, counts, strict=True) if count}
+        away = np.setdiff1d(self._used[~self._card[self._used]], places.rows)
+        return {self._rig.mesh_names[number]: len(points) for number, points in self._by_mesh(away).items()}
+
+    def _mesh(self, points: IntArray) -> IntArray:
+        return np.asarray(np.searchsorted(self._rig.mesh_offsets, points, side="right") - 1)
+
+    def _by_mesh(self, points: IntArray) -> dict[int, IntArray]:
+        number = self._mesh(points)
+        return {int(one): points[number == one] for one in np.unique(number)}
 
 
-def _places(points: FloatArray, graph: Any, level: IntArray, used: IntArray) -> _Places:
+def _distances(mm: FloatArray) -> Distances:
+    if not len(mm):
+        return Distances(points=0, mean_mm=0.0, p95_mm=0.0, max_mm=0.0)
+    p95 = float(np.percentile(mm, 95))
+    return Distances(points=len(mm), mean_mm=float(mm.mean()), p95_mm=p95, max_mm=float(mm.max()))
+
+
+def _places(points: FloatArray, at: FloatArray, graph: Any, level: IntArray, used: IntArray) -> _Places:
+    """Places of `used` points (n, 3) on a level whose points are at `at` (n, 3)."""
     count = len(points)
     nearest = nearest_sources(graph, np.unique(level))
     ones = np.ones(level.size, np.int32)
     corners = sparse.csr_array((ones, (level.ravel(), np.repeat(np.arange(len(level)), 3))), shape=(count, len(level)))
     around = sparse.csr_array(corners @ corners.T @ corners)  # point -> triangles of its triangles' points
     owners = used[nearest[used] >= 0]
-    rows = sparse.coo_array(around[nearest[owners]])
-    places = closest_among(points[owners], points, level, rows.row.astype(np.int64), rows.col.astype(np.int64))
-    entries = (np.repeat(owners, 3), level[places.triangles].ravel())
-    shares = sparse.csr_array((place_shares(places, points, level).ravel(), entries), shape=(count, count))
-    return _Places(shares, np.isin(np.arange(count), owners))
+    pairs = sparse.coo_array(around[nearest[owners]])
+    places = closest_among(points[owners], at, level, pairs.row.astype(np.int64), pairs.col.astype(np.int64))
+    entries = (np.repeat(np.arange(len(owners)), 3), level[places.triangles].ravel())
+    shares = sparse.csr_array((place_shares(places, at, level).ravel(), entries), shape=(len(owners), count))
+    return _Places(owners, shares)

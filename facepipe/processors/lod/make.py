@@ -47,16 +47,16 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         raise InputError(face.where, "has levels of detail, expected a face without (or --edit, to make them anew)")
     if not any(len(mesh.face_vertex_counts) for mesh in face.meshes):
         raise InputError(face.where, "no triangles, expected a surface")
-    surface = Surface(face.meshes, face.rig())
+    surface = Surface(face.parts(), face.rig())
     total = len(surface.triangles)
     counts = _checked(face, counts or [round(share * total) for share in _SHARES], total)
-    full = FullFace(face.rig(), surface.triangles, surface.is_skin, face.mm_per_unit)
+    full = FullFace(face.rig(), surface.triangles, surface.is_skin, surface.cards >= 0, face.mm_per_unit)
     rows = [surface.full]
     with watch("levels", len(counts) + full.poses) as bar:
         for count in counts:
             rows.append(surface.level(count, skin_share, rows[-1]))
             bar.update()
-        errors = full.errors([surface.points_of(one) for one in rows[1:]], bar.update)
+        errors = full.errors([(surface.points_of(one), surface.places(one)) for one in rows[1:]], bar.update)
     made = [surface.meshes(one) for one in rows[1:]]
     author_levels(face, made)
     each = zip(made, (surface.skin_triangles(one) for one in rows[1:]), errors, strict=True)

@@ -20,9 +20,12 @@ def lod_text(report: LodReport, out: Path) -> str:
         rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
         counts = (f"{count:,}" for count in (one.triangles, one.skin_triangles, one.points))
         rows.append([one.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
-    return "\n".join(
-        [f"{out}: {report.triangles:,} triangles, and", table(rows), "mean / 95 % of the points, worst first"]
-    )
+    said = [f"{out}: {report.triangles:,} triangles, and", table(rows), "mean / 95 % of the points, worst first"]
+    for one in report.levels:
+        for mesh, gone in one.errors.cards.items():
+            away = f"{gone.mean_mm:.2f} / {gone.p95_mm:.2f} mm from those that stay"
+            said.append(f"{one.name}: points of cards of {mesh} that are left out (in no error above): {away}")
+    return "\n".join(said)
 
 
 def _worst(distances: Mapping[str, Distances]) -> str:
