@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.threads import mapped
 from facepipe.pictures.columns import joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
@@ -46,6 +47,7 @@ def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples
     fine = shader.homogeneous * (samples, samples, 1.0, 1.0)
     screen = screen_triangles(fine, shader.scene.triangles)
     solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
+    clear = clear.take(np.argsort(-clear.limits[1], kind="stable"))  # from front to back
     spots, over = _bands(shader, solid, clear, size, samples)
     picture = background.reshape(-1, 3)
     _paint(picture, shader, spots, size, mm)
@@ -60,16 +62,15 @@ def _bands(
 ) -> tuple[Spots, Layers | None]:
     """What is seen, band by band: samples take more memory than what is made of them."""
     rows = max(1, SAMPLES_PER_BAND // (size * samples * samples))
-    spots: list[Spots] = []
-    over: list[Layers] = []
-    for top in range(0, size, rows):
+
+    def band(top: int) -> tuple[Spots, Layers | None]:
         fine = top * samples, min(top + rows, size) * samples
         raster = rasterise(solid, size * samples, size * samples, rows=fine)
-        spots.append(_spots(shader, raster, samples, top))
-        if len(clear.ids):
-            veil = layers(shader, clear, raster, samples, fine)
-            over += [] if veil is None else [veil]
-    return joined(spots), joined(over) if over else None
+        return _spots(shader, raster, samples, top), layers(shader, clear, raster, samples, fine)
+
+    spots, over = zip(*mapped(band, range(0, size, rows)), strict=True)
+    veils = [one for one in over if one is not None]
+    return joined(spots), joined(veils) if veils else None
 
 
 def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:

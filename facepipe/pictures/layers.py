@@ -14,13 +14,16 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import IntArray
 from facepipe.pictures.columns import chosen, joined
-from facepipe.pictures.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
+from facepipe.pictures.fragments import Fragments, fragments
+from facepipe.pictures.hidden import hidden, least
+from facepipe.pictures.rasterise import Raster, ScreenTriangles, spans_of
 from facepipe.pictures.shade import Shader
 
 Floats = npt.NDArray[np.float32]
 
 _FAINT = 1 / 250  # of a pixel's light: fainter fragments are not drawn
 _TOGETHER = 2.0  # pixels in depth between fragments that may belong to one sheet
+_AT_ONCE = 400  # triangles; what they hide of those after them is left out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,85 +48,41 @@ class Layers:
         np.minimum(picture, 1.0, out=picture)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Fragments:
-    pixel: IntArray  # (f,) in the band
-    triangle: IntArray  # (f,)
-    nearness: Floats  # (f,)
-    share: Floats  # (f,) of the pixel's samples that it covers before everything solid
-    x: Floats  # (f,) pixels
-    y: Floats  # (f,)
-
-
 def layers(
     shader: Shader, screen: ScreenTriangles, solid: Raster, samples: int, rows: tuple[int, int]
 ) -> Layers | None:
     """The layers of a band; None where there are none.
 
-    :param screen: see-through triangles, in samples
+    :param screen: see-through triangles, in samples; quickest with the nearest first
     :param solid: what is solid in the band
     :param rows: half-open range of its rows, in samples
     """
-    width = solid.key.shape[1]
-    nearest = solid.nearness
-    found = [_fragments(screen, spans, nearest, samples, rows[0]) for spans in spans_of(screen, width, *rows)]
+    nearest, top, width = solid.nearness, rows[0] // samples, solid.key.shape[1] // samples
+    behind = least(nearest, samples)
+    inside = np.flatnonzero((screen.y[2] > rows[0]) & (screen.y[0] < rows[1]))
+    found: list[tuple[Fragments, Floats]] = []
+    for start in range(0, len(inside), _AT_ONCE):
+        part = screen.take(inside[start : start + _AT_ONCE])
+        part = part.take(np.flatnonzero(~hidden(part, behind, samples, top)))
+        for spans in spans_of(part, width * samples, *rows):
+            every = fragments(part, spans, nearest, behind, samples, rows[0])
+            opacity = shader.opacity(every.triangle, every.x, every.y)
+            there = np.flatnonzero(opacity > _FAINT)
+            found.append((chosen(every, there), opacity[there]))
+            _hide(behind, *found[-1])
     if not found:
         return None
-    every = joined(found)
-    opacity = shader.opacity(every.triangle, every.x, every.y)
-    there = np.flatnonzero(opacity > _FAINT)
-    return _stacked(shader, chosen(every, there), opacity[there], rows[0] // samples * (width // samples))
+    several, opacities = zip(*found, strict=True)
+    return _stacked(shader, joined(several), np.concatenate(opacities), top * width)
 
 
-def _fragments(screen: ScreenTriangles, spans: Spans, nearest: Floats, samples: int, top: int) -> _Fragments:
-    """What the triangles of some spans cover."""
-    width = nearest.shape[1] // samples
-    starts, stops, first = _by_pixel_row(spans, samples)
-    group, step = expand(-(-stops.max(axis=1) // samples) - starts.min(axis=1) // samples)
-    owner, row = spans.owner[first][group], spans.row[first][group] // samples
-    column = (starts.min(axis=1) // samples)[group] + step
-    slope, down = (each[owner].astype(np.float32) for each in screen.gradient)
-    corner = (column * samples + 0.5 - screen.x[0, owner]) * slope + (row * samples + 0.5 - screen.y[0, owner]) * down
-    corner = (screen.nearness[owner] + corner).astype(np.float32)
-    low, high = (each[owner].astype(np.float32) for each in screen.limits)
-    covered, right, below, total = (np.zeros(len(owner), np.float32) for _ in range(4))
-    for y in range(samples):
-        start, stop = starts[group, y], stops[group, y]
-        for x in range(samples):
-            at = column * samples + x
-            nearness = np.clip(corner + (x * slope + y * down), low, high)
-            seen = (start <= at) & (at < stop)
-            seen &= nearest[row * samples + y - top, at] < nearness
-            covered += seen
-            right += seen * np.float32(x)
-            below += seen * np.float32(y)
-            total += seen * nearness
-    at = np.flatnonzero(covered)
-    covered = covered[at]
-    return _Fragments(
-        pixel=(row[at] - top // samples) * width + column[at],
-        triangle=screen.ids[owner[at]],
-        nearness=total[at] / covered,
-        share=covered / np.float32(samples**2),
-        x=(column[at] + (right[at] / covered + 0.5) / samples).astype(np.float32),
-        y=(row[at] + (below[at] / covered + 0.5) / samples).astype(np.float32),
-    )
+def _hide(behind: Floats, found: Fragments, opacity: Floats) -> None:
+    """Note in `behind` (rows, width) the nearness of fragments that let no light past them."""
+    at = np.flatnonzero((found.share == 1) & (opacity > 1 - _FAINT))
+    np.maximum.at(behind.reshape(-1), found.pixel[at], found.nearness[at])
 
 
-def _by_pixel_row(spans: Spans, samples: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Starts and stops (g, samples) of the spans of a triangle in a row of pixels, and the first span (g,) of each."""
-    owner, row = spans.owner, spans.row
-    new = np.ones(len(owner), bool)
-    new[1:] = (owner[1:] != owner[:-1]) | (row[1:] // samples != row[:-1] // samples)
-    group = np.cumsum(new) - 1
-    starts = np.full((int(new.sum()), samples), np.iinfo(np.int64).max)
-    stops = np.zeros_like(starts)
-    starts[group, row % samples] = spans.start
-    stops[group, row % samples] = spans.start + spans.count
-    return starts, stops, np.flatnonzero(new)
-
-
-def _stacked(shader: Shader, found: _Fragments, opacity: Floats, first: int) -> Layers:
+def _stacked(shader: Shader, found: Fragments, opacity: Floats, first: int) -> Layers:
     """Fragments in order, with what comes past those before them.
 
     :param first: number of the band's first pixel
@@ -152,10 +111,11 @@ def _stacked(shader: Shader, found: _Fragments, opacity: Floats, first: int) -> 
     )
 
 
-def _sheets(shader: Shader, found: _Fragments) -> IntArray:
+def _sheets(shader: Shader, found: Fragments) -> IntArray:
     """(f,) numbers of the sheets that fragments belong to, in the order of the fragments.
 
-    A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once.
+    A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once. What
+    fills it alone is a sheet alone.
     """
     surface = shader.scene.surface[found.triangle]
     apart = np.ones(len(surface), bool)
@@ -163,6 +123,8 @@ def _sheets(shader: Shader, found: _Fragments) -> IntArray:
     apart[1:] = found.pixel[1:] != found.pixel[:-1]
     apart[1:] |= surface[1:] != surface[:-1]
     apart[1:] |= near[:-1] - near[1:] > _TOGETHER / shader.camera.focal * near[:-1]
+    alone = found.share == 1
+    apart[1:] |= alone[1:] | alone[:-1]
     start = np.flatnonzero(apart)
     middle = np.cumsum(found.share, dtype=np.float64) - found.share / 2
     filled = np.floor(middle - (middle - found.share / 2)[start][np.cumsum(apart) - 1])

@@ -10,14 +10,16 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.pictures.rasterise import rasterise, screen_triangles
+from facepipe.pictures.rasterise import depths, screen_triangles
 
 AMBIENT_DIRECTIONS = 24
 SKY_RESOLUTION = 256  # map pixels
 SHADOW_RESOLUTION = 768
+_BACK = np.array([1.0, 1.0, -1.0])  # the other way along the third axis
 _FACING = 0.02  # cosine between a normal and a direction from which light can arrive
 _TAPS = 12  # samples of a soft shadow, and to find how wide it is
 _WIDEST = 40.0  # map pixels of a soft shadow's edge
+_TURN = 0.875  # of the spiral: few directions see then on a head about what 300 see
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -96,6 +98,13 @@ class DepthMap:
 
 def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int) -> DepthMap:
     """The scene's triangles (t, 3) as seen from the direction `towards` (3,), a distant light."""
+    return depth_maps(points, triangles, towards, resolution)[0]
+
+
+def depth_maps(
+    points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int
+) -> tuple[DepthMap, DepthMap]:
+    """The scene's triangles (t, 3) as distant lights see them, one from `towards` (3,), one from the other side."""
     backward = towards / np.linalg.norm(towards)
     helper = np.eye(3)[np.argmin(np.abs(backward))]
     right = np.cross(helper, backward)
@@ -109,8 +118,14 @@ def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, reso
     origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])
     at = points @ (axes.T * scale) + origin
     screen = screen_triangles(np.column_stack([at, np.ones(len(at))]).astype(np.float32), triangles)
-    nearness = rasterise(screen, resolution, resolution).nearness
-    return DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearness)
+    nearest, farthest = depths(screen, resolution, resolution)
+    # From the other side, nearness counts down from what it is farthest away.
+    most = 2 + scale * (high - low)[2]
+    turned = np.where(np.isinf(farthest), np.float32(0), np.float32(most) - farthest)
+    return (
+        DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearest),
+        DepthMap(axes=axes * _BACK[:, None], scale=scale, origin=origin * _BACK + (0, 0, most), nearness=turned),
+    )
 
 
 def visible_sky(
@@ -125,17 +140,15 @@ def visible_sky(
     seen = np.zeros((len(points), len(directions)), np.float16)
 
     def look(number: int) -> None:
-        direction = directions[number]
-        cosine = normals @ direction
-        facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
-        if not len(triangles):
-            seen[facing, number] = 1.0
-            return
-        outward = normals[facing] * np.sign(cosine[facing])[:, None]
-        light = depth_map(points, triangles, direction, resolution)
-        seen[facing, number] = light.lit(points[facing], outward)
+        sides = (number, number + len(directions) // 2)
+        maps = depth_maps(points, triangles, directions[number], resolution) if len(triangles) else (None, None)
+        for side, light in zip(sides, maps, strict=True):
+            cosine = normals @ directions[side]
+            facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
+            outward = normals[facing] * np.sign(cosine[facing])[:, None]
+            seen[facing, side] = 1.0 if light is None else light.lit(points[facing], outward)
 
-    mapped(look, range(len(directions)))
+    mapped(look, range(len(directions) // 2))
     return Sky(directions=directions, seen=seen)
 
 
@@ -145,13 +158,16 @@ def ambient_occlusion(points: FloatArray, normals: FloatArray, triangles: IntArr
 
 
 def sphere_directions(count: int) -> FloatArray:
-    """(count, 3) even directions, mirror-symmetric in X: half a Fibonacci sphere and its mirror image."""
-    number = np.arange(count // 2) + 0.5
-    y = 1 - 2 * number / (count // 2)
-    turn = (number * (np.sqrt(5) - 1) / 2) % 1.0 * np.pi  # longitudes of the half with x >= 0
+    """(count, 3) even directions, mirror-symmetric in X: a quarter of a Fibonacci sphere, its mirror image, and then
+    the opposites of these.
+    """
+    number = np.arange(count // 4) + 0.5
+    y = 1 - number / (count // 4)
+    turn = (number * (np.sqrt(5) - 1) / 2 + _TURN) % 1.0 * np.pi  # longitudes of the half with x >= 0
     ring = np.sqrt(1 - y**2)
-    half = np.stack([ring * np.sin(turn), y, ring * np.cos(turn)], axis=1)
-    return np.concatenate([half, half * (-1, 1, 1)])
+    quarter = np.stack([ring * np.sin(turn), y, ring * np.cos(turn)], axis=1)
+    upper = np.concatenate([quarter, quarter * (-1, 1, 1)])
+    return np.concatenate([upper, -upper])
 
 
 def _spiral(turn: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:

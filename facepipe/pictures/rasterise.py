@@ -37,7 +37,10 @@ class ScreenTriangles:
 
     def select(self, keep: npt.NDArray[np.bool_]) -> ScreenTriangles:
         """Those whose triangle is marked in `keep` (t,)."""
-        at = np.flatnonzero(keep[self.ids])
+        return self.take(np.flatnonzero(keep[self.ids]))
+
+    def take(self, at: IntArray) -> ScreenTriangles:
+        """Those in the places `at`, in that order."""
         return ScreenTriangles(**{each.name: getattr(self, each.name)[..., at] for each in fields(self)})
 
 
@@ -112,11 +115,22 @@ def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[i
     """
     top, bottom = rows or (0, height)
     key = np.zeros((bottom - top, width), np.uint64)
-    flat = key.reshape(-1)
-    for spans in spans_of(screen, width, top, bottom):
-        for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):
-            np.maximum.at(flat, *_fragments(screen, spans, part, top, width))
+    for owner, pixel, nearness, span in _fragments(screen, width, top, bottom):
+        names = (_ID_MASK - screen.ids[owner].astype(np.uint64))[span]
+        np.maximum.at(key.reshape(-1), pixel, (nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)) | names)
     return Raster(key=key)
+
+
+def depths(screen: ScreenTriangles, width: int, height: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """(height, width) nearness of what is nearest at the centre of every pixel, and of what is farthest.
+
+    Where there is nothing, they are 0 and infinity.
+    """
+    nearest, farthest = (np.full((height, width), empty, np.float32) for empty in (0, np.inf))
+    for _, pixel, nearness, _ in _fragments(screen, width, 0, height):
+        np.maximum.at(nearest.reshape(-1), pixel, nearness)
+        np.minimum.at(farthest.reshape(-1), pixel, nearness)
+    return nearest, farthest
 
 
 def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iterator[Spans]:
@@ -244,20 +258,23 @@ def _columns(
     return start, stop
 
 
-def _fragments(screen: ScreenTriangles, spans: Spans, part: slice, top: int, width: int) -> tuple[IntArray, KeyArray]:
-    """Flat pixel numbers and keys of the fragments of some spans."""
-    owner, row, start = spans.owner[part], spans.row[part], spans.start[part]
-    slope, down = (each[owner] for each in screen.gradient)
-    at_start = screen.nearness[owner]
-    at_start += (start + 0.5 - screen.x[0, owner]) * slope + (row + 0.5 - screen.y[0, owner]) * down
-    span, step = expand(spans.count[part])
-    # Slivers have wild gradients; their nearness stays between that of their corners.
-    nearness = at_start[span] + slope[span] * step
-    low, high = (each[owner][span] for each in screen.limits)
-    nearness = np.minimum(np.maximum(nearness, low), high).astype(np.float32)
-    names = (_ID_MASK - screen.ids[owner].astype(np.uint64))[span]
-    keys = (nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)) | names
-    return ((row - top) * width + start)[span] + step, keys
+def _fragments(
+    screen: ScreenTriangles, width: int, top: int, bottom: int
+) -> Iterator[tuple[IntArray, IntArray, npt.NDArray[np.float32], IntArray]]:
+    """Chunks of fragments in a band of rows: owners of spans; flat pixel number, nearness and span of each fragment."""
+    for spans in spans_of(screen, width, top, bottom):
+        for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):
+            owner, row, start, count = (each[part] for each in (spans.owner, spans.row, spans.start, spans.count))
+            slope, down = (each[owner] for each in screen.gradient)
+            first = screen.nearness[owner]
+            first += (start + 0.5 - screen.x[0, owner]) * slope + (row + 0.5 - screen.y[0, owner]) * down
+            # Slivers have wild gradients; their nearness stays between that of their corners.
+            far = (count - 1).astype(first.dtype)
+            first, last = (np.clip(end, *screen.limits[:, owner]) for end in (first, first + slope * far))
+            slope = (last - first) / np.maximum(far, 1)
+            span, step = expand(count)
+            nearness = (first[span] + slope[span] * step.astype(first.dtype)).astype(np.float32)
+            yield owner, ((row - top) * width + start)[span] + step, nearness, span
 
 
 def _pieces(counts: IntArray, limit: int) -> Iterator[slice]:

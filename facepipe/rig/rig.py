@@ -89,10 +89,11 @@ class Rig:
 
     def morph(self, weights: FloatArray) -> FloatArray:
         """(n, 3) points of (shapes,) weights, in skeleton space at bind time, before skinning."""
-        if not self.targets:
-            return self.points.copy()
-        moved: FloatArray = self.deltas @ self.activations(weights)
-        return self.points + moved.reshape(-1, 3)
+        moved = np.zeros_like(self.points)
+        for target, activation in zip(self.targets, self.activations(weights), strict=True):
+            if activation:
+                moved[target.point_indices] += activation * target.offsets
+        return self.points + moved
 
     def joint_worlds(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
         """(..., j, 4, 4) world matrices of (..., j, 4, 4) local ones."""

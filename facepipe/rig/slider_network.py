@@ -7,17 +7,23 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import expit
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig.bone_coefficients import CHANNELS
 
+
+def _silu(values: FloatArray) -> FloatArray:
+    from scipy.special import expit  # a tenth of a second, which few faces need
+
+    return np.asarray(values * expit(values))
+
+
 ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
-    "silu": lambda values: values * expit(values),
+    "silu": _silu,
 }
 
 

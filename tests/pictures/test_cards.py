@@ -85,6 +85,28 @@ def test_the_edges_inside_a_card_do_not_show() -> None:
     assert np.abs(whole - pieces).max() < 0.02
 
 
+def test_nothing_shines_through_what_is_opaque() -> None:
+    """Thin faint strips just before an opaque card, with its material: neither lets the wall behind them through."""
+    alpha = texture(np.array([[255] * 7 + [30]]), channels="r")
+    card = sheet("Card", 0.3)
+    strips = np.arange(-0.9, 0.9, 0.1)
+    x = strips[:, None] + np.array([0, 0.01, 0.01, 0])
+    points = np.stack([x, np.broadcast_to([-0.9, -0.9, 0.9, 0.9], x.shape), np.full(x.shape, 0.302)], axis=-1)
+    points = np.concatenate([card.points, points.reshape(-1, 3)])
+    u = np.where(points[:, 2] > 0.301, 15 / 16, 0.3)
+    card = replace(
+        card,
+        points=points,
+        face_vertex_counts=np.full(len(points) // 4, 4, np.int32),
+        face_vertex_indices=np.append(card.face_vertex_indices, np.arange(4, len(points))).astype(np.int32),
+        uv_sets=(UvSet(values=np.stack([u, np.full_like(u, 0.5)], axis=1)),),
+    )
+    glowing = matt("Wall", (0.0, 0.0, 0.0), emissive_color=(0.0, 0.6, 0.0))
+    seen = drawn([sheet("Wall", 0.0), card], [glowing, matt("Card", (0.6, 0.0, 0.0), opacity=alpha)])
+    inner = seen[12:52, 12:52, 1] * ~np.fliplr(np.eye(40, dtype=bool))  # without the edge inside the card
+    assert inner.max() < 0.01
+
+
 def test_the_border_of_a_film_is_smooth() -> None:
     pixels = drawn([sheet("Film", 0.0)], [matt("Film", (0.8, 0.8, 0.8), opacity=0.6)], view=(0.3, 0.2))[..., 0]
     partial = (pixels > 0.02) & (pixels < 0.45)

@@ -110,7 +110,7 @@ def test_where_things_touch_it_is_darker() -> None:
     dome = replace(FURNACE, sky=(0.3,) * 3, ground=(0.3,) * 3)
     pixels = drawn(wall, floor, view=(0.0, 0.7), studio=dome).sum(axis=2)
     column = pixels[:, 48]
-    covered = np.flatnonzero(column > 0)
+    covered = np.flatnonzero(column > 0)[1:-1]  # without the outline's pixels, in part background
     corner = covered[np.argmin(column[covered])]
     assert abs(corner - covered.mean()) < 12  # between wall and floor
     assert column[corner] < 0.7 * np.quantile(column[covered], 0.9)

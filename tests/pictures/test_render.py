@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +18,13 @@ from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, 
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import Frame, portrait
 from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
-from facepipe.pictures.occlusion import ambient_occlusion, depth_map
+from facepipe.pictures.hidden import hidden
+from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
 from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.pictures.textures import bilinear, linear_to_srgb, srgb_to_linear
 
 
-def screen_points(xyw: list[tuple[float, float, float]]) -> np.ndarray:
+def screen_points(xyw: Iterable[Sequence[float]]) -> np.ndarray:
     """Homogeneous screen points of (x, y, depth)."""
     return np.array([(x * w, y * w, 1.0, w) for x, y, w in xyw])
 
@@ -360,6 +362,46 @@ def test_ambient_occlusion_knows_open_sky_and_deep_pits() -> None:
     covered_ground = ambient_occlusion(both, np.concatenate([up, up]), np.concatenate([triangles, triangles + 81]))[:81]
     middle = np.abs(ground).max(axis=1) < 2.5
     assert covered_ground[middle].max() < 0.1
+
+
+def test_directions_of_the_sky_are_even() -> None:
+    directions = sphere_directions(24)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
+    np.testing.assert_allclose(directions[12:], -directions[:12])
+    np.testing.assert_allclose(directions.T @ directions / 24, np.eye(3) / 3, atol=0.06)
+    mirrored = np.abs(directions[:, None] * (-1, 1, 1) - directions).max(axis=2).min(axis=0)
+    np.testing.assert_allclose(mirrored, 0.0, atol=1e-12)
+
+
+def test_two_lights_face_to_face_see_what_each_sees_alone() -> None:
+    rng = np.random.default_rng(1)
+    points, triangles = rng.uniform(-1, 1, (180, 3)), np.arange(180).reshape(-1, 3)
+    normals = rng.normal(size=points.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    towards = np.array([0.3, 0.8, -0.5])
+    for light, way in zip(depth_maps(points, triangles, towards, 256), (towards, -towards), strict=True):
+        alone = depth_map(points, triangles, way, 256)
+        both = [one.lit(points + 0.2 * normals, normals) for one in (light, alone)]
+        assert 0.1 < np.mean(both[1]) < 0.9
+        assert np.mean(np.abs(both[0] - both[1]) > 0.1) < 0.02  # pixels differ, as the maps lie mirrored
+
+
+def test_what_hides_triangles_hides_all_of_them() -> None:
+    """A triangle that is sorted out has no pixel before what stands there; many are sorted out."""
+    rng = np.random.default_rng(3)
+    start = rng.uniform(-30, 90, (500, 1, 2))
+    corners = start + rng.normal(scale=rng.choice([1, 5, 30], (500, 1, 1)), size=(500, 3, 2))
+    depth = rng.uniform(1, 3, (500, 3))
+    points = screen_points(np.dstack([corners, depth]).reshape(-1, 3))
+    screen = screen_triangles(points, np.arange(1500).reshape(-1, 3))
+    nearness = np.repeat(np.repeat(rng.uniform(0.3, 1.0, (5, 7)), 4, axis=0), 4, axis=1).astype(np.float32)
+    found = hidden(screen, nearness, 3, 2)
+    behind = np.repeat(np.repeat(nearness, 3, axis=0), 3, axis=1)
+    shows = np.array(
+        [(rasterise(screen.take([one]), 84, 84, rows=(6, 66)).nearness > behind).any() for one in range(len(found))]
+    )
+    assert not (found & shows).any()
+    assert found.sum() > 0.3 * (~shows).sum()  # some are beside the band
 
 
 def test_shadows_fall_away_from_the_light() -> None:
