@@ -34,6 +34,7 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "sliders": "list, author or set sliders",
+    "batch": "the same work over many faces, here or on a cluster",
     "cook": "bring faces up to date with what they are made of",
     "blender-addon": "build the add-on for Blender",
     "schema-path": "print the folder of the USD schemas",
@@ -102,7 +103,7 @@ def _run(words: list[str]) -> int:
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, rest)
     parsed = parser.parse_args(rest)
-    for path in _paths(list(vars(parsed).values())):
+    for path in paths_in(list(vars(parsed).values())):
         check_input(path)
     with trusting(_trust_of(parsed)):
         return int(module.run(parsed))
@@ -121,13 +122,13 @@ def command_module(command: str) -> Any:
     return ActionGroup(command) if command in groups() else None
 
 
-def _paths(values: Iterable[object]) -> Iterator[Path]:
+def paths_in(values: Iterable[object]) -> Iterator[Path]:
     """All paths among what was parsed."""
     for value in values:
         if isinstance(value, Path):
             yield value
         elif isinstance(value, list | tuple):
-            yield from _paths(value)
+            yield from paths_in(value)
 
 
 def _trust_of(parsed: argparse.Namespace) -> Trust:

@@ -21,7 +21,7 @@ class TextureFolder:
 
     def __init__(self, stage_file: Path) -> None:
         self._stage_file = stage_file
-        self._folder = _folder_of(stage_file)
+        self._folder = texture_folder(stage_file)
         self._files: dict[Path, bytes] = {}
         self._taken: set[str] = set()  # names, without case
 
@@ -68,7 +68,7 @@ def texture_home(target: Path) -> Iterator[Path]:
     :raises InputError: the folder of `target` does not exist
     """
     if target.suffix.lower() != ".usdz":
-        collect(_folder_of(target))
+        collect(texture_folder(target))
         yield target
         return
     if not target.parent.is_dir():
@@ -77,5 +77,6 @@ def texture_home(target: Path) -> Iterator[Path]:
         yield folder / target.name
 
 
-def _folder_of(stage_file: Path) -> Path:
+def texture_folder(stage_file: Path) -> Path:
+    """Where the textures of a stage that is written go."""
     return stage_file.parent / f"{stage_file.stem}_textures"

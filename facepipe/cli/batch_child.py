@@ -1,0 +1,162 @@
+"""The process that does tasks of `facepipe batch`: a line of JSON in for each, and one out; ends with its input.
+
+The first line says where: the folder that paths are relative to, the roots that all reads and writes are confined to,
+and the version of who asks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import io
+import json
+import os
+import queue
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from facepipe.actions import find_action
+from facepipe.cli import command_module, paths_in
+from facepipe.cli.action_line import ActionGroup, ActionLine, action_of
+from facepipe.cli.parser import Parser
+from facepipe.cli.show import quiet_libraries
+from facepipe.core import __version__
+from facepipe.core.errors import InputError
+from facepipe.core.trust import Trust, trusting
+from facepipe.declare import fields_of
+from facepipe.farm.contents import Contents
+from facepipe.farm.work import FAILED, Line, Outcome, work
+from facepipe.kinds import Action, FileAction, InPlaceAction
+
+_OTHERS = ("export", "import", "validate", "apply-bones")  # commands that are no actions, and can be steps
+
+
+def main(read: Callable[[list[str]], Line] | None = None) -> None:
+    """Answer requests until there are no more; where who asks has ended, end at once.
+
+    :param read: reads lines in place of `read_line`
+    """
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    setting = json.loads(requests.get())
+    contents = Contents()
+    os.chdir(setting["folder"])
+    policy = Trust(roots=tuple(map(Path, setting["roots"])), models=setting["models"], confined=True)
+    with quiet_libraries(), trusting(policy):
+        while True:
+            request = json.loads(requests.get())
+            if setting["version"] != __version__:
+                what = f"facepipe {__version__} works here, expected {setting['version']}"
+                record = {"task": request["task"], "status": FAILED, "error": what, "passing": True, "refused": True}
+            else:
+                record = work(request, read or read_line, contents)
+            answers.write(json.dumps({**record, "peak_mb": _peak_mb()}).encode() + b"\n")
+            answers.flush()
+            gc.collect()
+
+
+def _listen(requests: queue.SimpleQueue[bytes]) -> None:
+    for line in sys.stdin.buffer:
+        requests.put(line)
+    os._exit(1)
+
+
+def _peak_mb() -> float | None:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(used / (1e6 if sys.platform == "darwin" else 1e3), 1)
+
+
+def read_line(words: list[str]) -> Line:
+    """A line of the command line, with what it reads and writes.
+
+    :raises InputError: no such command, one that can't be a step, or as the command says of its words
+    """
+    verb = words[0]
+    module = command_module(verb)
+    if module is None or not (isinstance(module, ActionLine | ActionGroup) or verb in _OTHERS):
+        raise InputError(verb[:40], "can't be a step, expected an action, export, import or validate")
+    parser = Parser(prog=f"facepipe {verb}", description=module.__doc__, trust=False)
+    with _spoken() as (_, errors):
+        module.configure(parser, words[1:])
+        parsed = _parsed(parser, words[1:], errors)
+    parsed.json = parsed.force = True
+    writes = [path for path in (getattr(parsed, "output", None), getattr(parsed, "out", None)) if path is not None]
+    if isinstance(module, ActionLine | ActionGroup):
+        if isinstance(module, ActionGroup):
+            verb = f"{module.name} {parsed.action}"
+        reads, more = _of_action(verb, parsed, writes)
+        writes += more
+    else:
+        reads = [path for path in paths_in(list(vars(parsed).values())) if path not in writes]
+        reads += [Path(parsed.rename)] if Path(getattr(parsed, "rename", None) or "-").is_file() else []
+        writes += _companions(writes)
+    return Line(verb=verb, reads=reads, writes=writes, run=lambda: _run(module, parsed))
+
+
+def _of_action(verb: str, parsed: argparse.Namespace, writes: list[Path]) -> tuple[list[Path], list[Path]]:
+    """What an action reads, and what it writes beside its result."""
+    from facepipe.performing import files_of
+
+    kind: type[Action[Any]] | None = find_action(verb)
+    assert kind is not None
+    if parsed.edit is not None or (issubclass(kind, InPlaceAction) and not writes):
+        raise InputError(verb, "would change its input, which a step can't, expected another result")
+    action = action_of(parsed, kind)[1]
+    read = [getattr(parsed, one.name, None) for one in fields_of(kind) if one.is_read]
+    beside = [getattr(action, one.name) for one in fields_of(kind) if one.role == "beside"]
+    more = [path for path in beside if path is not None] + _companions(writes, kind)
+    return [*files_of(action), *(path for path in read if path is not None)], more
+
+
+def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> list[Path]:
+    """Files that an exporter or an action writes with a result."""
+    from facepipe.registry import outputs, suffixes
+
+    if not writes:
+        return []
+    out = writes[0]
+    if kind is not None and issubclass(kind, FileAction):
+        return [one for one in kind.with_it(out) if one != out]
+    exported = out.suffix.lower().removeprefix(".") in suffixes()
+    return [one for one in outputs(out) if one != out] if exported else []
+
+
+def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.Namespace:
+    try:
+        return parser.parse_args(words)
+    except SystemExit:
+        lines = errors.getvalue().strip().splitlines() or [f"{parser.prog}: no line to run"]
+        where, _, what = lines[-1].partition(": ")
+        raise InputError(where, what) from None
+
+
+def _run(module: Any, parsed: argparse.Namespace) -> Outcome:
+    with _spoken() as (said, _):
+        code = int(module.run(parsed))
+    try:
+        report: Mapping[str, Any] = json.loads(said.getvalue())
+    except ValueError:  # of a command without a report
+        report = {}
+    return Outcome(missed=code == 1, report=report if isinstance(report, dict) else {"report": report})
+
+
+@contextlib.contextmanager
+def _spoken() -> Iterator[tuple[io.StringIO, io.StringIO]]:
+    """What is printed in the block: results, and the rest."""
+    said, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+        yield said, errors
+
+
+if __name__ == "__main__":
+    main()

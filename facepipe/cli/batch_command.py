@@ -1,0 +1,78 @@
+"""The same work over many faces: the steps of a plan, or one line for each file; here, or on a Dask cluster.
+
+PLAN is a TOML file: a table of faces, and steps, each a line of this command line (docs/batch.md). What is done already
+is not done again; what fails is listed, and the rest is done.
+
+Exit code 1: done, but for the tasks that are listed, or a check of some task was missed.
+
+examples:
+  facepipe batch show.toml
+  facepipe batch show.toml --processes 8 --seconds 600 --memory-mb 2000
+  facepipe batch show.toml --retry-failed
+  facepipe batch show.toml --cluster tcp://farm:8786
+  facepipe batch --each 'heads/*.glb' -o '{name}.usda' -- fit-bones {face} --targets smile.usda
+  facepipe batch --each 'heads/*.usda' -- validate {face}
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from facepipe.cli.parser import add_options
+from facepipe.cli.show import emit
+from facepipe.core.errors import InputError
+from facepipe.farm.options import RunOptions
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    add = parser.add_argument
+    add("words", nargs="*", metavar="PLAN | -- ACTION ...", help="plan (.toml); with --each the line for each file")
+    add("--each", metavar="GLOB", help="files to do it to; {face} is the file, {name} its name without suffix")
+    add("-o", "--output", metavar="OUT", help="with --each: the result of each, like game/{name}.glb")
+    add("--state", type=Path, metavar="DIR", help="what is done, and the report (default beside the plan: NAME_batch)")
+    add("--processes", type=int, default=None, metavar="N", help="on this machine (default: a core each)")
+    cluster = "do it on a Dask cluster: tcp://HOST:PORT of its scheduler, or ssh://HOST,HOST"
+    add("--cluster", metavar="ADDRESS", help=cluster)
+    add("--thumbnails", type=int, default=128, metavar="PX", help="pictures in the report, 0 for none (default 128)")
+    add("--json", action="store_true", help="print the report as JSON")
+    add_options(parser, RunOptions, "how tasks are run")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the plan, print what it came to."""
+    from facepipe.cli.batch_progress import shown
+    from facepipe.cli.parser import options_from
+    from facepipe.core.trust import trust
+    from facepipe.farm.batch import batch
+    from facepipe.farm.plan import each, read_plan
+
+    if arguments.each is None:
+        file = _plan_file(arguments)
+        plan, default = read_plan(file), f"{file.stem}_batch"
+    else:
+        plan, default = each(arguments.each, arguments.words, arguments.output or ""), "facepipe_batch"
+    with shown() as told:
+        report = batch(
+            plan,
+            arguments.state or plan.folder / default,
+            options=options_from(arguments, RunOptions),
+            processes=arguments.processes or os.cpu_count() or 1,
+            cluster=arguments.cluster,
+            thumbnails=arguments.thumbnails,
+            models=trust().models,
+            told=told,
+        )
+    emit(json.loads(report.to_json()), report.text(), as_json=arguments.json)
+    return 1 if report.missed else 0
+
+
+def _plan_file(arguments: argparse.Namespace) -> Path:
+    if len(arguments.words) != 1:
+        raise InputError("PLAN", f"{len(arguments.words)} words, expected one plan (or --each GLOB -- ACTION ...)")
+    if arguments.output is not None:
+        raise InputError("-o", "given with a plan, which says itself where results go")
+    return Path(arguments.words[0])

@@ -1,0 +1,98 @@
+"""A plan done from end to end: tasks run, and the report of what they came to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from facepipe.core import __version__
+from facepipe.core.errors import InputError
+from facepipe.core.trust import roots_of, trust
+from facepipe.declare import check_ranges
+from facepipe.farm.cluster import Cluster
+from facepipe.farm.engines import Engine, Processes
+from facepipe.farm.ledger import ledger_in
+from facepipe.farm.options import RunOptions
+from facepipe.farm.plan import Plan, Step, plan_of
+from facepipe.farm.report import BatchReport, report_of, write_report
+from facepipe.farm.run import Run
+from facepipe.stage.files import SUFFIXES
+
+THUMBNAIL = "thumbnail"  # the step that draws each face for the report
+_SIZES = range(16, 1025)
+
+
+def batch(
+    plan: Plan,
+    state: Path,
+    *,
+    options: RunOptions | None = None,
+    processes: int = 1,
+    cluster: str | None = None,
+    thumbnails: int = 0,
+    models: bool = False,
+    told: Callable[[Run], Callable[..., object]] | None = None,
+) -> BatchReport:
+    """Run a plan.
+
+    :param state: folder of what is done, and of the report: ``report.html``, ``report.json``; made where there is none
+    :param processes: on this machine
+    :param cluster: address of a Dask cluster that does it instead
+    :param thumbnails: pixels of the pictures in the report, 0 for none
+    :param models: models that can run code are loaded
+    :param told: given the run, what is called for each task that ends
+    :raises InputError: options out of range, another run of the state, or a cluster that can't be used
+    """
+    options = options or RunOptions()
+    check_ranges(options)
+    if processes < 1:
+        raise InputError("--processes", f"is {processes}, expected at least 1")
+    plan = _with_thumbnails(plan, state, thumbnails)
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(state, f"can't be made: {error.strerror or error}") from error
+    start = time.perf_counter()
+    with ledger_in(state) as ledger:
+        run = Run(plan=plan, ledger=ledger, options=options, told=lambda *_: None)
+        if told is not None:
+            run.told = told(run)
+        setting = _setting(plan, state, models)
+        engine: Engine = Cluster(cluster, setting) if cluster else Processes(processes, setting)
+        try:
+            run(engine)
+        finally:
+            engine.close()
+        report = report_of(run, state, time.perf_counter() - start)
+        write_report(report, run, state)
+    return report
+
+
+def _setting(plan: Plan, state: Path, models: bool) -> Mapping[str, Any]:
+    """What processes that do tasks are told first."""
+    roots = trust().roots or roots_of(plan.folder / "plan")
+    folders = [*dict.fromkeys(str(one.absolute()) for one in (*roots, state))]
+    return {"folder": str(plan.folder), "roots": folders, "models": models, "version": __version__}
+
+
+def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:
+    """A plan with a step more, which draws the last stage of each face, or the face of the table.
+
+    :raises InputError: a size that pictures can't have, or a step of its name
+    """
+    if not size:
+        return plan
+    if size not in _SIZES:
+        raise InputError("--thumbnails", f"is {size}, expected 0, or {_SIZES[0]} to {_SIZES[-1]} pixels")
+    stages = [one.name for one in plan.steps if not one.once and Path(one.out).suffix.lower() in SUFFIXES]
+    drawn = stages[-1] if stages else "face" if plan.rows and "face" in plan.rows[0].values else None
+    if drawn is None or any(one.name == THUMBNAIL for one in plan.steps):
+        return plan
+    out = f"{state.absolute().as_posix()}/thumbnails/{{name}}.png"
+    step = Step(name=THUMBNAIL, words=("render", f"{{{drawn}}}", "--size", str(size)), out=out, priority=-1)
+    steps = {one.name: one for one in plan.steps} | {THUMBNAIL: step}
+    found = plan_of(plan.where, plan.folder, plan.out, plan.rows, steps)
+    return replace(found, faults={**plan.faults, **found.faults})

@@ -1,0 +1,83 @@
+"""Results kept by their keys, up to a size: those used longest ago go first."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.atomic import replacing, together
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.farm.contents import state_of
+
+_RECORD = "record.json"
+_PASSING = ".new-"
+
+
+class Cache:
+    """A folder that several processes and plans share; what is in it can be removed at any time."""
+
+    def __init__(self, folder: Path, most_bytes: int) -> None:
+        """:raises InputError: the folder can't be made"""
+        self._folder, self._most = folder, most_bytes
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(folder, f"can't be made: {error.strerror or error}") from error
+
+    def fetch(self, key: str) -> dict[str, Any] | None:
+        """Put the files of a key in their places: the record of the result; None where it isn't here, or is damaged."""
+        entry = self._folder / key
+        try:
+            record = json.loads((entry / _RECORD).read_bytes())
+            writes = list(record["writes"].items())
+            if any(_digest(entry / str(number)) != one[1] for number, (_, one) in enumerate(writes)):
+                raise InputError(entry, "is damaged")
+        except (OSError, ValueError, LookupError, TypeError, FacepipeError):
+            shutil.rmtree(entry, ignore_errors=True)
+            return None
+        with together(writes[0][0]) if writes else contextlib.nullcontext():
+            for number, (path, _) in enumerate(writes):
+                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                with replacing(path) as temporary:
+                    shutil.copyfile(entry / str(number), temporary)
+        os.utime(entry)
+        return {**record, "writes": {path: [state_of(path), own] for path, (_, own) in writes}}
+
+    def keep(self, key: str, record: Mapping[str, Any]) -> None:
+        """Keep a result; where there is no room for it on the disk, it is not kept."""
+        passing = self._folder / f"{_PASSING}{secrets.token_hex(8)}"
+        try:
+            passing.mkdir()
+            for number, path in enumerate(record["writes"]):
+                shutil.copyfile(path, passing / str(number))
+            (passing / _RECORD).write_text(json.dumps(record), encoding="utf-8")
+            passing.rename(self._folder / key)
+        except OSError:  # a full disk, or another process has kept the same
+            shutil.rmtree(passing, ignore_errors=True)
+        self._evict()
+
+    def _evict(self) -> None:
+        entries = []
+        for entry in self._folder.iterdir():
+            with contextlib.suppress(OSError):
+                used = sum(one.stat().st_size for one in entry.iterdir())
+                entries.append((entry.stat().st_mtime_ns, used, entry))
+        over = sum(used for _, used, _ in entries) - self._most
+        for _, used, entry in sorted(entries):
+            if over <= 0:
+                return
+            shutil.rmtree(entry, ignore_errors=True)
+            over -= used
+
+
+def _digest(path: Path) -> str:
+    """As `facepipe.core.digests.digest`, of a file that lines may not read."""
+    with path.open("rb") as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"

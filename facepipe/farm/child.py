@@ -1,0 +1,123 @@
+"""A process of its own for tasks, one after another: what they do to it, or take too long over, ends it alone."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from facepipe.core.errors import FacepipeError, InputError
+
+PROGRAM = "facepipe.cli.batch_child"  # a module that answers requests, a line of JSON each, from its standard input
+_PAUSE = 0.2  # seconds between two looks at its memory
+_ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "PXR_WORK_THREAD_LIMIT",
+        "FACEPIPE_THREADS",
+    ),
+    "1",
+)
+
+
+class ChildLostError(FacepipeError):
+    """The process has ended, or was ended, before it answered."""
+
+
+class Child:
+    """The process, started for the first request and again after it was lost."""
+
+    def __init__(self, setting: Mapping[str, Any]) -> None:
+        """:param setting: what the program is told first: folder, roots, models, version"""
+        self._setting = setting
+        self._process: subprocess.Popen[bytes] | None = None
+        self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+
+    def ask(self, request: Mapping[str, Any], seconds: float | None, memory_mb: float | None) -> dict[str, Any]:
+        """The answer to a request.
+
+        :param seconds: it may take
+        :param memory_mb: the process may have
+        :raises ChildLostError: it has ended, or took more than that
+        """
+        process = self._process or self._start()
+        self._send(process, request)
+        until = None if seconds is None else time.monotonic() + seconds
+        while True:
+            with contextlib.suppress(queue.Empty):
+                answer = self._answers.get(timeout=_PAUSE)
+                if answer is None:
+                    code = self.end()
+                    why = f"signal {-code}" if code < 0 else f"exit code {code}"
+                    raise ChildLostError(request["task"], f"its process ended ({why})")
+                found: dict[str, Any] = json.loads(answer)
+                return found
+            if until is not None and time.monotonic() > until:
+                self.end()
+                raise ChildLostError(request["task"], f"took more than {seconds:g} seconds")
+            used = None if memory_mb is None else memory_of(process.pid)
+            if used is not None and memory_mb is not None and used > memory_mb:
+                self.end()
+                raise ChildLostError(request["task"], f"took {used:.0f} MB, expected at most {memory_mb:g}")
+
+    def end(self) -> int:
+        """End the process; its exit code."""
+        process, self._process = self._process, None
+        if process is None:
+            return 0
+        with contextlib.suppress(OSError):
+            process.kill()
+        code = process.wait()
+        for pipe in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
+        return code
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        words = [sys.executable, "-m", PROGRAM]
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        process = subprocess.Popen(words, env={**os.environ, **_ONE_THREAD}, **pipes)
+        self._process, self._answers = process, queue.SimpleQueue()
+        threading.Thread(target=_pump, args=(process.stdout, self._answers), daemon=True).start()
+        self._send(process, self._setting)
+        return process
+
+    def _send(self, process: subprocess.Popen[bytes], content: Mapping[str, Any]) -> None:
+        assert process.stdin is not None
+        with contextlib.suppress(OSError):  # it has ended: `ask` sees that
+            process.stdin.write(json.dumps(content).encode() + b"\n")
+            process.stdin.flush()
+
+
+def _pump(pipe: Any, answers: queue.SimpleQueue[bytes | None]) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        for line in pipe:
+            answers.put(line)
+    answers.put(None)
+
+
+def memory_of(pid: int) -> float | None:
+    """The memory that a process has [MB]; None where it is gone.
+
+    :raises InputError: psutil is not installed
+    """
+    try:
+        import psutil
+    except ImportError:
+        raise InputError("memory", "needs psutil: pip install 'facepipe[farm]'") from None
+    try:
+        return float(psutil.Process(pid).memory_info().rss) / 1e6
+    except psutil.Error:
+        return None

@@ -1,0 +1,197 @@
+"""Plans: steps over a table of faces, each step a line of the command line with names in braces.
+
+    out = "built"
+
+    [faces]
+    range = { seed = [1, 500] }
+
+    [steps.person]
+    run = "sample --seed {seed} --textures 0"
+    out = "people/{name}.usdc"
+
+    [steps.game]
+    run = "export {person}"
+    out = "game/{name}.glb"
+
+A name in braces is a column of the table, an earlier step (its result of the same face), or `out` (its folder).
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reading import read_toml
+from facepipe.farm.table import Row, read_table
+
+_MOST_BYTES = 1 << 20
+_BRACES = re.compile(r"\{([^{}]*)\}")
+_STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
+_KEYS = {"run", "out", "once", "priority", "seconds", "memory_mb"}
+OUT = "out"
+EACH = "each"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A line that is run for each face, or once for all."""
+
+    name: str
+    words: tuple[str, ...]
+    out: str = ""  # pattern of the result's path; empty: it writes none
+    once: bool = False  # for all faces: {step} is the results of all
+    priority: int = 0  # steps of a higher one first
+    seconds: float | None = None  # limits of their own
+    memory_mb: float | None = None
+    needs: tuple[str, ...] = ()  # steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is to be done."""
+
+    where: str  # for messages
+    folder: Path  # that paths of its lines are relative to
+    out: Path  # absolute
+    rows: tuple[Row, ...]
+    steps: tuple[Step, ...]  # those that others need first
+    faults: Mapping[str, str] = field(default_factory=dict)  # step that can't be run -> why
+
+
+def read_plan(path: Path) -> Plan:
+    """:raises InputError: no plan, a table that can't be read, or no step"""
+    content = read_toml(path, _MOST_BYTES)
+    _check_keys(path, content, {"out", "faces", "steps"})
+    folder = path.absolute().parent
+    out = content.get("out", "out")
+    faces, steps = content.get("faces"), content.get("steps")
+    if not isinstance(out, str) or not isinstance(faces, dict) or not isinstance(steps, dict) or not steps:
+        raise InputError(path, 'expected out = "FOLDER", a table [faces], and a table [steps.NAME] for each step')
+    rows = read_table(f"{path} -> faces", folder, faces)
+    return plan_of(str(path), folder, folder / out, rows, {name: _step(path, name, one) for name, one in steps.items()})
+
+
+def plan_of(where: str, folder: Path, out: Path, rows: Sequence[Row], steps: Mapping[str, Step]) -> Plan:
+    """A plan with its steps in the order of their needs, and what is wrong with any of them."""
+    columns = set(rows[0].values) if rows else set()
+    faults = {name: line for name, one in steps.items() for line in _fault(one, columns, steps)[:1]}
+    known = {name: _with_needs(one, steps) for name, one in steps.items()}
+    faults |= _circles({name: one for name, one in known.items() if name not in faults})
+    return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=tuple(_ordered(known)), faults=faults)
+
+
+def _step(path: Path, name: str, said: Any) -> Step:
+    where = f"{path} -> steps.{name}"
+    if not _STEP.fullmatch(name) or name == OUT:
+        raise InputError(where, "expected a name of letters, digits, - and _")
+    if not isinstance(said, dict):
+        raise InputError(where, f'{str(said)[:40]}, expected a table with run = "ACTION ..."')
+    _check_keys(where, said, _KEYS)
+    run = said.get("run")
+    if not isinstance(run, str | list) or not all(isinstance(one, str) for one in run):
+        raise InputError(where, 'no line to run, expected run = "ACTION ..."')
+    kinds: dict[str, Any] = {
+        "out": str,
+        "once": bool,
+        "priority": int,
+        "seconds": (int, float),
+        "memory_mb": (int, float),
+    }
+    for key, kind in kinds.items():
+        if key in said and (not isinstance(said[key], kind) or (kind is not bool and isinstance(said[key], bool))):
+            raise InputError(f"{where} -> {key}", f"{str(said[key])[:40]}, expected another kind of value")
+    return Step(name=name, words=words_of(where, run), **{key: said[key] for key in kinds if key in said})
+
+
+def words_of(where: object, run: str | Sequence[str]) -> tuple[str, ...]:
+    """The words of a line, split as a shell does.
+
+    :raises InputError: none, or a quote that never ends
+    """
+    try:
+        words = shlex.split(run) if isinstance(run, str) else list(run)
+    except ValueError as error:
+        raise InputError(where, f"run can't be split into words: {error}") from None
+    words = words[1:] if words[:1] == ["facepipe"] else words
+    if not words:
+        raise InputError(where, "no line to run, expected one like `export {face}`")
+    return tuple(words)
+
+
+def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = None) -> Plan:
+    """A plan of one line for each file; paths are relative to the working folder.
+
+    :param pattern: of the files, like ``heads/*.glb``
+    :param out: pattern of the result's path; empty: the line writes none
+    :raises InputError: no such file, no line, or one that names no {face}
+    """
+    folder = folder or Path.cwd()
+    step = Step(name=EACH, words=words_of("--each", words), out=out)
+    if not {"face", "name"} & {*braces(step)}:
+        raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")
+    return plan_of(f"--each {pattern}", folder, folder, read_table("--each", folder, {"glob": pattern}), {EACH: step})
+
+
+def _check_keys(where: object, said: Mapping[str, Any], known: Collection[str]) -> None:
+    for key in said:
+        if key not in known:
+            near = did_you_mean(key, known) or f", expected some of {', '.join(sorted(known))}"
+            raise InputError(where, f"'{key[:40]}' is unknown{near}")
+
+
+def braces(step: Step) -> Iterator[str]:
+    """The names in braces, of its words first."""
+    for word in (*step.words, step.out):
+        yield from _BRACES.findall(word)
+
+
+def _fault(step: Step, columns: Collection[str], steps: Collection[str]) -> list[str]:
+    known = {OUT, *steps, *(() if step.once else columns)}
+    lines = []
+    for name in braces(step):
+        if name not in known:
+            near = did_you_mean(name, known) or f", expected one of {', '.join(sorted(known))}"
+            lines.append(f"{{{name[:40]}}} is no column of the table and no step{near}")
+    for name in _BRACES.findall(step.out):
+        if name in steps:
+            lines.append(f"out names the step {{{name}}}, expected columns of the table")
+    return lines
+
+
+def _with_needs(step: Step, steps: Mapping[str, Step]) -> Step:
+    return replace(step, needs=tuple(dict.fromkeys(name for name in braces(step) if name in steps)))
+
+
+def _circles(steps: Mapping[str, Step]) -> dict[str, str]:
+    """Steps that need themselves -> how."""
+    faults: dict[str, str] = {}
+    while True:
+        left = {name: [one for one in step.needs if one in steps] for name, step in steps.items() if name not in faults}
+        try:
+            TopologicalSorter(left).prepare()
+        except CycleError as error:
+            circle = error.args[1]
+            faults |= dict.fromkeys(circle, f"needs itself: {' -> '.join(reversed(circle))}")
+        else:
+            return faults
+
+
+def _ordered(steps: Mapping[str, Step]) -> list[Step]:
+    """Steps after those that they need, else as written; those in circles last."""
+    done: dict[str, Step] = {}
+    while len(done) < len(steps):
+        ready = [one for one in steps.values() if one.name not in done and set(one.needs) <= done.keys()]
+        done |= {one.name: one for one in ready or steps.values() if one.name not in done}
+    return list(done.values())
+
+
+def filled(pattern: str, values: Mapping[str, str]) -> str:
+    """`pattern` with names in braces replaced."""
+    return _BRACES.sub(lambda found: values[found[1]], pattern)

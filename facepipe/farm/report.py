@@ -1,0 +1,183 @@
+"""What a plan came to: counts, times, failures, errors in millimetres, attributions; as JSON, and as a page."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.core.atomic import together, write_bytes
+from facepipe.core.reports import Report
+
+if TYPE_CHECKING:
+    from facepipe.farm.ledger import Record
+    from facepipe.farm.run import Run
+
+_DONE = ("made", "kept", "cached")
+_MOST_FAILURES = 20  # on the terminal
+_MOST_WARNINGS = 1000  # on the page
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchReport(Report):
+    """What a plan came to."""
+
+    faces: int
+    tasks: int
+    counts: Mapping[str, int]  # status -> tasks
+    steps: Mapping[str, Mapping[str, Any]]  # step -> counts, and of those that were made seconds and peak_mb
+    failures: tuple[str, ...]  # a line each
+    missed_checks: tuple[str, ...]  # tasks that were done, but missed a check or threshold
+    attributions: tuple[str, ...]  # of everything that went in
+    seconds: float
+    scheduling_seconds: float  # of those, what giving tasks out took
+    page: Path
+
+    @property
+    def missed(self) -> bool:
+        """Whether anything was not done, or missed a check."""
+        return bool(self.failures or self.missed_checks)
+
+    def text(self) -> str:
+        """The report for people."""
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(self.counts.items()))
+        lines = [f"{self.faces} faces, {self.tasks} tasks in {self.seconds:.1f} s: {counts}"]
+        for name, one in self.steps.items():
+            said = ", ".join(f"{one['counts'][status]} {status}" for status in sorted(one["counts"]))
+            time = f"; {one['seconds_mean']:.2f} s each" if one.get("seconds_mean") else ""
+            lines.append(f"  {name}: {said}{time}")
+        lines += [f"failed: {line}" for line in self.failures[:_MOST_FAILURES]]
+        if len(self.failures) > _MOST_FAILURES:
+            lines.append(f"and {len(self.failures) - _MOST_FAILURES} more, see the report")
+        if self.missed_checks:
+            lines.append(f"a check was missed: {', '.join(self.missed_checks[:_MOST_FAILURES])}")
+        return "\n".join([*lines, f"report: {self.page}"])
+
+
+def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
+    """The report of a run that has ended."""
+    failed = [one for one in run.records.values() if one["status"] not in _DONE]
+    own = [one for one in failed if one["status"] != "skipped"]
+    skipped = len(failed) - len(own)
+    done = [one for one in run.records.values() if one["status"] in _DONE]
+    return BatchReport(
+        faces=len(run.plan.rows),
+        tasks=len(run.records),
+        counts=dict(run.counts),
+        steps={step.name: _of_step(run.records, step.name) for step in run.plan.steps},
+        failures=tuple(
+            f"{line} ({count} tasks)" if count > 1 else line
+            for line, count in Counter(one["error"] for one in own).items()
+        ),
+        missed_checks=tuple(one["task"] for one in done if one.get("missed")),
+        attributions=tuple(sorted({text for one in done for text in one.get("attribution", ())})),
+        seconds=seconds,
+        scheduling_seconds=run.scheduling,
+        page=state / "report.html",
+        warnings=(f"{skipped} tasks were left out, since what they need failed",) if skipped else (),
+    )
+
+
+def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
+    own = [one for name, one in records.items() if name.partition("/")[0] == step]
+    made = [one for one in own if one["status"] == "made"]
+    counts: dict[str, int] = {}
+    for one in own:
+        counts[one["status"]] = counts.get(one["status"], 0) + 1
+    found: dict[str, Any] = {"counts": counts}
+    if made:
+        found["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
+        found["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
+    return found
+
+
+def write_report(report: BatchReport, run: Run, state: Path) -> None:
+    """``report.json``, with every task, and ``report.html`` in the state folder.
+
+    :raises InputError: they can't be written
+    """
+    tasks = [run.records[name] for name in sorted(run.records)]
+    content = {**json.loads(report.to_json()), "records": tasks}
+    with together(state / "report.html"):
+        write_bytes(state / "report.json", json.dumps(content, sort_keys=True, indent=1, default=str).encode())
+        write_bytes(state / "report.html", _page(report, run, state).encode())
+
+
+def errors_mm(report: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, float]]:
+    """The figures in millimetres of a task's report: of a distribution its mean and p95."""
+    for key, value in report.items():
+        path = f"{name}.{key}" if name else key
+        if isinstance(value, Mapping):
+            inside = {one: value[one] for one in ("mean", "p95") if key.endswith("_mm") and one in value}
+            yield from ((f"{path} {one}", float(number)) for one, number in inside.items() if number is not None)
+            if not inside:
+                yield from errors_mm(value, path)
+        elif key.endswith("_mm") and isinstance(value, int | float):
+            yield path, float(value)
+
+
+_STYLE = """
+body{font:14px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1200px;padding:0 1em;color:#222;background:#fff}
+h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:collapse}td,th{padding:.25em .8em;
+text-align:left;border-bottom:1px solid #ddd;vertical-align:top}th{color:#666;font-weight:600}
+.faces{display:flex;flex-wrap:wrap;gap:10px}.face{width:150px;font-size:12px;color:#555}.face b{color:#222}
+.face img{width:100%;border-radius:4px;display:block}.bad{color:#b00020}code{font-size:.95em;word-break:break-all}
+@media(prefers-color-scheme:dark){body{background:#181a1b;color:#ddd}.face b{color:#eee}td,th{border-color:#333}}
+"""
+
+
+def _page(report: BatchReport, run: Run, state: Path) -> str:
+    steps = "".join(
+        f"<tr><td>{_safe(name)}<td>{_safe(', '.join(f'{n} {s}' for s, n in sorted(one['counts'].items())))}"
+        f"<td>{one.get('seconds_mean', 0):.2f}<td>{one.get('peak_mb', 0):.0f}"
+        for name, one in report.steps.items()
+    )
+    failures = "".join(f"<li><code>{_safe(line)}</code>" for line in report.failures[:_MOST_WARNINGS])
+    attributions = "".join(f"<li>{_safe(line)}" for line in report.attributions)
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
+    parts = [
+        f"<h1>{_safe(Path(run.plan.where).name)}</h1><p>{report.faces} faces, {report.tasks} tasks: {counts}; "
+        f"{report.seconds:.1f} s, of which giving tasks out {report.scheduling_seconds:.1f} s.",
+        f"<h2>Steps</h2><table><tr><th>step<th>tasks<th>seconds each<th>peak MB{steps}</table>",
+        f"<h2 class=bad>Not done</h2><ul>{failures}</ul>" if failures else "",
+        f"<h2>Faces</h2><div class=faces>{''.join(_faces(run, state))}</div>",
+        f"<h2>Licences and attributions</h2><ul>{attributions}</ul>" if attributions else "",
+    ]
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{_safe(Path(run.plan.where).name)}</title>'
+    return f'{head}<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>{"".join(parts)}'
+
+
+def _faces(run: Run, state: Path) -> Iterator[str]:
+    """A card each: picture, errors, times, what went wrong."""
+    names = [step.name for step in run.plan.steps if not step.once]
+    for row in run.plan.rows:
+        own = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
+        pictures = [path for one in own for path in one.get("writes", ()) if path.endswith(".png")]
+        image = f'<img loading="lazy" src="{_address(run, state, pictures[-1])}" alt="">' if pictures else ""
+        figures = [f"{_safe(key)} {value:.3g} mm" for one in own for key, value in errors_mm(one.get("report") or {})][
+            :4
+        ]
+        seconds = sum(one.get("seconds", 0.0) for one in own)
+        bad = [
+            f'<span class="bad" title="{_safe(one["error"])}">{_safe(one["task"])}</span>'
+            for one in own
+            if one["status"] not in _DONE
+        ]
+        lines = "<br>".join([*bad, *figures])
+        yield f"<div class=face>{image}<b>{_safe(row.name)}</b> {seconds:.1f} s<br>{lines}</div>"
+
+
+def _address(run: Run, state: Path, path: str) -> str:
+    """A picture as the page names it."""
+    from urllib.parse import quote
+
+    return quote(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix())
+
+
+def _safe(text: object) -> str:
+    return html.escape(str(text))

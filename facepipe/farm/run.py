@@ -1,0 +1,170 @@
+"""A plan run: tasks given out as soon as what they need is there, and what they come to kept."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from facepipe.core import __version__
+from facepipe.core.errors import FacepipeError
+from facepipe.farm.contents import unchanged
+from facepipe.farm.engines import LOST, Engine
+from facepipe.farm.ledger import Ledger, Record
+from facepipe.farm.options import RunOptions
+from facepipe.farm.plan import Plan
+from facepipe.farm.tasks import Task, line_of, needed, result_of, tasks_named, tasks_of
+from facepipe.farm.work import CACHED, FAILED, KEPT, MADE
+
+DONE = (MADE, KEPT, CACHED)
+SKIPPED = "skipped"  # what it needs failed
+_IN_FLIGHT = 10_000  # tasks that are given out at once
+
+Told = Callable[[Task, Record], object]
+
+
+@dataclass
+class Run:
+    """The state of a plan that is run."""
+
+    plan: Plan
+    ledger: Ledger
+    options: RunOptions
+    told: Told
+    records: dict[str, Record] = field(default_factory=dict)  # of this run, by task
+    scheduling: float = 0.0  # seconds in this class
+
+    def __post_init__(self) -> None:
+        self._answers: queue.SimpleQueue[Record] = queue.SimpleQueue()
+        self._tasks = {one.name: one for one in tasks_of(self.plan)}
+        self._waits: dict[str, int] = {}  # task -> how many that it needs are left
+        self._for: dict[str, list[str]] = {}  # task -> those that need it
+        self._lost: Counter[str] = Counter()
+        self._ready: list[tuple[tuple[int, int], int, Task]] = []  # a heap
+        self._numbers = itertools.count()
+        self._out = 0  # tasks given out
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Tasks by status."""
+        return Counter(one["status"] for one in self.records.values())
+
+    def __call__(self, engine: Engine) -> None:
+        """Do all tasks.
+
+        :raises FacepipeError: the ledger can't be written
+        """
+        start = time.perf_counter()
+        self._open()
+        waited = 0.0
+        while self._hand_out(engine):
+            before = time.perf_counter()
+            record = self._answers.get()
+            waited += time.perf_counter() - before
+            self._out -= 1
+            self._answered(record)
+        self.scheduling = time.perf_counter() - start - waited
+
+    def _open(self) -> None:
+        taken: dict[str, str] = {}
+        for name, task in self._tasks.items():
+            fault = self.plan.faults.get(task.step.name)
+            error = f"steps.{task.step.name}: {fault}" if fault else self._alike(task, taken)
+            if error:
+                self._end(task, {"task": name, "status": FAILED, "error": error}, keep=False)
+        for name, task in self._tasks.items():
+            if name in self.records:
+                continue
+            needs = needed(self.plan, task)
+            self._waits[name] = sum(one not in self.records for one in needs)
+            for one in needs:
+                self._for.setdefault(one, []).append(name)
+            if self._waits[name] == 0:
+                self._make_ready(task)
+
+    def _make_ready(self, task: Task) -> None:
+        heapq.heappush(self._ready, (task.order, next(self._numbers), task))
+
+    def _alike(self, task: Task, taken: dict[str, str]) -> str | None:
+        """What is wrong with where its result goes, if anything."""
+        try:
+            path = result_of(self.plan, task)
+        except FacepipeError as error:
+            return str(error)
+        other = taken.setdefault(path, task.name) if path else task.name
+        return None if other == task.name else f"{task.name}: out is {path}, that of {other} too, expected another"
+
+    def _hand_out(self, engine: Engine) -> bool:
+        """Give out what is ready; whether anything is being done."""
+        while self._ready and self._out < _IN_FLIGHT:
+            task = heapq.heappop(self._ready)[2]
+            failed = [one for one in needed(self.plan, task) if self.records[one]["status"] not in DONE]
+            if failed:
+                self._end(task, {"task": task.name, "status": SKIPPED, "error": f"{task.name}: {failed[0]} failed"})
+                continue
+            self._give(engine, task)
+        return self._out > 0
+
+    def _give(self, engine: Engine, task: Task) -> None:
+        results = {
+            step: [result_of(self.plan, self._tasks[name]) for name in tasks_named(self.plan, task, step)]
+            for step in task.step.needs
+        }
+        last = self.ledger.records.get(task.name)
+        try:
+            words = line_of(self.plan, task, results)
+        except FacepipeError as error:
+            self._end(task, {"task": task.name, "status": FAILED, "error": str(error)})
+            return
+        if last is not None and self._stands(last, words):
+            status = KEPT if last["status"] in DONE else FAILED
+            self._end(task, {**last, "status": status}, keep=False)
+            return
+        own = {"seconds": task.step.seconds, "memory_mb": task.step.memory_mb}
+        folder = self.options.cache and str(self.options.cache.absolute())
+        cache = {"cache": folder, "cache_bytes": int(self.options.cache_gb * 1e9)}
+        limits = {name: getattr(self.options, name) if value is None else value for name, value in own.items()}
+        request = {"task": task.name, "attempt": self._lost[task.name], "words": words, "last": last, **limits, **cache}
+        self._out += 1
+        engine.submit(request, task.order, self._answers.put)
+
+    def _stands(self, last: Mapping[str, Any], words: list[str]) -> bool:
+        """Whether the last record of a task is what it would come to now."""
+        if last.get("words") != words or last.get("version") != __version__:
+            return False
+        if last["status"] == FAILED:
+            states = {**last.get("reads", {})}
+            return not self.options.retry_failed and not last.get("passing") and bool(states) and self._are(states)
+        if last["status"] not in DONE:
+            return False
+        if self.options.resume:
+            return True
+        return self._are({**last["reads"], **{path: state for path, (state, _) in last["writes"].items()}})
+
+    def _are(self, states: dict[str, Any]) -> bool:
+        return unchanged({str(self.plan.folder / path): state for path, state in states.items()})
+
+    def _answered(self, record: Record) -> None:
+        task = self._tasks[record["task"]]
+        again = record["status"] == LOST or record.get("passing", False)
+        self._lost[task.name] += again
+        if again and self._lost[task.name] <= self.options.failures:
+            self._make_ready(task)
+            return
+        status = FAILED if record["status"] == LOST else record["status"]
+        self._end(task, {**record, "status": status, "lost": self._lost[task.name]})
+
+    def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
+        self.records[task.name] = record
+        if keep and record["status"] != SKIPPED:
+            self.ledger.add(record)
+        self.told(task, record)
+        for name in self._for.pop(task.name, ()):
+            self._waits[name] -= 1
+            if self._waits[name] == 0:
+                self._make_ready(self._tasks[name])

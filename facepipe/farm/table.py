@@ -1,0 +1,104 @@
+"""Tables of faces: a row each, of a glob, a CSV file, rows in TOML, or a range of numbers."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean, file_name
+from facepipe.core.reading import read_bytes
+
+_MOST_BYTES = 1 << 28  # of a CSV file
+_MOST_ROWS = 10_000_000
+_KINDS = ("glob", "csv", "rows", "range")
+
+
+class Row(NamedTuple):
+    """A face of the table."""
+
+    name: str
+    values: Mapping[str, str]  # column -> what braces are replaced by
+
+
+def read_table(where: str, folder: Path, said: Mapping[str, Any]) -> tuple[Row, ...]:
+    """The rows of one of ``glob = "heads/*.glb"`` (column face), ``csv = "faces.csv"`` (columns as its header says),
+    ``rows = [{ name = "ada", seed = 7 }]``, ``range = { seed = [1, 500] }`` (both ends are in it).
+
+    A row's `name` is its column of that name, else of its file (with folders where two are called alike), else its
+    number.
+
+    :raises InputError: none or two of these, one that can't be read, no row, or two rows of one name
+    """
+    kinds = [kind for kind in _KINDS if kind in said]
+    for key in said:
+        if key not in _KINDS:
+            raise InputError(
+                where, f"'{key[:40]}' is unknown{did_you_mean(key, _KINDS) or f', expected one of {_KINDS}'}"
+            )
+    if len(kinds) != 1:
+        raise InputError(where, f"expected one of {', '.join(_KINDS)}")
+    read = {"glob": _of_glob, "csv": _of_csv, "rows": _of_rows, "range": _of_range}[kinds[0]]
+    columns = read(f"{where}.{kinds[0]}", folder, said[kinds[0]])
+    rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
+    if not rows:
+        raise InputError(where, "no face, expected at least one")
+    return rows
+
+
+def _row(number: int, values: dict[str, str]) -> Row:
+    name = file_name(values.get("name") or (Path(values["face"]).stem if "face" in values else str(number)))
+    return Row(name, {**values, "name": name})
+
+
+def _of_glob(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
+    if not isinstance(said, str):
+        raise InputError(where, f"{str(said)[:40]}, expected a pattern like heads/*.glb")
+    found = sorted(glob.glob(said, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
+    if not found:
+        raise InputError(where, f"no file is called like {said[:80]}")
+    faces = [Path(one) for one in found]
+    stems = Counter(one.stem for one in faces)
+    alone = [one.stem if stems[one.stem] == 1 else "_".join(one.with_suffix("").parts) for one in faces]
+    return [{"face": one.as_posix(), "name": name} for one, name in zip(faces, alone, strict=True)]
+
+
+def _of_csv(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
+    if not isinstance(said, str):
+        raise InputError(where, f"{str(said)[:40]}, expected a file like faces.csv")
+    path = folder / said
+    try:
+        reader = csv.reader(io.StringIO(read_bytes(path, _MOST_BYTES).decode("utf-8-sig")), strict=True)
+        header = [one.strip() for one in next(reader, [])]
+        lines = [(reader.line_num, line) for line in reader if any(one.strip() for one in line)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, f"is no CSV file: {error}") from None
+    if not header or len({*header}) != len(header) or "" in header:
+        raise InputError(path, "expected a first line with a name for each column, each once")
+    for number, line in lines:
+        if len(line) != len(header):
+            raise InputError(f"{path} -> line {number}", f"{len(line)} values, expected {len(header)}")
+    return [dict(zip(header, (one.strip() for one in line), strict=True)) for _, line in lines]
+
+
+def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
+    fine = isinstance(said, list) and all(isinstance(one, dict) and one.keys() == said[0].keys() for one in said)
+    if not fine or not all(isinstance(value, str | int | float) for one in said for value in one.values()):
+        raise InputError(where, "expected a list of rows with the same columns, texts and numbers")
+    return [{str(key): str(value) for key, value in one.items()} for one in said]
+
+
+def _of_range(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
+    ends = next(iter(said.values())) if isinstance(said, dict) and len(said) == 1 else None
+    if not isinstance(ends, list) or len(ends) != 2 or not all(type(one) is int for one in ends):
+        raise InputError(where, "expected a column with its first and last number, like { seed = [1, 500] }")
+    first, last = ends
+    if not 0 <= last - first < _MOST_ROWS:
+        raise InputError(where, f"from {first} to {last}, expected at least one and at most {_MOST_ROWS:,} numbers")
+    (column,) = said
+    return [{column: str(number)} for number in range(first, last + 1)]

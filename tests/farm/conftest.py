@@ -1,0 +1,57 @@
+"""A folder with small files, and plans run over them by processes that do made-up lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from places import REPOSITORY
+
+from facepipe.farm import child
+from facepipe.farm.batch import batch
+from facepipe.farm.options import RunOptions
+from facepipe.farm.plan import read_plan
+from facepipe.farm.report import BatchReport
+
+Runner = Callable[..., BatchReport]
+
+
+@pytest.fixture
+def show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with three faces, and a base, of a few bytes each."""
+    monkeypatch.setattr(child, "PROGRAM", "farm_child")
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY / "tests/support"))
+    folder = tmp_path / "show"
+    (folder / "heads").mkdir(parents=True)
+    for name in ("ada", "bea", "cyd"):
+        (folder / f"heads/{name}.bin").write_text(name)
+    (folder / "base.bin").write_text("base")
+    return folder
+
+
+@pytest.fixture
+def run_plan(show: Path) -> Runner:
+    """Write a plan and run it."""
+
+    def run(text: str = "", processes: int = 1, **options: Any) -> BatchReport:
+        path = show / "plan.toml"
+        if text:
+            path.write_text(text)
+        return batch(read_plan(path), show / "state", processes=processes, options=RunOptions(**options))
+
+    return run
+
+
+PLAN = """
+out = "built"
+[faces]
+glob = "heads/*.bin"
+[steps.mixed]
+run = "copy {face} base.bin"
+out = "mixed/{name}.bin"
+[steps.game]
+run = "copy {mixed}"
+out = "game/{name}.bin"
+"""

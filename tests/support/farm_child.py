@@ -1,0 +1,64 @@
+"""A process for tasks of made-up lines: it copies files, dies, hangs, or takes memory, as a line says."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+from facepipe.cli.batch_child import main
+from facepipe.cli.batch_child import read_line as read_command
+from facepipe.farm.work import Line, Outcome
+
+
+def read_line(words: list[str]) -> Line:
+    """``copy SOURCE ... -o OUT``, ``die``, ``die-once MARK``, ``hang``, ``eat MB``, ``fill -o OUT``; else a command."""
+    verb, rest = words[0], words[1:]
+    out = [Path(rest[rest.index("-o") + 1])] if "-o" in rest else []
+    named = [Path(one) for one in (rest[: rest.index("-o")] if out else rest)]
+    made = {"copy": _copy, "die": _die, "die-once": _die_once, "hang": _hang, "eat": _eat, "fill": _fill}.get(verb)
+    if made is None:
+        return read_command(words)
+    reads = named if verb == "copy" else []
+    return Line(verb=verb, reads=reads, writes=out, run=lambda: made(named, out))
+
+
+def _copy(sources: list[Path], out: list[Path]) -> Outcome:
+    out[0].write_bytes(b"".join(one.read_bytes() for one in sources))
+    with Path("log").open("a") as log:  # what was really done
+        log.write(f"{out[0].as_posix()}\n")
+    return Outcome(report={"off_mm": 0.25})
+
+
+def _die(*_: object) -> Outcome:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return Outcome()
+
+
+def _die_once(marks: list[Path], out: list[Path]) -> Outcome:
+    if not marks[0].exists():
+        marks[0].touch()
+        _die()
+    shutil.copyfile(marks[0], out[0])
+    return Outcome()
+
+
+def _hang(*_: object) -> Outcome:
+    time.sleep(600)
+    return Outcome()
+
+
+def _eat(amounts: list[Path], out: list[Path]) -> Outcome:
+    held = bytearray(os.urandom(1 << 20)) * int(str(amounts[0]))
+    time.sleep(600)
+    return Outcome(report={"held": len(held)})
+
+
+def _fill(sources: list[Path], out: list[Path]) -> Outcome:
+    raise OSError(28, "No space left on device")
+
+
+if __name__ == "__main__":
+    main(read_line)
