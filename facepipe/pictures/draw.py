@@ -49,6 +49,7 @@ def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples
     solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
     clear = clear.take(np.argsort(-clear.limits[1], kind="stable"))  # from front to back
     spots, over = _bands(shader, solid, clear, size, samples)
+    shader.prepare(spots.triangle if over is None else np.append(spots.triangle, over.triangle))
     picture = background.reshape(-1, 3)
     _paint(picture, shader, spots, size, mm)
     if over is not None:

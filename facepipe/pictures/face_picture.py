@@ -152,7 +152,7 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
     :raises InputError: the folder does not exist or can't be written
     """
     with replacing(path) as temporary:
-        image.save(temporary, format="PNG", compress_level=6)
+        image.save(temporary, format="PNG", compress_level=3)  # a twelfth larger than with 6, in half the time
 
 
 def _behind(options: PictureOptions) -> npt.NDArray[np.float32]:

@@ -57,9 +57,9 @@ def layers(
     :param solid: what is solid in the band
     :param rows: half-open range of its rows, in samples
     """
-    nearest, top, width = solid.nearness, rows[0] // samples, solid.key.shape[1] // samples
-    behind = least(nearest, samples)
     inside = np.flatnonzero((screen.y[2] > rows[0]) & (screen.y[0] < rows[1]))
+    nearest, top, width = solid.nearness, rows[0] // samples, solid.key.shape[1] // samples
+    behind = least(nearest, samples) if len(inside) else nearest
     found: list[tuple[Fragments, Floats]] = []
     for start in range(0, len(inside), _AT_ONCE):
         part = screen.take(inside[start : start + _AT_ONCE])

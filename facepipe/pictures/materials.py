@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, IntArray
-from facepipe.parts import Material, TextureInput
+from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.rasterise import interpolated
 from facepipe.pictures.scene import Scene
@@ -58,7 +58,16 @@ class Materials:
     def __init__(self, scene: Scene, camera: Camera) -> None:
         self._scene, self._camera = scene, camera
         self._each = [surface.material or _PLAIN for surface in scene.surfaces]
-        self._layouts: dict[str, _Layout] = {}
+        uv_sets = {one.uv_set for material in self._each for one in _inputs(material)}
+        self._layouts = {name: _layout(scene, camera, name) for name in uv_sets}
+
+    def textures(self, surfaces: IntArray) -> list[Texture]:
+        """What some surfaces read of textures, each once; nothing by UV sets that their meshes lack."""
+        found: dict[Texture, None] = {}
+        for number in surfaces:
+            names = {uv_set.name for uv_set in self._scene.surfaces[number].mesh.uv_sets}
+            found |= {one.texture: None for one in _inputs(self._each[number]) if one.uv_set in names}
+        return list(found)
 
     def at(self, ids: IntArray, weights: Floats, normals: Floats, colors: Floats) -> Surfaces:
         """The surface at barycentrics (m, 3) in triangles `ids` (m,).
@@ -84,7 +93,7 @@ class Materials:
             normals=normals.copy(),
         )
         for number, material in enumerate(self._each):
-            if any(isinstance(getattr(material, name), TextureInput) for name in _TEXTURED):
+            if _inputs(material):
                 at = np.flatnonzero(kind == number)
                 self._look_up(number, found, at, ids[at], weights[at])
         metal = found.metallic[:, None]
@@ -131,7 +140,7 @@ class Materials:
         self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True
     ) -> tuple[Floats, Floats] | None:
         """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set."""
-        layout = self._layout(source.uv_set)
+        layout = self._layouts[source.uv_set]
         corners = layout.corners[ids]
         if len(ids) == 0 or np.isnan(corners[0, 0, 0]):
             return None
@@ -143,19 +152,14 @@ class Materials:
         read = self._read(source, ids, weights, color=False)
         if read is None:
             return
-        texel, layout = read[0], self._layout(source.uv_set)
+        texel, layout = read[0], self._layouts[source.uv_set]
         outward = found.normals[at]
         bent = layout.along[ids] * texel[:, :1] + layout.across[ids] * texel[:, 1:2]
-        bent += outward * np.maximum(texel[:, 2:], 0.05) - outward * (bent * outward).sum(axis=1, keepdims=True)
-        found.normals[at] = bent / np.linalg.norm(bent, axis=1, keepdims=True)
+        bent += outward * (np.maximum(texel[:, 2], 0.05) - np.einsum("mc,mc->m", bent, outward))[:, None]
+        found.normals[at] = _unit(bent)
         # Toksvig 2005: averaged normals are shorter, by as much as they vary.
-        length = np.clip(np.linalg.norm(texel, axis=1), 0.5, 1.0)
+        length = np.clip(np.sqrt(np.einsum("mc,mc->m", texel, texel)), 0.5, 1.0)
         found.roughness[at] = np.minimum((found.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
-
-    def _layout(self, uv_set: str) -> _Layout:
-        if uv_set not in self._layouts:
-            self._layouts[uv_set] = _layout(self._scene, self._camera, uv_set)
-        return self._layouts[uv_set]
 
     @cached_property
     def _table(self) -> Floats:
@@ -201,6 +205,12 @@ def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
     return _Layout(corners=corners, footprint=np.sqrt(np.abs(area) / pixels), along=_unit(along), across=_unit(across))
 
 
+def _inputs(material: Material) -> list[TextureInput]:
+    """What a material reads from textures."""
+    values = (getattr(material, name) for name in _TEXTURED)
+    return [value for value in values if isinstance(value, TextureInput)]
+
+
 def _as_normals(source: TextureInput) -> TextureInput:
     """The input as vectors: files that don't author scale and bias mean 2 and -1."""
     if source.scale[:2] != (1.0, 1.0):
@@ -220,4 +230,5 @@ def _constant(value: T | TextureInput, otherwise: T) -> T:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12), np.float32)
+    length = np.sqrt(np.einsum("mc,mc->m", vectors, vectors))
+    return np.asarray(vectors / np.maximum(length, 1e-12)[:, None], np.float32)

@@ -143,7 +143,7 @@ class _View:
     def reflection(self, box: Softbox, light: FloatArray) -> FloatArray:
         """(m, 3) what of a box's light (m, 3) is reflected to the viewer."""
         found = np.zeros_like(light)
-        at = np.flatnonzero(light.any(axis=1) & (self.normals @ box.axes[2] > -box.spread))
+        at = np.flatnonzero((light @ GREY > 0) & (self.normals @ box.axes[2] > -box.spread))
         if len(at):
             found[at] = light[at] * self._lobe(box, at)
         return found

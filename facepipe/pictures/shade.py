@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -118,6 +118,13 @@ class Shader:
         towards = self.studio.key.astype(np.float64) @ self.camera.axes
         return depth_map(self.scene.points, self.scene.occluders, towards, SHADOW_RESOLUTION)
 
+    def prepare(self, ids: IntArray) -> None:
+        """Compute what all samples share, several things at once, before samples in triangles `ids` are shaded."""
+        textures = self.materials.textures(np.unique(self.scene.surface[ids]))
+        levels = [partial(self.scene.textures.levels, one) for one in textures]
+        calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
+        mapped(lambda call: call(), calls)
+
     def _mesh_starts(self) -> list[tuple[Surface, int]]:
         surface, at = np.unique(self.scene.surface, return_index=True)
         return [(self.scene.surfaces[s], int(self.scene.first_point[t])) for s, t in zip(surface, at, strict=True)]
@@ -128,12 +135,7 @@ class Shader:
         :param grainy: soft shadows may have the grain of single pixels, which the caller takes out
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(ids), CHUNK)] or [slice(0, 0)]
-
-        def shaded(part: slice) -> Shaded:
-            return self._shade(ids[part], x[part], y[part], grainy)
-
-        # The first one alone computes what all of them share.
-        return joined([shaded(parts[0]), *mapped(shaded, parts[1:])])
+        return joined(mapped(lambda part: self._shade(ids[part], x[part], y[part], grainy), parts))
 
     def opacity(self, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """(m,) opacity at screen positions (m,) inside triangles `ids` (m,)."""

@@ -49,7 +49,7 @@ class TextureCache:
 
     def __init__(self, largest: int) -> None:
         """:param largest: pixels a side beyond which a texture holds more than the picture can show."""
-        self._levels = lru_cache(maxsize=None)(lambda texture: _halved(decode(texture, largest)))
+        self.levels = lru_cache(maxsize=None)(lambda texture: _halved(decode(texture, largest)))
 
     def sample(
         self, source: TextureInput, uv: FloatArray, footprint: FloatArray, *, color: bool = True
@@ -59,7 +59,7 @@ class TextureCache:
         :param footprint: (m,) length in UV space that a pixel of the picture spans
         :param color: the texture holds sRGB colours where three channels are asked for, which become linear
         """
-        levels, part = self._levels(source.texture), CHANNELS[source.channels]
+        levels, part = self.levels(source.texture), CHANNELS[source.channels]
         # UsdPreviewSurface's automatic colour space: 8-bit RGB is sRGB, single channels are data.
         table = _SRGB if source.channels == "rgb" and color else _DATA
         texels = (footprint * max(levels[0].shape[:2])).astype(np.float32)
