@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.cli.parser import Parser
+from facepipe.cli.project_words import with_project
 from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
+from facepipe.core.project import Project, project_around
 from facepipe.core.reading import check_input
 from facepipe.core.trust import Trust, trust, trusting
 
@@ -100,12 +102,14 @@ def _run(words: list[str]) -> int:
     if command is None or module is None:
         return _help(words, command)
     rest = words[words.index(command) + 1 :]
+    project = None if {"-h", "--help"} & {*rest} else project_around(Path.cwd())
+    line = with_project(project, [command, *rest], Path.cwd())[1:]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
-    module.configure(parser, rest)
-    parsed = parser.parse_args(rest)
+    module.configure(parser, line)
+    parsed = parser.parse_args(line)
     for path in paths_in(list(vars(parsed).values())):
         check_input(path)
-    with trusting(_trust_of(parsed)):
+    with trusting(_trust_of(parsed, project)):
         return int(module.run(parsed))
 
 
@@ -131,11 +135,12 @@ def paths_in(values: Iterable[object]) -> Iterator[Path]:
             yield from paths_in(value)
 
 
-def _trust_of(parsed: argparse.Namespace) -> Trust:
-    """The policy in force with what the line says; a host that calls `main` may have set one."""
+def _trust_of(parsed: argparse.Namespace, project: Project | None) -> Trust:
+    """The policy in force with what the line and the project say; a host that calls `main` may have set one."""
     old = trust()
     roots = tuple(getattr(parsed, "root", old.roots))
-    return dataclasses.replace(old, roots=roots, models=old.models or "trust_models" in parsed)
+    folders = () if project is None or old.confined else project.folders
+    return dataclasses.replace(old, roots=roots, project=folders, models=old.models or "trust_models" in parsed)
 
 
 def commands_of() -> dict[str, str]:

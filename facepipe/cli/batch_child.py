@@ -56,7 +56,7 @@ def main(read: Callable[[list[str]], Line] | None = None) -> None:
                 record = {"task": request["task"], "status": FAILED, "error": what, "passing": True, "refused": True}
             else:
                 record = work(request, read or read_line, contents)
-            answers.write(json.dumps({**record, "peak_mb": _peak_mb()}).encode() + b"\n")
+            answers.write(json.dumps({"peak_mb": _peak_mb(), **record}).encode() + b"\n")
             answers.flush()
             gc.collect()
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from facepipe.cli.parser import add_options
@@ -46,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print what it came to."""
     from facepipe.cli.batch_progress import shown
     from facepipe.cli.parser import options_from
+    from facepipe.cli.project_words import with_project
+    from facepipe.core.project import project_around
     from facepipe.core.trust import trust
     from facepipe.farm.batch import batch
     from facepipe.farm.plan import each, read_plan
@@ -55,6 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
         plan, default = read_plan(file), f"{file.stem}_batch"
     else:
         plan, default = each(arguments.each, arguments.words, arguments.output or ""), "facepipe_batch"
+    project = project_around(Path.cwd())
+    steps = [replace(one, words=tuple(with_project(project, one.words, plan.folder, one.out))) for one in plan.steps]
+    plan = replace(plan, steps=tuple(steps))
     with shown() as told:
         report = batch(
             plan,

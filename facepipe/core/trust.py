@@ -26,6 +26,7 @@ class Trust:
     """A policy; without roots the root of a file is its project's folder, else its own."""
 
     roots: tuple[Path, ...] = ()
+    project: tuple[Path, ...] = ()  # folders of the caller's project, which are the roots of the files in them
     models: bool = False  # models that can hold code are loaded
     confined: bool = False  # files outside the roots are not even read: for hosts that serve others
 
@@ -61,9 +62,11 @@ def trusting(policy: Trust) -> Iterator[None]:
 
 def roots_of(file: Path) -> tuple[Path, ...]:
     """The roots of a stage, recipe or project: given ones, else the nearest project's folder, else its own."""
-    given = trust().roots
+    given, project = trust().roots, trust().project
     if given:
         return given
+    if is_below(file, project):
+        return project
     folder = file.parent.resolve()  # of a link to a folder the one that it means: paths are compared so
     marked = (one for one in (folder, *folder.parents) if os.path.isfile(one / PROJECT))  # noqa: PTH113  (never raises)
     return (next(marked, folder),)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 _DONE = ("made", "kept", "cached")
 _MOST_FAILURES = 20  # on the terminal
-_MOST_WARNINGS = 1000  # on the page
+_MOST_LINES = 1000  # on the page
+_MOST_FIGURES = 6  # of a face
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,7 @@ class BatchReport(Report):
     faces: int
     tasks: int
     counts: Mapping[str, int]  # status -> tasks
-    steps: Mapping[str, Mapping[str, Any]]  # step -> counts, and of those that were made seconds and peak_mb
+    steps: Mapping[str, Mapping[str, Any]]  # step -> counts, and of what is done seconds_mean, to make it, and peak_mb
     failures: tuple[str, ...]  # a line each
     missed_checks: tuple[str, ...]  # tasks that were done, but missed a check or threshold
     attributions: tuple[str, ...]  # of everything that went in
@@ -85,7 +86,7 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
 
 def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
     own = [one for name, one in records.items() if name.partition("/")[0] == step]
-    made = [one for one in own if one["status"] == "made"]
+    made = [one for one in own if one["status"] in _DONE]
     counts: dict[str, int] = {}
     for one in own:
         counts[one["status"]] = counts.get(one["status"], 0) + 1
@@ -108,17 +109,18 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
         write_bytes(state / "report.html", _page(report, run, state).encode())
 
 
-def errors_mm(report: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, float]]:
-    """The figures in millimetres of a task's report: of a distribution its mean and p95."""
+def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
+    """Figures in millimetres of a task's report, by name; of those in a mapping the mean and the largest alone."""
+    found: dict[str, float] = {}
     for key, value in report.items():
-        path = f"{name}.{key}" if name else key
         if isinstance(value, Mapping):
-            inside = {one: value[one] for one in ("mean", "p95") if key.endswith("_mm") and one in value}
-            yield from ((f"{path} {one}", float(number)) for one, number in inside.items() if number is not None)
-            if not inside:
-                yield from errors_mm(value, path)
+            short = {name.removesuffix("_mm"): number for name, number in value.items()}
+            unit = key.endswith("_mm") or any(name.endswith("_mm") for name in value)
+            named = {f"{key.removesuffix('_mm')} {name}": short.get(name) for name in ("mean", "max")} if unit else {}
+            found |= {name: number for name, number in named.items() if isinstance(number, int | float)}
         elif key.endswith("_mm") and isinstance(value, int | float):
-            yield path, float(value)
+            found[key.removesuffix("_mm")] = value
+    return found
 
 
 _STYLE = """
@@ -137,7 +139,7 @@ def _page(report: BatchReport, run: Run, state: Path) -> str:
         f"<td>{one.get('seconds_mean', 0):.2f}<td>{one.get('peak_mb', 0):.0f}"
         for name, one in report.steps.items()
     )
-    failures = "".join(f"<li><code>{_safe(line)}</code>" for line in report.failures[:_MOST_WARNINGS])
+    failures = "".join(f"<li><code>{_safe(line)}</code>" for line in report.failures[:_MOST_LINES])
     attributions = "".join(f"<li>{_safe(line)}" for line in report.attributions)
     counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
     parts = [
@@ -159,9 +161,8 @@ def _faces(run: Run, state: Path) -> Iterator[str]:
         own = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
         pictures = [path for one in own for path in one.get("writes", ()) if path.endswith(".png")]
         image = f'<img loading="lazy" src="{_address(run, state, pictures[-1])}" alt="">' if pictures else ""
-        figures = [f"{_safe(key)} {value:.3g} mm" for one in own for key, value in errors_mm(one.get("report") or {})][
-            :4
-        ]
+        errors = {name: value for one in own for name, value in errors_mm(one.get("report") or {}).items()}
+        figures = [f"{_safe(name)} {value:.3g} mm" for name, value in list(errors.items())[:_MOST_FIGURES]]
         seconds = sum(one.get("seconds", 0.0) for one in own)
         bad = [
             f'<span class="bad" title="{_safe(one["error"])}">{_safe(one["task"])}</span>'

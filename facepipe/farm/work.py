@@ -69,7 +69,7 @@ def work(request: Mapping[str, Any], read_line: Callable[[list[str]], Line], con
     except Exception as error:  # a fault of ours or of a plug-in: the rest goes on
         what = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
         record |= {"status": FAILED, "error": f"{request['task']}: {what}", "passing": False}
-    return {**record, "seconds": round(time.perf_counter() - start, 4)}
+    return {"seconds": round(time.perf_counter() - start, 4), **record}  # of what is kept those that it took to make it
 
 
 def _key(words: Sequence[str], digests: Sequence[str]) -> str:
@@ -93,7 +93,7 @@ def _kept(last: Mapping[str, Any] | None, key: str) -> Record | None:
         if not unchanged({path: state}) and (state_of(path) is None or digest([Path(path)]) != own):
             return None
     writes = {path: [state_of(path), own] for path, (_, own) in last["writes"].items()}
-    same = {name: last[name] for name in ("report", "missed", "attribution", "verb")}
+    same = {name: last.get(name) for name in ("report", "missed", "attribution", "verb", "seconds", "peak_mb")}
     return {**same, "status": KEPT, "writes": writes}
 
 

@@ -220,6 +220,6 @@ def test_the_page_shows_what_there_is(show: Path, run_plan: Runner) -> None:
     run_plan(PLAN + '[steps.bad]\nrun = "export {face}"\nout = "{name}.glb"\n')
     page = (show / "state/report.html").read_text()
     assert "<b>ada</b>" in page
-    assert "off_mm 0.25 mm" in page
+    assert "off 0.25 mm" in page
     assert "heads/ada.bin" in page
     assert "<b>.bin" not in page

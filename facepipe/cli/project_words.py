@@ -1,0 +1,106 @@
+"""What the project says of a line: options that it leaves out, and tables of names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.project import Project
+
+# a project may be of others: it decides how, not where to, with what trust, or by whom
+_NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace", "state", "each", "cluster", "cache"}
+
+
+def with_project(project: Project | None, words: Sequence[str], folder: Path, out: str = "") -> list[str]:
+    """The words of a line with what a project says put before those that are given, which come later and win.
+
+    :param words: the command first
+    :param folder: that paths of the line are relative to
+    :param out: its result, where the line does not name it
+    :raises InputError: the project names a command or an option that there is not, or that it may not choose
+    """
+    if project is None or not words:
+        return list(words)
+    _check_commands(project)
+    verb, rest = _verb_of(words)
+    result = ["-o", out] if out else []
+    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), [*rest, *result]))
+    return [*verb, *_named(project, [*put, *rest], folder)]
+
+
+def _check_commands(project: Project) -> None:
+    from facepipe.actions import summaries
+    from facepipe.cli import COMMANDS
+
+    known = {*COMMANDS, *summaries()}
+    for command in project.defaults:
+        if command not in known:
+            near = did_you_mean(command, known)
+            raise InputError(f"{project.file} -> defaults", f"'{command[:40]}' is no command{near}")
+
+
+def _verb_of(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    from facepipe.actions import groups
+
+    count = 2 if words[0] in groups() else 1
+    return list(words[:count]), list(words[count:])
+
+
+def _flags(project: Project, command: str, words: Sequence[str]) -> Iterator[str]:
+    """What the project says of a command, where the format that a line writes has it."""
+    defaults = project.defaults.get(command, {})
+    known, here = (_known(command, ["--help"]), _known(command, words)) if defaults else ((), ())
+    for name, value in defaults.items():
+        where, name = f"{project.file} -> defaults.{command}", name.replace("_", "-")
+        if name not in known:
+            near = did_you_mean(name, known) or f", expected some of {', '.join(sorted(known))}"
+            raise InputError(where, f"'{name[:40]}' is no option that a project can choose{near}")
+        for one in value if isinstance(value, list) else [value]:
+            if not isinstance(one, str | int | float):
+                raise InputError(f"{where}.{name}", f"{str(one)[:40]}, expected a text, a number, or true or false")
+            flag = (f"--{name}" if one else f"--no-{name}") if isinstance(one, bool) else f"--{name}={one}"
+            if flag.partition("=")[0].removeprefix("--") in here:
+                yield flag
+
+
+def _known(command: str, words: Sequence[str]) -> Collection[str]:
+    """The options of a command that a project may choose, of the format that `words` write, or of all (--help)."""
+    from facepipe.actions import find_action
+    from facepipe.cli import command_module
+    from facepipe.cli.parser import Parser, add_field
+    from facepipe.declare import fields_of
+
+    parser = Parser(add_help=False, trust=False)
+    kind = find_action(command)
+    if kind is None:
+        command_module(command).configure(parser, [*words])
+    else:
+        kind.add_flags(parser)
+    for one in fields_of(kind) if kind else ():
+        if one.role == "option" and one.name not in kind.own_flags:
+            add_field(parser, one)
+    return {flag.removeprefix("--") for flag in parser._option_string_actions if flag.startswith("--")} - _NEVER
+
+
+def _named(project: Project, words: list[str], folder: Path) -> list[str]:
+    """The words with tables of names as their files."""
+    found = []
+    for number, word in enumerate(words):
+        flag, equals, value = word.partition("=")
+        after = number > 0 and words[number - 1] == "--rename"
+        name = value if flag == "--rename" and equals else word if after else ""
+        if name in project.names:
+            file = _from(folder, project.names[name])
+            word = f"--rename={file}" if equals and not after else file
+        found.append(word)
+    return found
+
+
+def _from(folder: Path, file: Path) -> str:
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # another drive
+        return file.as_posix()

@@ -1,0 +1,77 @@
+"""The project that a caller works in: the nearest ``facepipe.toml`` around the working folder.
+
+    roots = ["/mnt/assets", "../library"]
+
+    [names]
+    studio = "tables/names.csv"            # --rename studio
+
+    [defaults.export]
+    engine = "unity"
+    rename = "studio"
+
+    [defaults."neural-rig train"]
+    steps = 4000
+
+Paths are relative to the file. An empty one is a mark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reading import read_toml
+from facepipe.core.trust import PROJECT
+
+_MOST_BYTES = 1 << 20
+_KEYS = ("roots", "names", "defaults")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """What a project says."""
+
+    file: Path
+    roots: tuple[Path, ...] = ()  # beside its own folder
+    names: Mapping[str, Path] = field(default_factory=dict)  # tables of other names, by what they are called
+    defaults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # command -> option -> value
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Its folder and its roots."""
+        return (self.file.parent, *self.roots)
+
+
+def project_around(folder: Path) -> Project | None:
+    """The project whose file is in a folder or the nearest one around it; None where there is none.
+
+    :raises InputError: a file that can't be read, or says what no project says
+    """
+    for one in (folder.absolute(), *folder.absolute().parents):
+        if (one / PROJECT).is_file():
+            return _read(one / PROJECT)
+    return None
+
+
+def _read(file: Path) -> Project:
+    content = read_toml(file, _MOST_BYTES)
+    for key in content:
+        if key not in _KEYS:
+            raise InputError(file, f"'{key[:40]}' is unknown{did_you_mean(key, _KEYS) or f', expected {_KEYS}'}")
+    roots, names, defaults = (content.get(key, kind()) for key, kind in zip(_KEYS, (list, dict, dict), strict=True))
+    if not isinstance(roots, list) or not all(isinstance(one, str) for one in roots):
+        raise InputError(f"{file} -> roots", 'expected a list of folders, like ["../library"]')
+    if not isinstance(names, dict) or not all(isinstance(one, str) for one in names.values()):
+        raise InputError(f"{file} -> names", 'expected tables, like studio = "names.csv"')
+    if not isinstance(defaults, dict) or not all(isinstance(one, dict) for one in defaults.values()):
+        raise InputError(f"{file} -> defaults", "expected a table for each command, like [defaults.export]")
+    return Project(
+        file=file,
+        roots=tuple(file.parent / one for one in roots),
+        names={name: file.parent / one for name, one in names.items()},
+        defaults=defaults,
+    )
