@@ -15,16 +15,17 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import Parser
-from facepipe.cli.project_words import with_project
 from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
-from facepipe.core.project import Project, project_around
 from facepipe.core.reading import check_input
-from facepipe.core.trust import Trust, trust, trusting
+from facepipe.core.trust import PROJECT, Trust, trust, trusting
+
+if TYPE_CHECKING:
+    from facepipe.core.project import Project
 
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {
@@ -102,8 +103,8 @@ def _run(words: list[str]) -> int:
     if command is None or module is None:
         return _help(words, command)
     rest = words[words.index(command) + 1 :]
-    project = None if {"-h", "--help"} & {*rest} else project_around(Path.cwd())
-    line = with_project(project, [command, *rest], Path.cwd())[1:]
+    project = None if {"-h", "--help"} & {*rest} else _project()
+    line = rest if project is None else in_project(project, [command, *rest], Path.cwd())[1:]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, line)
     parsed = parser.parse_args(line)
@@ -111,6 +112,23 @@ def _run(words: list[str]) -> int:
         check_input(path)
     with trusting(_trust_of(parsed, project)):
         return int(module.run(parsed))
+
+
+def _project() -> Project | None:
+    """The project that the line is typed in."""
+    folder = Path.cwd()
+    if not any((one / PROJECT).is_file() for one in (folder, *folder.parents)):
+        return None
+    from facepipe.core.project import project_around
+
+    return project_around(folder)
+
+
+def in_project(project: Project, words: Sequence[str], folder: Path, out: str = "") -> list[str]:
+    """As `facepipe.cli.project_words.with_project`, of the commands of this package."""
+    from facepipe.cli.project_words import with_project
+
+    return with_project(project, words, command_module, folder, out)
 
 
 def command_module(command: str) -> Any:

@@ -45,9 +45,9 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print what it came to."""
+    from facepipe.cli import in_project
     from facepipe.cli.batch_progress import shown
     from facepipe.cli.parser import options_from
-    from facepipe.cli.project_words import with_project
     from facepipe.core.project import project_around
     from facepipe.core.trust import trust
     from facepipe.farm.batch import batch
@@ -59,8 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         plan, default = each(arguments.each, arguments.words, arguments.output or ""), "facepipe_batch"
     project = project_around(Path.cwd())
-    steps = [replace(one, words=tuple(with_project(project, one.words, plan.folder, one.out))) for one in plan.steps]
-    plan = replace(plan, steps=tuple(steps))
+    if project is not None:
+        words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
+        steps = [replace(one, words=tuple(said)) for one, said in zip(plan.steps, words, strict=True)]
+        plan = replace(plan, steps=tuple(steps))
     with shown() as told:
         report = batch(
             plan,

@@ -3,56 +3,56 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+from facepipe.actions import find_action, groups, summaries
+from facepipe.cli.parser import Parser, add_field
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.project import Project
+from facepipe.declare import fields_of
 
 # a project may be of others: it decides how, not where to, with what trust, or by whom
 _NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace", "state", "each", "cluster", "cache"}
 
 
-def with_project(project: Project | None, words: Sequence[str], folder: Path, out: str = "") -> list[str]:
+Modules = Callable[[str], Any]  # a command -> what configures it, None for no command
+
+
+def with_project(project: Project, words: Sequence[str], modules: Modules, folder: Path, out: str = "") -> list[str]:
     """The words of a line with what a project says put before those that are given, which come later and win.
 
     :param words: the command first
+    :param modules: what configures commands that are no actions
     :param folder: that paths of the line are relative to
     :param out: its result, where the line does not name it
     :raises InputError: the project names a command or an option that there is not, or that it may not choose
     """
-    if project is None or not words:
-        return list(words)
-    _check_commands(project)
+    _check_commands(project, modules)
     verb, rest = _verb_of(words)
     result = ["-o", out] if out else []
-    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), [*rest, *result]))
+    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result]))
     return [*verb, *_named(project, [*put, *rest], folder)]
 
 
-def _check_commands(project: Project) -> None:
-    from facepipe.actions import summaries
-    from facepipe.cli import COMMANDS
-
-    known = {*COMMANDS, *summaries()}
+def _check_commands(project: Project, modules: Modules) -> None:
     for command in project.defaults:
-        if command not in known:
-            near = did_you_mean(command, known)
+        if find_action(command) is None and (command in groups() or modules(command) is None):
+            near = did_you_mean(command, summaries())
             raise InputError(f"{project.file} -> defaults", f"'{command[:40]}' is no command{near}")
 
 
 def _verb_of(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    from facepipe.actions import groups
-
     count = 2 if words[0] in groups() else 1
     return list(words[:count]), list(words[count:])
 
 
-def _flags(project: Project, command: str, words: Sequence[str]) -> Iterator[str]:
+def _flags(project: Project, command: str, modules: Modules, words: Sequence[str]) -> Iterator[str]:
     """What the project says of a command, where the format that a line writes has it."""
     defaults = project.defaults.get(command, {})
-    known, here = (_known(command, ["--help"]), _known(command, words)) if defaults else ((), ())
+    known, here = (_known(command, modules, ["--help"]), _known(command, modules, words)) if defaults else ((), ())
     for name, value in defaults.items():
         where, name = f"{project.file} -> defaults.{command}", name.replace("_", "-")
         if name not in known:
@@ -66,22 +66,17 @@ def _flags(project: Project, command: str, words: Sequence[str]) -> Iterator[str
                 yield flag
 
 
-def _known(command: str, words: Sequence[str]) -> Collection[str]:
+def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[str]:
     """The options of a command that a project may choose, of the format that `words` write, or of all (--help)."""
-    from facepipe.actions import find_action
-    from facepipe.cli import command_module
-    from facepipe.cli.parser import Parser, add_field
-    from facepipe.declare import fields_of
-
     parser = Parser(add_help=False, trust=False)
     kind = find_action(command)
     if kind is None:
-        command_module(command).configure(parser, [*words])
+        modules(command).configure(parser, [*words])
     else:
         kind.add_flags(parser)
-    for one in fields_of(kind) if kind else ():
-        if one.role == "option" and one.name not in kind.own_flags:
-            add_field(parser, one)
+        for one in fields_of(kind):
+            if one.role == "option" and one.name not in kind.own_flags:
+                add_field(parser, one)
     return {flag.removeprefix("--") for flag in parser._option_string_actions if flag.startswith("--")} - _NEVER
 
 
