@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from facepipe.cooking.cooking import cook
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
     from facepipe.exporting import export
+    from facepipe.farm.batch import batch
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
 
@@ -39,6 +40,7 @@ __all__ = [
     "InputError",
     "SchemaError",
     "TopologyError",
+    "batch",
     "cook",
     "export",
     "open",

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,9 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.each is None:
         file = _plan_file(arguments)
-        plan, default = read_plan(file), f"{file.stem}_batch"
+        plan, state = read_plan(file), arguments.state or file.with_name(f"{file.stem}_batch")
     else:
-        plan, default = each(arguments.each, arguments.words, arguments.output or ""), "facepipe_batch"
+        plan, state = each(arguments.each, arguments.words, arguments.output or ""), arguments.state
     project = project_around(Path.cwd())
     if project is not None:
         words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
@@ -66,9 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     with shown() as told:
         report = batch(
             plan,
-            arguments.state or plan.folder / default,
+            state,
             options=options_from(arguments, RunOptions),
-            processes=arguments.processes or os.cpu_count() or 1,
+            processes=arguments.processes,
             cluster=arguments.cluster,
             thumbnails=arguments.thumbnails,
             models=trust().models,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,7 +17,7 @@ from facepipe.farm.cluster import Cluster
 from facepipe.farm.engines import Engine, Processes
 from facepipe.farm.ledger import ledger_in
 from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import Plan, Step, plan_of
+from facepipe.farm.plan import Plan, Step, plan_of, read_plan
 from facepipe.farm.report import BatchReport, report_of, write_report
 from facepipe.farm.run import Run
 from facepipe.stage.files import SUFFIXES
@@ -26,30 +27,37 @@ _SIZES = range(16, 1025)
 
 
 def batch(
-    plan: Plan,
-    state: Path,
+    plan: Plan | str | os.PathLike[str],
+    state: str | os.PathLike[str] | None = None,
     *,
     options: RunOptions | None = None,
-    processes: int = 1,
+    processes: int | None = None,
     cluster: str | None = None,
     thumbnails: int = 0,
     models: bool = False,
     told: Callable[[Run], Callable[..., object]] | None = None,
 ) -> BatchReport:
-    """Run a plan.
+    """Run a plan: `facepipe batch`.
 
+    :param plan: or its file (.toml)
     :param state: folder of what is done, and of the report: ``report.html``, ``report.json``; made where there is none
-    :param processes: on this machine
+        (default ``NAME_batch`` beside the file)
+    :param processes: on this machine (default: a core each)
     :param cluster: address of a Dask cluster that does it instead
     :param thumbnails: pixels of the pictures in the report, 0 for none
     :param models: models that can run code are loaded
     :param told: given the run, what is called for each task that ends
-    :raises InputError: options out of range, another run of the state, or a cluster that can't be used
+    :raises InputError: no plan, options out of range, another run of the state, or a cluster that can't be used
     """
     options = options or RunOptions()
     check_ranges(options)
+    processes = (os.cpu_count() or 1) if processes is None else processes
     if processes < 1:
         raise InputError("--processes", f"is {processes}, expected at least 1")
+    if not isinstance(plan, Plan):
+        state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
+        plan = read_plan(Path(plan))
+    state = plan.folder / "facepipe_batch" if state is None else Path(state)
     plan = _with_thumbnails(plan, state, thumbnails)
     try:
         state.mkdir(parents=True, exist_ok=True)
