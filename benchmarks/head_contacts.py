@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -44,7 +44,7 @@ class Eyes:
 class Result:
     """What was measured."""
 
-    single: dict[str, Contact]  # of the shapes with any contact, on the average head
+    single: dict[str, Contact]  # of the shapes with any contact, the worst of everyone and of the average head
     combined: list[Contact]
     eyes: dict[int, Eyes]  # by seed
 
@@ -71,19 +71,22 @@ def main() -> None:
 
 
 def measure(people: People, count: int, combinations: int) -> Result:
-    """The average head's shapes, then everyone's combinations and blinks."""
+    """The average head's shapes, then everyone's shapes, combinations and blinks."""
     average = people(0)
     mouth = mouth_sheet(average)
     shapes = expressions(average)
-    single = {name: mouth.before_skin(average.points({name: 1.0})) for name in shapes}
+    single = {name: [mouth.before_skin(average.points({name: 1.0}))] for name in shapes}
     drawn = list(draw_combinations(shapes, combinations))
     combined, eyes = [], {}
     for seed in range(1, count + 1):
         subject = people(seed)
+        for name, found in single.items():
+            found.append(mouth.before_skin(subject.points({name: 1.0})))
         combined += [mouth.before_skin(subject.points(weights)) for weights in drawn]
         eyes[seed] = blink(subject, eye_sheets(average))
         print(f"{seed} of {count}", end="\r", file=sys.stderr)
-    return Result({name: one for name, one in single.items() if one.cells}, combined, eyes)
+    worst = {name: _worst(found) for name, found in single.items()}
+    return Result({name: one for name, one in worst.items() if one.cells}, combined, eyes)
 
 
 def expressions(subject: Subject) -> tuple[str, ...]:
@@ -110,7 +113,7 @@ def blink(subject: Subject, sheets: tuple[Sheet, ...]) -> Eyes:
     shown = max(float((sheet.shown(closed) / sheet.shown(subject.neutral)).max()) for sheet in sheets)
     poses = [subject.points(dict.fromkeys(BLINKS, weight)) for weight in PARTLY]
     found = [sheet.through(points) for sheet in sheets for points in poses]
-    return Eyes(shown, Contact(max(one.cells for one in found), max(one.depth for one in found)))
+    return Eyes(shown, _worst(found))
 
 
 def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
@@ -152,6 +155,11 @@ def table(result: Result) -> str:
         f"nothing through lids at {', '.join(map(str, PARTLY))}: {clean} of {count}",
     ]
     return "\n".join(lines)
+
+
+def _worst(found: Iterable[Contact]) -> Contact:
+    cells, depths = zip(*((one.cells, one.depth) for one in found), strict=True)
+    return Contact(max(cells), max(depths))
 
 
 def _above(contact: Contact, bound: tuple[int, float]) -> bool:

@@ -14,8 +14,10 @@ sys.path.insert(0, str(HERE.parent / "samples" / "head"))
 import measures  # noqa: E402
 from directions import REACH  # noqa: E402
 
+from facepipe.heads import make  # noqa: E402
 from facepipe.heads.asset import arrays, asset  # noqa: E402
 from facepipe.heads.directions import directions  # noqa: E402
+from facepipe.stage import Face  # noqa: E402
 
 PAGE = HERE / "people.md"
 TABLE = re.compile(r"(?<=<!-- docs/measure_table.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
@@ -27,8 +29,10 @@ def main() -> None:
     deviations = found["deviations"]
     own = directions()[: len(deviations)]
     functionals = measures.functionals(measures.spots(head.points, head.landmarks))
-    moved = np.stack([one.offsets for one in own])
-    effects = np.einsum("dnc,enc->de", functionals, moved[:, : measures.SKIN], optimize=True)
+    face = Face.from_parts(make(0))
+    moved = np.stack([face.evaluate(sliders={one.name: 1.0})[: measures.SKIN] for one in own])
+    moved -= face.evaluate()[: measures.SKIN]
+    effects = np.einsum("dnc,enc->de", functionals, moved, optimize=True)
     effects /= REACH * deviations[:, None]
     means = np.einsum("dnc,nc->d", functionals, head.points[: measures.SKIN])
     peaks = measures.MM * np.linalg.norm(moved, axis=2).max(axis=1) / REACH / deviations

@@ -11,6 +11,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.heads.asset import arrays, asset, unpacked
 
 SIDES = ("Left", "Right")
+MEET = 0.433  # cm below the middle of an eye: where lids meet
 _MIDDLE = 1.0  # cm on each side of the middle, over which left and right mix
 
 
@@ -20,8 +21,8 @@ class Direction:
 
     name: str
     group: str
-    offsets: FloatArray  # (n, 3) cm, symmetric; 0 on the eyeballs, which joints move
-    eyes: FloatArray  # (2, 4) of the left and the right eye: translation in cm, and what is added to its scale
+    offsets: FloatArray  # (n, 3) cm, symmetric, less what joints do: 0 on the eyeballs
+    eyes: FloatArray  # (2, 5) left and right: translation in cm, what is added to its scale, and to that of its lids
     sided: bool  # whether each side has a control of its own
 
     @cached_property

@@ -1,7 +1,7 @@
 """Sliders of who a head is: a measure each, mixes of several, and what is typical of sex and age.
 
-A slider drives blendshapes, and the joints of the eyes, which take the eyeballs along. At 1 a measure is 2 of its
-standard deviations above this head's.
+A slider drives blendshapes and joints: those of the eyes take eyeballs along, and those of the lids open eyes so that a
+blink still closes them. At 1 a measure is 2 of its standard deviations above this head's.
 """
 
 from __future__ import annotations
@@ -14,12 +14,17 @@ from importlib.resources import files
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.directions import SIDES, Direction, directions
+from facepipe.heads.directions import MEET, SIDES, Direction, directions
 from facepipe.parts import Slider
 
 Gains = Sequence[tuple[Direction, float]]
 
-_LEAST = 1e-3  # cm, or share of the size: less does not move an eyeball
+_LEAST = 1e-3  # cm, or share of the size: less moves no joint
+_CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
+    *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
+    *(("eye", channel, 3, 1.0) for channel in ("sy", "sz")),
+    *((lid, channel, 4, share) for lid in ("lidUpper", "lidLower") for channel, share in (("ty", MEET), ("sy", 1.0))),
+)
 
 
 def identity_shapes() -> Mapping[str, Mapping[float, FloatArray]]:
@@ -55,12 +60,12 @@ def _family(name: str, group: str, parts: Gains) -> list[Slider]:
 
 
 def _slider(name: str, group: str, parts: Gains) -> Slider:
-    eyes = sum((gain * shape.eyes for shape, gain in parts), np.zeros((2, 4)))[:, [0, 1, 2, 3, 3, 3]]
+    eyes = sum((gain * shape.eyes for shape, gain in parts), np.zeros((2, 5)))
     channels = [
-        (f"root/neck/head/eye{side}", channel, round(float(gain), 5))
+        (f"root/neck/head/{joint}{side}", channel, round(float(gains[column] * share), 5))
         for side, gains in zip(SIDES, eyes, strict=True)
-        for channel, gain in zip(("tx", "ty", "tz", "sx", "sy", "sz"), gains, strict=True)
-        if abs(gain) >= _LEAST
+        for joint, channel, column, share in _CHANNELS
+        if abs(gains[column]) >= _LEAST
     ]
     shapes = tuple((shape.name, gain) for shape, gain in parts)
     return Slider(name=name, group=group, minimum=-1.0, channels=tuple(channels), shapes=shapes)

@@ -23,7 +23,8 @@ import skin_maps
 import strokes
 import traits
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
-from lids import lids
+from lids import Stretch, lids, stretch
+from lips import rolled
 from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
 from packing import packed, write_arrays
@@ -51,7 +52,7 @@ def main() -> None:
     out, model = arguments.out, read(arguments.data)
     out.mkdir(exist_ok=True)
     mirror = mirror_points(model.points, model.shapes, model.indices, model.counts)
-    model = replace(model, shapes=evened(model.shapes, mirror))
+    model = replace(model, shapes=rolled(evened(model.shapes, mirror)))
     jaw = jaw_of(model)
     model = smaller(model, jaw)
     tongue = tongue_of(model)
@@ -60,8 +61,10 @@ def main() -> None:
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
     modes = packed(model.modes)
     write_arrays(out / "modes.npz", {"modes": modes})
-    write_arrays(out / "lids.npz", lids(model, mirror))
-    write_arrays(out / "measures.npz", controls(model, unpacked(modes), arguments.data))
+    margins = lids(model, mirror)
+    write_arrays(out / "lids.npz", margins)
+    found = controls(model, unpacked(modes), stretch(model, made, margins), arguments.data)
+    write_arrays(out / "measures.npz", found)
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
     cards.main(ict, out)
@@ -135,7 +138,7 @@ def joints(made: Skeleton) -> Arrays:
     }
 
 
-def controls(model: Model, modes: npt.NDArray[np.float32], data: Path) -> Arrays:
+def controls(model: Model, modes: npt.NDArray[np.float32], lid_joints: Stretch, data: Path) -> Arrays:
     """What measures do to the head, and the weights of identity modes that are typical of sex and age."""
     starts = {part.mesh: part.points[0] for part in reversed(KEPT)}
     parts = {name: slice(starts[name], part.points[1]) for name, part in ((part.mesh, part) for part in KEPT)}
@@ -143,7 +146,7 @@ def controls(model: Model, modes: npt.NDArray[np.float32], data: Path) -> Arrays
     found = measures.build(model.points, modes, parts, (model.counts, model.indices), landmarks)
     source = data / "makehuman" / "makehuman_head.npz"
     found |= traits.build(model.points, modes, landmarks, found["parity"], source)
-    found |= directions.build(model.points, modes, parts, found)
+    found |= directions.build(model.points, modes, parts, found, lid_joints)
     return {name: values for name, values in found.items() if name not in ("weights", "parity")}
 
 

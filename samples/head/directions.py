@@ -1,7 +1,8 @@
 """What a measure does to the head: one nose is wider than another, and nothing else is.
 
 A direction is the sum over masks and identity modes of ``weight * mask * mode``; `measures` finds the weights. Eyeballs
-are left out: joints move them as a whole, so that they go on turning about their middles.
+are left out: joints move them as a whole, so that they go on turning about their middles. Joints open the eyes too: a
+shape would part lids that a blink has closed, where joints, which come after shapes, leave them together.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from lids import Stretch
 from masks import masks
 from measures import STEP
 from packing import packed
@@ -25,8 +27,10 @@ Floats = npt.NDArray[np.float64]
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def build(points: Floats, modes: npt.NDArray[Any], parts: Mapping[str, slice], found: Arrays) -> dict[str, Any]:
-    """Offsets of the points by each direction, packed, and what it does to the eyes.
+def build(
+    points: Floats, modes: npt.NDArray[Any], parts: Mapping[str, slice], found: Arrays, stretch: Stretch
+) -> dict[str, Any]:
+    """What joints do to the eyes in each direction, and offsets of the points for the rest, packed.
 
     :param found: weights of the modes for measures and traits
     """
@@ -39,6 +43,9 @@ def build(points: Floats, modes: npt.NDArray[Any], parts: Mapping[str, slice], f
     for name in INSIDE:
         own = moved[:, parts[name]]
         own[np.abs(own).max(axis=(1, 2)) < INSIDE_LEAST] = 0.0
+    opening = stretch.opening(moved)
+    moved[..., 1] -= opening[:, None] * stretch.up
+    eyes = np.dstack([eyes, np.stack([opening, opening], axis=1)])
     return {"offsets": packed(_quiet(moved)), "eyes": np.round(eyes, 6).astype(np.float32)}
 
 

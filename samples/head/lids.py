@@ -1,15 +1,57 @@
-"""Where the lids are: rings of points around the openings of the eyes."""
+"""Where the lids are: rings of points around the openings of the eyes; and how their joints open them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from anatomy import eye_centre
 from model import KEPT, Floats, Ints, Model
 from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+from skeleton import Skeleton
 
+from facepipe.heads.directions import MEET
 from facepipe.importers.ict_topology import MATERIALS
 
 RINGS = 13  # 0 behind the margin, 1 to 4 the margin, then out over the lid
+_LASHES = 3  # the ring where margins meet
 _CORNERS = 2  # the ring whose leftmost and rightmost points are the corners of the eye
+_FAINTEST = 0.1  # of the height of lids: what opens eyes less is left to shapes
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What lids' joints do at twice their scale along y, with where lids meet kept in place."""
+
+    up: Floats  # (n,) cm that points go up
+    margins: tuple[Ints, Ints]  # (k,) upper and lower points that meet
+    apart: Floats  # (k,) cm that open margins go from one another, less what closed ones do
+
+    def opening(self, moved: Floats) -> Floats:
+        """(d,) the share of it that opens eyes as far as offsets (d, n, 3) do; 0 where that is hardly any."""
+        upper, lower = (moved[:, rows, 1] for rows in self.margins)
+        found = np.round((upper - lower) @ self.apart / (self.apart @ self.apart), 3)
+        return np.where(np.abs(found) < _FAINTEST, 0.0, found)
+
+
+def stretch(model: Model, made: Skeleton, found: dict[str, Any]) -> Stretch:
+    """Of the lids that `lids` found."""
+    joints = [number for number, path in enumerate(made.joints) if "/lid" in path]
+    share = (np.isin(made.indices, joints) * made.weights).sum(axis=1)
+    closed = model.points + model.shapes["eyeBlinkLeft"] + model.shapes["eyeBlinkRight"]
+    uppers, lowers = (
+        [row[(found["lid_rings"] == _LASHES) & own] for row in found["lids"]]
+        for own in (found["lid_upper"], ~found["lid_upper"])
+    )
+    upper = np.concatenate(uppers)
+    lower = np.concatenate(
+        [low[cKDTree(closed[low]).query(closed[up])[1]] for up, low in zip(uppers, lowers, strict=True)]
+    )
+    opened = share * (model.points - closed)[:, 1]
+    height = model.points[:, 1] - eye_centre(model, "Left")[1] + MEET
+    return Stretch(share * height, (upper, lower), opened[upper] - opened[lower])
 
 
 def lids(model: Model, mirror: Ints) -> dict[str, Ints]:

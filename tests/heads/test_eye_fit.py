@@ -5,17 +5,20 @@ from __future__ import annotations
 import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from head_contacts import blink, eye_sheets, person
+from head_contacts import BLINKS, PARTLY, blink, eye_sheets, person
 from scipy.spatial import cKDTree
 
 from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.heads import make
 from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import arrays, asset
 from facepipe.heads.cards import cards, mesh
 from facepipe.heads.eye_fit import fit_eyes
 from facepipe.heads.people import draw
 from facepipe.parts import Mesh
+from facepipe.stage import Face
 
+MM = 10.0  # of a centimetre
 FLIP = np.array([-1.0, 1.0, 1.0])
 
 
@@ -29,6 +32,20 @@ def test_a_blink_hides_the_eyeballs_which_never_come_through_lids(seed: int) -> 
     found = blink(person(seed), eye_sheets(person(0)))
     assert found.shown <= 0.01
     assert found.through.cells == 0
+
+
+@pytest.mark.parametrize("slider", ["eyeOpening", "eyeSize", "childlike"])
+def test_a_blink_hides_eyes_that_a_slider_opens(slider: str) -> None:
+    face, sheets = Face.from_parts(make(3)), eye_sheets(person(0))
+    opened, closed = (
+        MM * face.evaluate(weights, sliders={slider: 1.0}) for weights in ({}, dict.fromkeys(BLINKS, 1.0))
+    )
+    assert (opened - closed)[arrays("lids")["lids"], 1].max() > 8.0
+    for sheet in sheets:
+        assert (sheet.shown(closed) <= 0.01 * sheet.shown(opened)).all()
+        for weight in PARTLY:
+            partly = MM * face.evaluate(dict.fromkeys(BLINKS, weight), sliders={slider: 1.0})
+            assert sheet.through(partly).cells == 0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
