@@ -20,7 +20,8 @@ from tables import aligned, mib, ms, times
 
 _CHILD = Path(__file__).resolve().with_name("render_side.py")
 _ICT = "ict_facekit/ict_facekit.npz"
-_SIDES = ("picture", "facepipe", "embreex")
+_SEEDS = {"head in the box": "0", "long hair": "4", "bald": "12"}
+_SIDES = ("command", "picture", "facepipe", "embreex")
 _WORK = {"seen": "5.8 million samples seen", "sky": "24 directions of the sky, each point"}
 
 
@@ -37,7 +38,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def measure(data: Path, runs: int) -> Json:
-    """Samples of every side on the head in the box and on ICT-FaceKit; what is missing has a reason."""
+    """Samples of every side on people of the head in the box and on ICT-FaceKit; what is missing has a reason."""
     faces: Json = {}
     reasons: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -55,8 +56,9 @@ def measure(data: Path, runs: int) -> Json:
 
 
 def _stages(data: Path, folder: Path, reasons: list[str]) -> dict[str, Path]:
-    stages = {"head in the box": folder / "head.usdc"}
-    run_child(sys.executable, _CHILD, "sample", stages["head in the box"], folder / "report.json")
+    stages = {name: folder / f"head{seed}.usdc" for name, seed in _SEEDS.items()}
+    for name, seed in _SEEDS.items():
+        run_child(sys.executable, _CHILD, "sample", seed, stages[name], folder / "report.json")
     if (data / _ICT).is_file():
         stages["ICT-FaceKit"] = folder / "ict.usdc"
         run_child(sys.executable, _CHILD, "ict", data / _ICT, stages["ICT-FaceKit"], folder / "report.json")
@@ -69,6 +71,9 @@ def table(result: Json) -> str:
     """The figures of all faces."""
     rows = [("face", "what", "wall", "processor", "peak memory", "Embree, wall", "processor", "ratio")]
     for name, sides in result["faces"].items():
+        if "command" in sides:
+            one = sides["command"]
+            rows.append((name, "facepipe render", ms(one["command_s"]), ms(one["command_cpu_s"]), "", "", "", ""))
         if "picture" in sides:
             one = sides["picture"]
             cells = (ms(one["picture_s"]), ms(one["picture_cpu_s"]), mib(one["peak_bytes"]))

@@ -1,15 +1,18 @@
 """Child of render.py: one side's times and memory on one face.
 
-usage: render_side.py sample STAGE REPORT
+usage: render_side.py sample SEED STAGE REPORT
        render_side.py ict SOURCE STAGE REPORT
-       render_side.py picture|facepipe|embreex STAGE REPORT
+       render_side.py command|picture|facepipe|embreex STAGE REPORT
 
-The first two make stages. `picture` draws the face; the other two do the same work for its front view: what is seen in
-9 samples a pixel, and which of 24 directions of the sky each point sees.
+The first two make stages. `command` is `facepipe render` from its start to its file, `picture` draws the face in three
+views; the other two do the same work for its front view: what is seen in 9 samples a pixel, and which of 24 directions
+of the sky each point sees.
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -22,11 +25,11 @@ from children import Json, peak_memory, write_report
 SIZE, SAMPLES = 800, 3
 
 
-def sample(stage: str) -> Json:
-    """The head in the box."""
+def sample(seed: str, stage: str) -> Json:
+    """A person of the head in the box."""
     import facepipe
 
-    facepipe.sample(stage)
+    facepipe.sample(stage, seed=int(seed))
     return {}
 
 
@@ -37,6 +40,16 @@ def ict(source: str, stage: str) -> Json:
 
     save_parts(importers.load("ict", source).parts, stage)
     return {}
+
+
+def command(stage: str) -> Json:
+    """The whole command."""
+    words = [sys.executable, "-m", "facepipe", "render", stage, "-o", f"{stage}.png", "--force", "--size", str(SIZE)]
+    before, wall = os.times(), time.perf_counter()
+    subprocess.run(words, check=True, capture_output=True)
+    wall, after = time.perf_counter() - wall, os.times()
+    processor = after.children_user + after.children_system - before.children_user - before.children_system
+    return {"command_s": wall, "command_cpu_s": processor}
 
 
 def picture(stage: str) -> Json:
@@ -138,5 +151,5 @@ def _summary(name: str, times: list[tuple[float, float]]) -> Json:
 
 if __name__ == "__main__":
     what, *arguments, report = sys.argv[1:]
-    sides = {one.__name__: one for one in (sample, ict, picture, facepipe, embreex)}
+    sides = {one.__name__: one for one in (sample, ict, command, picture, facepipe, embreex)}
     write_report(report, sides[what](*arguments))

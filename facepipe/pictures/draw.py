@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.pictures.columns import joined
+from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
@@ -67,7 +67,8 @@ def _bands(
     def band(top: int) -> tuple[Spots, Layers | None]:
         fine = top * samples, min(top + rows, size) * samples
         raster = rasterise(solid, size * samples, size * samples, rows=fine)
-        return _spots(shader, raster, samples, top), layers(shader, clear, raster, samples, fine)
+        spots, over = _spots(shader, raster, samples, top), layers(shader, clear, raster, samples, fine)
+        return spots if over is None else chosen(spots, np.flatnonzero(~over.hidden(size * size)[spots.pixel])), over
 
     spots, over = zip(*mapped(band, range(0, size, rows)), strict=True)
     veils = [one for one in over if one is not None]

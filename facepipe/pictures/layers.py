@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import BoolArray, IntArray
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.fragments import Fragments, fragments
 from facepipe.pictures.hidden import hidden, least
@@ -37,6 +37,12 @@ class Layers:
     weight: Floats  # (f,) share of the pixel that it covers and whose light comes past the layers before it
     veiled: IntArray  # (v,) pixels with layers
     passed: Floats  # (v,) share of the light from behind all layers
+
+    def hidden(self, count: int) -> BoolArray:
+        """(count,) whether the layers let no light of what is solid past, for all pixels of the picture."""
+        found = np.zeros(count, bool)
+        found[self.veiled] = self.passed < _FAINT
+        return found
 
     def blend(self, picture: Floats, shader: Shader) -> None:
         """Put the layers over a linear picture (pixels, 3)."""
