@@ -17,7 +17,7 @@ from facepipe.core.errors import InputError
 
 ROOTS = "FACEPIPE_ROOTS"  # folders, separated as in PATH
 PROJECT = "facepipe.toml"  # marks the folder of a project
-_OWN = Path(__file__).parent  # networks and tables that come with facepipe
+_OWN = Path(__file__).parent.parent  # networks and tables that come with facepipe
 _CODE = (".pt2", ".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".joblib")  # files that run code as they are loaded
 
 

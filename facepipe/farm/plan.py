@@ -82,7 +82,8 @@ def plan_of(where: str, folder: Path, out: Path, rows: Sequence[Row], steps: Map
     """A plan with its steps in the order of their needs, and what is wrong with any of them."""
     columns = set(rows[0].values) if rows else set()
     faults = {name: line for name, one in steps.items() for line in _fault(one, columns, steps)[:1]}
-    known = {name: _with_needs(one, steps) for name, one in steps.items()}
+    clear = {name: one for name, one in steps.items() if name not in columns}
+    known = {name: _with_needs(one, clear) for name, one in steps.items()}
     faults |= _circles({name: one for name, one in known.items() if name not in faults})
     return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=tuple(_ordered(known)), faults=faults)
 
@@ -154,7 +155,7 @@ def braces(step: Step) -> Iterator[str]:
 
 def _fault(step: Step, columns: Collection[str], steps: Collection[str]) -> list[str]:
     known = {OUT, *steps, *(() if step.once else columns)}
-    lines = []
+    lines = ["is the name of a column too, expected another"] if step.name in columns else []
     for name in braces(step):
         if name not in known:
             near = did_you_mean(name, known) or f", expected one of {', '.join(sorted(known))}"

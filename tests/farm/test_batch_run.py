@@ -87,6 +87,7 @@ def test_one_bad_face_never_stops_the_rest(show: Path, run_plan: Runner) -> None
     [
         (("{face} base", "{fase} base"), "{fase} is no column of the table and no step, did you mean 'face'?"),
         (("copy {face}", "copy {game}"), "needs itself: "),
+        (("steps.game", "steps.face"), "steps.face: is the name of a column too, expected another"),
         (("mixed/{name}", "mixed/one"), "out is built/mixed/one.bin, that of mixed/ada too, expected another"),
     ],
 )

@@ -9,10 +9,16 @@ import time
 from pathlib import Path
 
 import pytest
+import scan_domes
+from every_writer import PROJECT
 from faces import tiny_face
+from photographed_face import write_photos
 from places import REPOSITORY
+from procedural_head import make
+from rebuild_stages import put_scans
 
 import facepipe
+from facepipe.processors.database import save_database
 from facepipe.stage import save_parts
 
 WATCHED = """
@@ -55,3 +61,52 @@ def _wait_for(path: Path) -> None:
     while not path.is_file():
         assert time.monotonic() < until
         time.sleep(0.1)
+
+
+LONG = """
+out = "done"
+[faces]
+rows = [{ name = "anna", project = "anna.toml", image = "front" }]
+[steps.actor]
+run = "rebuild {project} --joint --report {out}/report"
+out = "{name}.usda"
+[steps.photo]
+run = '''fit-photo {image}.png small.usda --landmarks {image}.json --iterations 1 --size 64 --identity 0
+         --report {out}/photo'''
+out = "{name}_photo.usda"
+[steps.lods]
+run = "lod {actor} --triangles 100"
+out = "{name}_lods.usda"
+[steps.rig]
+run = "neural-rig train dome.usda --spread 50 --sweep 5 --together 20 --steps 20 --encoder-steps 5"
+out = "dome.fpnr"
+once = true
+[steps.graph]
+run = "export dome.usda --neural {rig}"
+out = "rig.onnx"
+once = true
+[steps.check]
+run = "validate {lods}"
+"""
+
+
+@pytest.mark.slow
+def test_rebuilds_photo_fits_levels_and_training_are_steps(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    put_scans(tmp_path)
+    save_database(scan_domes.database(), tmp_path / "faces.fpdb")
+    (tmp_path / "anna.toml").write_text(PROJECT)
+    save_parts(scan_domes.face(0), tmp_path / "dome.usda")
+    save_parts(make(0), tmp_path / "small.usda")
+    write_photos(make(0), tmp_path)
+    (tmp_path / "plan.toml").write_text(LONG)
+    report = facepipe.batch(tmp_path / "plan.toml", processes=2)
+    assert report.failures == ()
+    assert dict(report.counts) == {"made": 6}
+    assert (tmp_path / "done/report").is_dir()
+    assert dict(facepipe.batch(tmp_path / "plan.toml").counts) == {"kept": 6}
+    scan = tmp_path / "open.ply"
+    scan.write_bytes(scan.read_bytes() + b"\n")  # a source that the project names
+    again = dict(facepipe.batch(tmp_path / "plan.toml").counts)
+    assert again["kept"] >= 3
+    assert again["made"] >= 1

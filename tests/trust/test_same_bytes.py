@@ -19,7 +19,18 @@ SETTINGS = ((1, 1), (2, 2), (4, 3))  # threads, seed
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 WRITER = SUPPORT / "every_writer.py"
 # these write text to stdout, or what others write, or take minutes
-OTHERS = {"demo", "inspect", "validate", "eval", "view", "schema-path", "scan", "scan-landmarks", "blender-addon"}
+OTHERS = {
+    "demo",
+    "batch",
+    "inspect",
+    "validate",
+    "eval",
+    "view",
+    "schema-path",
+    "scan",
+    "scan-landmarks",
+    "blender-addon",
+}
 
 
 @pytest.mark.slow

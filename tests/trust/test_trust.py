@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import done, exit_code, failed
 
+import facepipe
 from facepipe.core.errors import InputError
 from facepipe.core.trust import (
     Trust,
@@ -99,6 +100,7 @@ def test_reads_are_confined_where_the_caller_says_so(show: Path) -> None:
     check_readable(show.parent / "other/a.usda")
     with trusting(Trust(roots=(show,), confined=True)):
         check_readable(show / "shots/a.usda")
+        check_readable(Path(facepipe.__file__).parent / "learn/networks/face_features.onnx")  # what comes with facepipe
         with pytest.raises(InputError, match="outside the roots"):
             check_readable(show.parent / "other/a.usda")
     check_readable(show.parent / "other/a.usda")
