@@ -34,7 +34,13 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add("--each", metavar="GLOB", help="files to do it to; {face} is the file, {name} its name without suffix")
     add("-o", "--output", metavar="OUT", help="with --each: the result of each, like game/{name}.glb")
     add("--state", type=Path, metavar="DIR", help="what is done, and the report (default beside the plan: NAME_batch)")
-    add("--processes", type=int, default=None, metavar="N", help="on this machine (default: a core each)")
+    add(
+        "--processes",
+        type=int,
+        default=None,
+        metavar="N",
+        help="on this machine, or on each host of ssh (default: a core each)",
+    )
     cluster = "do it on a Dask cluster: tcp://HOST:PORT of its scheduler, or ssh://HOST,HOST"
     add("--cluster", metavar="ADDRESS", help=cluster)
     add("--thumbnails", type=int, default=128, metavar="PX", help="pictures in the report, 0 for none (default 128)")

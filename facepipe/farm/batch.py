@@ -42,7 +42,7 @@ def batch(
     :param plan: or its file (.toml)
     :param state: folder of what is done, and of the report: ``report.html``, ``report.json``; made where there is none
         (default ``NAME_batch`` beside the file)
-    :param processes: on this machine (default: a core each)
+    :param processes: on this machine, or on each host of ssh (default: a core each)
     :param cluster: address of a Dask cluster that does it instead
     :param thumbnails: pixels of the pictures in the report, 0 for none
     :param models: models that can run code are loaded
@@ -51,8 +51,7 @@ def batch(
     """
     options = options or RunOptions()
     check_ranges(options)
-    processes = (os.cpu_count() or 1) if processes is None else processes
-    if processes < 1:
+    if processes is not None and processes < 1:
         raise InputError("--processes", f"is {processes}, expected at least 1")
     if not isinstance(plan, Plan):
         state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
@@ -69,7 +68,9 @@ def batch(
         if told is not None:
             run.told = told(run)
         setting = _setting(plan, state, models)
-        engine: Engine = Cluster(cluster, setting) if cluster else Processes(processes, setting)
+        engine: Engine = (
+            Cluster(cluster, setting, processes) if cluster else Processes(processes or os.cpu_count() or 1, setting)
+        )
         try:
             run(engine)
         finally:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from typing import Any
 
 from facepipe.core import __version__
@@ -19,100 +21,155 @@ from facepipe.farm.child import Child
 from facepipe.farm.engines import LOST, Done, answer
 from facepipe.farm.ledger import Record
 
-_PATIENCE = 30.0  # seconds for a scheduler to answer
+_CONNECT = 10.0  # seconds for a scheduler to answer
+_PATIENCE = 30.0  # seconds for all workers
 _WORKERS = 120.0  # seconds for a first worker
-_own = threading.local()  # the process of a worker's thread
+_IDLE = "10 minutes"  # after these a scheduler that was started by ssh ends, and its workers: who started it was killed
+_children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and what that was told
 
 
 class Cluster:
     """The workers of a scheduler."""
 
-    def __init__(self, address: str, setting: Mapping[str, Any]) -> None:
+    def __init__(self, address: str, setting: Mapping[str, Any], processes: int | None = None) -> None:
         """
         :param address: ``tcp://HOST:PORT`` of a scheduler, or ``ssh://HOST,HOST`` to start one on the first host and a
             worker on each
+        :param processes: on each host of ssh; None: a core each
         :raises InputError: Dask is not installed, no scheduler answers, none has a worker, or one of another facepipe
         """
         try:
             from distributed import Client
         except ImportError:
             raise InputError("--cluster", "needs Dask: pip install 'facepipe[farm]'") from None
+        _quieten()
         self._setting = dict(setting)
-        self._ends = contextlib.ExitStack()
-        try:
-            target: Any = self._ends.enter_context(_over_ssh(address)) if address.startswith("ssh://") else address
-            self._client = self._ends.enter_context(Client(target, timeout=_PATIENCE, set_as_default=False))
-            self._client.wait_for_workers(1, timeout=_WORKERS)
-            _check_versions(self._client.run(_version))
-        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-            self._ends.close()
-            raise InputError(f"--cluster {address}", f"can't be used: {' '.join(str(error).split())[:200]}") from None
-        except BaseException:
-            self._ends.close()
-            raise
-
-    @property
-    def dashboard(self) -> str:
-        """Where Dask shows what is going on."""
-        return str(self._client.dashboard_link or "")
+        self._refused: dict[str, str] = {}  # worker -> why
+        with contextlib.ExitStack() as ends:
+            try:
+                over_ssh = address.startswith("ssh://")
+                target: Any = ends.enter_context(_over_ssh(address, processes)) if over_ssh else address
+                self._client = ends.enter_context(Client(target, timeout=_CONNECT, set_as_default=False))
+                self._client.wait_for_workers(1, timeout=_WORKERS)
+                _check_versions(self._on_all(_version))
+            except InputError:
+                raise
+            except Exception as error:
+                raise InputError(f"--cluster {address}", f"can't be used: {_brief(error)}") from None
+            self._ends = ends.pop_all()
 
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
         """Do a task, before those of a higher order."""
-        said = json.dumps([request, self._setting], sort_keys=True).encode()
-        key = f"facepipe-{request['task']}-{hashlib.sha256(said).hexdigest()[:32]}"
-        settings: Any = {"key": key, "pure": False, "priority": -order[0]}
-        future = self._client.submit(_do, dict(request), self._setting, **settings)
-
-        def ended(future: Any) -> None:
-            done(_answer_of(future, request))
-
-        future.add_done_callback(ended)
+        self._client.loop.add_callback(self._follow, request, order, done)
 
     def close(self) -> None:
         """End; what is being done is lost."""
+        if self._client.status == "running":  # else it is gone
+            with contextlib.suppress(Exception):
+                self._on_all(_end_children, self._setting)
         self._ends.close()
 
+    def _on_all(self, function: Callable[..., object], *arguments: object) -> dict[str, Any]:
+        """What a function gives on each worker, or the error that it raises there."""
+        run = self._client.run
+        found: dict[str, Any] = self._client.sync(
+            run, function, *arguments, on_error="return", callback_timeout=_PATIENCE
+        )
+        return found
 
-def _answer_of(future: Any, request: Mapping[str, Any]) -> Record:
-    record: Record = {"task": request["task"], "words": request["words"], "status": LOST}
-    if future.status == "finished":
+    async def _follow(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+        record = await self._answer(request, order, await self._others())
+        while "refused" in record:
+            self._refused[record["worker"]] = record["error"]
+            others = await self._others()
+            if not others:
+                break
+            record = await self._answer(request, order, others)
+        record.pop("worker", None)
+        warnings = [f"{worker}: {why}; its tasks go to others" for worker, why in self._refused.items()]
+        done({**record, "warnings": warnings} if warnings else record)
+
+    async def _others(self) -> list[str]:
+        """Where some have refused, the workers that have not; none where the cluster is gone."""
+        if not self._refused:
+            return []
         try:
-            found: Record = future.result(timeout=_PATIENCE)
-            return found
-        except Exception as error:  # gathering it found no worker
-            return {**record, "error": f"{request['task']}: its worker was lost ({type(error).__name__})"}
-    if future.status == "cancelled":
-        return {**record, "error": f"{request['task']}: the cluster is gone", "gone": True}
-    return {**record, "error": f"{request['task']}: its workers were lost ({type(future.exception()).__name__})"}
+            return [one for one in await self._client.nthreads() if one not in self._refused]
+        except Exception:  # `_answer` says so
+            return []
+
+    async def _answer(self, request: Mapping[str, Any], order: tuple[int, ...], workers: Sequence[str]) -> Record:
+        """What a task came to.
+
+        :param workers: that it goes to as long as there are any; empty: to all
+        """
+        said = json.dumps([request, self._setting, workers], sort_keys=True).encode()
+        key = f"facepipe-{request['task']}-{hashlib.sha256(said).hexdigest()[:32]}"
+        where: Any = {"workers": list(workers), "allow_other_workers": True} if workers else {}
+        record: Record = {"task": request["task"], "words": request["words"], "status": LOST}
+        try:
+            settings: Any = {"key": key, "pure": False, "priority": -order[0], **where}
+            found: Record = await self._client.submit(_do, dict(request), self._setting, **settings)
+        except CancelledError:
+            return {**record, "gone": "the cluster is gone"}
+        except Exception as error:
+            return {**record, "error": f"{request['task']}: its workers were lost ({_brief(error)})"}
+        return found
 
 
 def _do(request: Mapping[str, Any], setting: Mapping[str, Any]) -> Record:
     """Do a task in the process of this thread."""
-    child = getattr(_own, "child", None)
-    if child is None or _own.setting != setting:
-        if child is not None:
+    from distributed import get_worker
+
+    known = _children.get(threading.get_ident())
+    if known is None or known[0] != setting:
+        if known is not None:
+            known[1].end()
+        known = _children[threading.get_ident()] = dict(setting), Child(setting)
+    return {**answer(known[1], request), "worker": get_worker().address}
+
+
+def _end_children(setting: Mapping[str, Any]) -> None:
+    """End the processes of a worker that were told a setting."""
+    for known, child in list(_children.values()):
+        if known == setting:
             child.end()
-        _own.child, _own.setting = Child(setting), dict(setting)
-    return answer(_own.child, request)
 
 
 def _version() -> str:
     return __version__
 
 
-def _check_versions(found: Mapping[str, str]) -> None:
-    """:raises InputError: a worker of another facepipe"""
+def _check_versions(found: Mapping[str, Any]) -> None:
+    """:raises InputError: a worker of another facepipe, or of none"""
     for worker, version in found.items():
-        if version != __version__:
+        if isinstance(version, ImportError | AttributeError):
+            raise InputError(worker, f"has no facepipe that can work for {__version__} ({_brief(version)})")
+        if isinstance(version, str) and version != __version__:
             raise InputError(worker, f"has facepipe {version}, expected {__version__}")
 
 
+def _quieten() -> None:
+    """Dask's logs tell at length what our lines tell."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado", "asyncssh")):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _brief(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
 @contextlib.contextmanager
-def _over_ssh(address: str) -> Any:
+def _over_ssh(address: str, processes: int | None) -> Iterator[Any]:
     from distributed import SSHCluster
 
     hosts = [one for one in address.removeprefix("ssh://").split(",") if one]
     if not hosts:
         raise InputError(f"--cluster {address}", "no host, expected ssh://HOST,HOST")
-    with SSHCluster([hosts[0], *hosts], worker_options={"nthreads": 1}) as cluster:
+    options: Any = {
+        "worker_options": {} if processes is None else {"nthreads": processes},
+        "scheduler_options": {"idle_timeout": _IDLE},
+    }
+    with SSHCluster([hosts[0], *hosts], **options) as cluster:
         yield cluster

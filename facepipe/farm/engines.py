@@ -18,7 +18,10 @@ LOST = "lost"  # status of a task whose process ended before it answered
 
 
 class Engine(Protocol):
-    """Does tasks, and says when one is done from any thread."""
+    """Does tasks, and says when one is done from any thread.
+
+    A record of an engine that can do no more has the reason as `gone`; `warnings` are lines for the report.
+    """
 
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
         """Do a task, before those of a higher order."""

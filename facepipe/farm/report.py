@@ -52,6 +52,7 @@ class BatchReport(Report):
             said = ", ".join(f"{one['counts'][status]} {status}" for status in sorted(one["counts"]))
             time = f"; {one['seconds_mean']:.2f} s each" if one.get("seconds_mean") else ""
             lines.append(f"  {name}: {said}{time}")
+        lines += [f"warning: {line}" for line in self.warnings]
         lines += [f"failed: {line}" for line in self.failures[:_MOST_FAILURES]]
         if len(self.failures) > _MOST_FAILURES:
             lines.append(f"and {len(self.failures) - _MOST_FAILURES} more, see the report")
@@ -66,21 +67,23 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
     own = [one for one in failed if one["status"] != "skipped"]
     skipped = len(failed) - len(own)
     done = [one for one in run.records.values() if one["status"] in _DONE]
+    left = (f"{run.gone}: {run.left} tasks are left, run it again to do them",) if run.gone else ()
+    lines = Counter(one["error"] for one in own).items()
     return BatchReport(
         faces=len(run.plan.rows),
         tasks=len(run.records),
         counts=dict(run.counts),
         steps={step.name: _of_step(run.records, step.name) for step in run.plan.steps},
-        failures=tuple(
-            f"{line} ({count} tasks)" if count > 1 else line
-            for line, count in Counter(one["error"] for one in own).items()
-        ),
+        failures=(*(f"{line} ({count} tasks)" if count > 1 else line for line, count in lines), *left),
         missed_checks=tuple(one["task"] for one in done if one.get("missed")),
         attributions=tuple(sorted({text for one in done for text in one.get("attribution", ())})),
         seconds=seconds,
         scheduling_seconds=run.scheduling,
         page=state / "report.html",
-        warnings=(f"{skipped} tasks were left out, since what they need failed",) if skipped else (),
+        warnings=(
+            *run.warnings,
+            *([f"{skipped} tasks were left out, since what they need failed"] if skipped else []),
+        ),
     )
 
 

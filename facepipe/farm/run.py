@@ -38,6 +38,8 @@ class Run:
     told: Told
     records: dict[str, Record] = field(default_factory=dict)  # of this run, by task
     scheduling: float = 0.0  # seconds in this class
+    gone: str = ""  # why who does tasks can do no more
+    warnings: dict[str, None] = field(default_factory=dict)  # of who does tasks
 
     def __post_init__(self) -> None:
         self._answers: queue.SimpleQueue[Record] = queue.SimpleQueue()
@@ -54,6 +56,11 @@ class Run:
         """Tasks by status."""
         return Counter(one["status"] for one in self.records.values())
 
+    @property
+    def left(self) -> int:
+        """How many tasks have not ended."""
+        return len(self._tasks) - len(self.records)
+
     def __call__(self, engine: Engine) -> None:
         """Do all tasks.
 
@@ -62,7 +69,7 @@ class Run:
         start = time.perf_counter()
         self._open()
         waited = 0.0
-        while self._hand_out(engine):
+        while not self.gone and self._hand_out(engine):
             before = time.perf_counter()
             record = self._answers.get()
             waited += time.perf_counter() - before
@@ -151,6 +158,10 @@ class Run:
 
     def _answered(self, record: Record) -> None:
         task = self._tasks[record["task"]]
+        self.warnings |= dict.fromkeys(record.pop("warnings", ()))
+        self.gone = record.get("gone", "")
+        if self.gone:
+            return
         again = record["status"] == LOST or record.get("passing", False)
         self._lost[task.name] += again
         if again and self._lost[task.name] <= self.options.failures:

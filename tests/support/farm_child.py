@@ -8,20 +8,34 @@ import signal
 import time
 from pathlib import Path
 
-from facepipe.cli.batch_child import main
-from facepipe.cli.batch_child import read_line as read_command
-from facepipe.farm.work import Line, Outcome
+from facepipe import core
+
+core.__version__ = os.environ.get("FARM_VERSION", core.__version__)  # before others take it
+
+from facepipe.cli.batch_child import main  # noqa: E402
+from facepipe.cli.batch_child import read_line as read_command  # noqa: E402
+from facepipe.farm.work import Line, Outcome  # noqa: E402
 
 
 def read_line(words: list[str]) -> Line:
-    """``copy SOURCE ... -o OUT``, ``die``, ``die-once MARK``, ``hang``, ``eat MB``, ``fill -o OUT``; else a command."""
+    """``copy SOURCE ... -o OUT``, ``slow SECONDS SOURCE ... -o OUT``, ``die``, ``die-once MARK``, ``hang``, ``eat MB``,
+    ``fill -o OUT``; else a command.
+    """
     verb, rest = words[0], words[1:]
     out = [Path(rest[rest.index("-o") + 1])] if "-o" in rest else []
     named = [Path(one) for one in (rest[: rest.index("-o")] if out else rest)]
-    made = {"copy": _copy, "die": _die, "die-once": _die_once, "hang": _hang, "eat": _eat, "fill": _fill}.get(verb)
+    made = {
+        "copy": _copy,
+        "slow": _slow,
+        "die": _die,
+        "die-once": _die_once,
+        "hang": _hang,
+        "eat": _eat,
+        "fill": _fill,
+    }.get(verb)
     if made is None:
         return read_command(words)
-    reads = named if verb == "copy" else []
+    reads = {"copy": named, "slow": named[1:]}.get(verb, [])
     return Line(verb=verb, reads=reads, writes=out, run=lambda: made(named, out))
 
 
@@ -30,6 +44,11 @@ def _copy(sources: list[Path], out: list[Path]) -> Outcome:
     with Path("log").open("a") as log:  # what was really done
         log.write(f"{out[0].as_posix()}\n")
     return Outcome(report={"off_mm": 0.25})
+
+
+def _slow(named: list[Path], out: list[Path]) -> Outcome:
+    time.sleep(float(str(named[0])))
+    return _copy(named[1:], out)
 
 
 def _die(*_: object) -> Outcome:

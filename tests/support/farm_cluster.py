@@ -1,0 +1,81 @@
+"""A Dask scheduler and workers, processes of their own over TCP, which are ended by their ids."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+
+_PATIENCE = 60.0  # seconds
+
+
+class Farm:
+    """A scheduler, and the workers that were started."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.workers: list[subprocess.Popen[bytes]] = []
+        said = folder / "scheduler.json"
+        self.scheduler = self._start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(said)
+        )
+        self.address: str = until(lambda: json.loads(said.read_text())["address"] if said.exists() else "")
+
+    def worker(self, made_up: bool = True, **environment: str) -> subprocess.Popen[bytes]:
+        """One more, of one thread.
+
+        :param made_up: it does the lines of `farm_child`
+        """
+        words = [self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "10"]
+        words += ["--local-directory", str(self._folder), *(["--preload", "farm_worker"] if made_up else [])]
+        worker = self._start("worker", *words, **environment)
+        self.workers.append(worker)
+        return worker
+
+    def _start(self, what: str, *words: str, **environment: str) -> subprocess.Popen[bytes]:
+        with (self._folder / f"{what}.log").open("ab") as log:
+            line = [sys.executable, "-m", f"distributed.cli.dask_{what}", *words]
+            return subprocess.Popen(line, stdout=log, stderr=log, env={**os.environ, **environment})
+
+    def end(self) -> None:
+        """End all that is still there."""
+        for one in (*self.workers, self.scheduler):
+            one.kill()
+            one.wait()
+
+
+@contextmanager
+def farm_in(folder: Path, workers: int = 0, made_up: bool = True) -> Iterator[Farm]:
+    """A cluster while the block runs; its logs are in the folder."""
+    folder.mkdir()
+    farm = Farm(folder)
+    try:
+        for _ in range(workers):
+            farm.worker(made_up)
+        yield farm
+    finally:
+        farm.end()
+
+
+def until(asked, seconds: float = _PATIENCE):
+    """What `asked` gives as soon as it is true.
+
+    :raises AssertionError: it never was
+    """
+    start = time.monotonic()
+    while not (found := asked()):
+        assert time.monotonic() - start < seconds, "it never came"
+        time.sleep(0.05)
+    return found
+
+
+def children(process: subprocess.Popen[bytes]) -> set[int]:
+    """The ids of all processes below one."""
+    return {one.pid for one in psutil.Process(process.pid).children(recursive=True)}

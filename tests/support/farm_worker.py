@@ -1,0 +1,9 @@
+"""Loaded by workers of a cluster (``--preload``): their processes do the made-up lines of `farm_child`."""
+
+from __future__ import annotations
+
+import farm_child
+
+from facepipe.farm import child
+
+child.PROGRAM = farm_child.__name__
