@@ -14,6 +14,7 @@ from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.trust import is_writable, trust
 from facepipe.farm.contents import state_of
 
 _RECORD = "record.json"
@@ -39,6 +40,8 @@ class Cache:
             writes = list(record["writes"].items())
             if any(_digest(entry / str(number)) != one[1] for number, (_, one) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
+            if not all(is_writable(Path(path), trust().roots) for path, _ in writes):
+                raise InputError(entry, "is of files outside the roots")
         except (OSError, ValueError, LookupError, TypeError, FacepipeError):
             shutil.rmtree(entry, ignore_errors=True)
             return None

@@ -41,9 +41,11 @@ class Ledger:
 def ledger_in(folder: Path) -> Iterator[Ledger]:
     """The ledger of a plan's state folder, which one run at a time has.
 
-    :raises InputError: another run has it, or it can't be read or written
+    :raises InputError: another run has it, it is a link, or it can't be read or written
     """
     path = folder / FILE
+    if path.is_symlink():
+        raise InputError(path, "is a link, expected a file")
     with locked(path, patience=0.0):
         lines, records = _read(path)
         if lines > _SLACK * len(records) + 100 or not _ends_whole(path):
@@ -67,13 +69,25 @@ def _read(path: Path) -> tuple[int, dict[str, Record]]:
                 lines += 1
                 with contextlib.suppress(ValueError, RecursionError):
                     record = json.loads(line)
-                    if isinstance(record, dict) and isinstance(record.get("task"), str):
+                    if _is_record(record):
                         records[record["task"]] = record
     except FileNotFoundError:
         pass
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
     return lines, records
+
+
+def _is_record(record: Any) -> bool:
+    """Whether a line is what a run writes: a state folder may come from others."""
+    if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("task", "status")):
+        return False
+    reads, writes = record.get("reads", {}), record.get("writes", {})
+    if not isinstance(reads, dict) or not isinstance(writes, dict) or not isinstance(record.get("report", {}), dict):
+        return False
+    states = [*reads.values(), *(one[0] for one in writes.values() if isinstance(one, list) and len(one) == 2)]
+    whole = "key" in record and "reads" in record and "writes" in record
+    return all(isinstance(one, list) for one in (*states, *writes.values())) and (whole or record["status"] == "failed")
 
 
 def _ends_whole(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
 import queue
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from facepipe.core import __version__
+from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
 from facepipe.farm.contents import unchanged
 from facepipe.farm.engines import LOST, Engine
@@ -162,6 +164,8 @@ class Run:
         self.gone = record.get("gone", "")
         if self.gone:
             return
+        if record["status"] == LOST:
+            self._tidy(task)
         again = record["status"] == LOST or record.get("passing", False)
         self._lost[task.name] += again
         if again and self._lost[task.name] <= self.options.failures:
@@ -169,6 +173,11 @@ class Run:
             return
         status = FAILED if record["status"] == LOST else record["status"]
         self._end(task, {**record, "status": status, "lost": self._lost[task.name]})
+
+    def _tidy(self, task: Task) -> None:
+        """Remove what a process that was lost left beside its result."""
+        with contextlib.suppress(FacepipeError, OSError):
+            collect((self.plan.folder / result_of(self.plan, task)).parent)
 
     def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
         self.records[task.name] = record

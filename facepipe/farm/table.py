@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, file_name
 from facepipe.core.reading import read_bytes
+from facepipe.core.trust import check_copied
 
 _MOST_BYTES = 1 << 28  # of a CSV file
 _MOST_ROWS = 10_000_000
@@ -72,6 +73,7 @@ def _of_csv(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     if not isinstance(said, str):
         raise InputError(where, f"{str(said)[:40]}, expected a file like faces.csv")
     path = folder / said
+    check_copied(where, path, folder / "plan")
     try:
         reader = csv.reader(io.StringIO(read_bytes(path, _MOST_BYTES).decode("utf-8-sig")), strict=True)
         header = [one.strip() for one in next(reader, [])]

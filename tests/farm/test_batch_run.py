@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -224,3 +225,50 @@ def test_the_page_shows_what_there_is(show: Path, run_plan: Runner) -> None:
     assert "off 0.25 mm" in page
     assert "heads/ada.bin" in page
     assert "<b>.bin" not in page
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "7",
+        "[]",
+        '{"task": 7}',
+        '{"task": "mixed/ada", "status": "made"}',
+        '{"task": "mixed/ada", "status": "made", "key": 1, "reads": {"a": 1}, "writes": {}}',
+        '{"task": "mixed/ada", "status": "made", "key": "x", "reads": {}, "writes": {"a": ["b"]}}',
+        '{"task": "mixed/ada", "status": "made", "key": "x", "reads": {}, "writes": {"/etc/passwd": [[1, 2], "y"]}}',
+        '{"task": "mixed/ada", "status": "failed", "reads": 3}',
+        "[" * 100_000,
+    ],
+)
+def test_a_ledger_of_others_is_data(show: Path, run_plan: Runner, line: str) -> None:
+    (show / "state").mkdir()
+    (show / "state/tasks.jsonl").write_text(f"{line}\n")
+    assert dict(run_plan(PLAN).counts) == {"made": 6}
+
+
+def test_a_ledger_that_is_a_link_is_refused(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    (show / "state").mkdir()
+    (tmp_path / "own").write_text("mine")
+    (show / "state/tasks.jsonl").symlink_to(tmp_path / "own")
+    with pytest.raises(InputError, match="is a link"):
+        run_plan(PLAN)
+    assert (tmp_path / "own").read_text() == "mine"
+
+
+def test_a_cache_of_others_writes_within_the_roots_alone(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    cache, target = tmp_path / "cache", tmp_path / "target"
+    run_plan(PLAN, cache=cache)
+    for entry in cache.iterdir():
+        text = (entry / "record.json").read_text()
+        (entry / "record.json").write_text(re.sub(r'"built/[^"]*"', json.dumps(str(target)), text))
+    for one in (show / "built").rglob("*.bin"):
+        one.unlink()
+    assert dict(run_plan(cache=cache).counts) == {"made": 6}
+    assert not target.exists()
+
+
+def test_a_table_lies_below_the_roots(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    (tmp_path / "faces.csv").write_text("name,face\nada,heads/ada.bin\n")
+    with pytest.raises(InputError, match="outside the roots"):
+        run_plan(PLAN.replace('glob = "heads/*.bin"', 'csv = "../faces.csv"'))
