@@ -74,8 +74,8 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
     dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
     iris, white = f"iris_{look.eyes}.jpg", (0.5 * dim, 0.46 * dim, 0.42 * dim)
     rows: list[tuple[str, str, Color, float, float]] = [  # material, picture, colour without it, roughness, dimmed to
-        ("M_GumsTongue", "gums.jpg", (0.42, 0.14, 0.13), 0.3, 1.0),
-        ("M_Teeth", "teeth.jpg", (0.66, 0.60, 0.48), 0.22, 1.0),
+        ("M_GumsTongue", "gums.jpg", (0.52, 0.20, 0.18), 0.3, 1.0),
+        ("M_Teeth", "teeth.jpg", (0.74, 0.68, 0.56), 0.22, 1.0),
         *((f"M_Sclera{side}", "sclera.png", white, 0.18, dim) for side in ("Left", "Right")),
         *((f"M_Iris{side}", iris, IRIS[look.eyes], 0.4, 1.0) for side in ("Left", "Right")),
         ("Pupil", iris, (0.002, 0.002, 0.002), 0.4, 1.0),

@@ -18,7 +18,7 @@ from facepipe.pictures.occlusion import Sky
 
 _LEAST_FACING = 0.05  # cosine between a normal and the direction to the viewer
 _LEAST_ALPHA = 0.003  # squared roughness; sharper reflections have no numbers
-_BOUNCED = 0.06  # share of light that finds its way even where no sky is seen
+_BOUNCED = (0.45, 0.32, 0.27)  # share of the dome's light that flesh passes on where no sky is seen, as in mouths
 _COAT = 0.04  # share of light that a clear coat reflects at normal incidence
 _SCATTER = 0.7  # of the light that enters skin, in the channel that scatters farthest
 _CREEP = 0.30  # how far light creeps around the terminator in the channel that scatters farthest
@@ -77,20 +77,21 @@ class Portrait:
     def light(self, samples: Samples) -> Lit:
         """The light of the dome and of all boxes."""
         shares = samples.carried * samples.inside[:, None]
-        shares[:, 0] = _BOUNCED + (1 - _BOUNCED) * shares[:, 0]
+        hidden = 1 - shares[:, :1]
+        open_sky = 1 - hidden + _row(_BOUNCED) * samples.inside[:, None] * hidden**2
         boxes = [
             _row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
             for number, box in enumerate(self.boxes)
         ]
         view = _View(samples)
-        diffuse, key_diffuse = (one * (1 - view.sheen) for one in self._diffuse(samples, shares[:, :1], boxes))
-        highlights, key_highlights = self._reflected(view, samples.up, shares[:, :1], boxes)
+        diffuse, key_diffuse = (one * (1 - view.sheen) for one in self._diffuse(samples, open_sky, boxes))
+        highlights, key_highlights = self._reflected(view, samples.up, open_sky, boxes)
         if samples.coat.any():
             coat = _View(replace(samples, mirror=np.full_like(samples.mirror, _COAT), roughness=samples.coat_roughness))
             amount = samples.coat[:, None]
             for light in (diffuse, key_diffuse, highlights, key_highlights):
                 light *= 1 - amount * coat.sheen
-            dome, key = self._reflected(coat, samples.up, shares[:, :1], boxes)
+            dome, key = self._reflected(coat, samples.up, open_sky, boxes)
             highlights, key_highlights = highlights + amount * dome, key_highlights + amount * key
         return Lit(diffuse=diffuse, highlights=highlights, key_diffuse=key_diffuse, key_highlights=key_highlights)
 

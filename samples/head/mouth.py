@@ -23,8 +23,8 @@ from facepipe.pictures.textures import linear_to_srgb
 
 Array = Any
 SIZE = 512  # texels a side
-GUM, TONGUE, THROAT = np.array([0.46, 0.155, 0.14]), np.array([0.37, 0.13, 0.12]), np.array([0.20, 0.05, 0.05])
-IVORY, NECK, EDGE = np.array([0.70, 0.64, 0.52]), np.array([0.58, 0.47, 0.31]), np.array([0.60, 0.59, 0.55])
+GUM, TONGUE, THROAT = np.array([0.54, 0.21, 0.19]), np.array([0.50, 0.20, 0.175]), np.array([0.20, 0.055, 0.05])
+IVORY, NECK, EDGE = np.array([0.76, 0.70, 0.58]), np.array([0.62, 0.51, 0.35]), np.array([0.68, 0.66, 0.60])
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,14 @@ def test_a_clear_coat_shines_and_takes_light_from_what_it_covers() -> None:
     assert (white.diffuse + white.highlights).max() <= 1.0 + 1e-5
 
 
+def test_where_no_sky_is_seen_light_is_fainter_and_red() -> None:
+    """As in a mouth, whose walls pass on the light that comes in."""
+    teeth = samples(np.array([1.0]), 0.7, 0.3)
+    lit, hidden = (FURNACE.light(replace(teeth, carried=teeth.carried * seen)).diffuse[0] for seen in (1.0, 0.0))
+    assert (hidden < 0.8 * lit).all()
+    assert hidden[0] > hidden[1] > hidden[2] > 0.2 * lit[2]
+
+
 @pytest.mark.parametrize("roughness", [0.25, 0.5, 0.9])
 def test_a_box_gives_no_more_light_than_it_has(roughness: float) -> None:
     """The mean over all views, by the cosine law, of what a surface reflects of a box that it faces."""
