@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 _A = TypeVar("_A")
 _B = TypeVar("_B")
 
+THREADS = "FACEPIPE_THREADS"  # variable: 1 for one thread a process
 _MOST = 8  # threads; numpy holds Python's lock too often for more to help
 
 
@@ -28,6 +29,8 @@ def one_thread() -> Iterator[None]:
 
 def mapped(function: Callable[[_A], _B], items: Iterable[_A]) -> list[_B]:
     """What a function that spends its time in numpy makes of each item, in order; several at once."""
+    if os.environ.get(THREADS) == "1":  # other processes have the other cores
+        return list(map(function, items))
     with ThreadPoolExecutor(max(1, min(os.cpu_count() or 1, _MOST))) as pool:
         return list(pool.map(function, items))
 

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.threads import THREADS
 
 PROGRAM = "facepipe.cli.batch_child"  # a module that answers requests, a line of JSON each, from its standard input
 _PAUSE = 0.2  # seconds between two looks at its memory
@@ -25,7 +26,7 @@ _ONE_THREAD = dict.fromkeys(
         "VECLIB_MAXIMUM_THREADS",
         "NUMEXPR_NUM_THREADS",
         "PXR_WORK_THREAD_LIMIT",
-        "FACEPIPE_THREADS",
+        THREADS,
     ),
     "1",
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
@@ -11,6 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.threads import mapped
 from facepipe.heads import cards, skin
 from facepipe.heads.look import IRIS, STYLES, Look
 from facepipe.heads.pixels import jpeg
@@ -36,8 +36,7 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
         skins = [Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN]
         head = replace(head, colors=_point_colors(look, head))
         return replace(face, meshes=(head, *others), materials=(*skins, *_loose(look, textured=False)))
-    with ThreadPoolExecutor(len(SKIN)) as pool:
-        skins = list(pool.map(partial(_skin, look, size), range(len(SKIN))))
+    skins = mapped(partial(_skin, look, size), range(len(SKIN)))
     hairs = {"Brows": ("brows", "eyebrows"), "Lashes": ("lashes", "eyes"), "Hair": (look.style, "forehead")}
     materials = (*skins, *_loose(look, textured=True), *_hairs(look))
     drawn = {material.name for material in materials}
