@@ -10,7 +10,7 @@ examples:
   facepipe batch show.toml --processes 8 --seconds 600 --memory-mb 2000
   facepipe batch show.toml --retry-failed
   facepipe batch show.toml --cluster tcp://farm:8786
-  facepipe batch --each 'heads/*.glb' -o '{name}.usda' -- fit-bones {face} --targets smile.usda
+  facepipe batch --each 'heads/*.glb' -o '{name}.usda' -- fit-bones {face} --target smile.usda
   facepipe batch --each 'heads/*.usda' -- validate {face}
 """
 

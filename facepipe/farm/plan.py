@@ -36,7 +36,6 @@ _BRACES = re.compile(r"\{([^{}]*)\}")
 _STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
 _KEYS = {"run", "out", "once", "priority", "seconds", "memory_mb"}
 OUT = "out"
-EACH = "each"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +133,13 @@ def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = Non
     :raises InputError: no such file, no line, or one that names no {face}
     """
     folder = folder or Path.cwd()
-    step = Step(name=EACH, words=words_of("--each", words), out=out)
+    line = words_of("--each", words)
+    step = Step(name=f"{line[0]}{Path(out).suffix}", words=line, out=out)  # another than that of other formats
     if not {"face", "name"} & {*braces(step)}:
         raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")
-    return plan_of(f"--each {pattern}", folder, folder, read_table("--each", folder, {"glob": pattern}), {EACH: step})
+    return plan_of(
+        f"--each {pattern}", folder, folder, read_table("--each", folder, {"glob": pattern}), {step.name: step}
+    )
 
 
 def _check_keys(where: object, said: Mapping[str, Any], known: Collection[str]) -> None:

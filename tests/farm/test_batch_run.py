@@ -11,6 +11,9 @@ import pytest
 from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
+from facepipe.farm.batch import batch
+from facepipe.farm.plan import each
+from facepipe.farm.table import read_table
 
 
 def log(show: Path) -> list[str]:
@@ -272,3 +275,22 @@ def test_a_table_lies_below_the_roots(show: Path, run_plan: Runner, tmp_path: Pa
     (tmp_path / "faces.csv").write_text("name,face\nada,heads/ada.bin\n")
     with pytest.raises(InputError, match="outside the roots"):
         run_plan(PLAN.replace('glob = "heads/*.bin"', 'csv = "../faces.csv"'))
+
+
+def test_a_line_for_each_file_is_a_plan_of_one_step(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(show)
+    lines = (("copy", "{face}"), "a/{name}.one"), (("copy", "{face}", "base.bin"), "a/{name}.two")
+    for _ in range(2):
+        for words, out in lines:
+            report = batch(each("heads/*.bin", words, out), processes=1)
+    assert dict(report.counts) == {"kept": 3}  # lines of other formats leave each other alone
+    assert (show / "a/cyd.two").read_text() == "cydbase"
+    with pytest.raises(InputError, match="names no .face."):
+        each("heads/*.bin", ("copy", "base.bin"), "x")
+
+
+def test_faces_of_one_name_are_called_after_their_folders_too(show: Path) -> None:
+    (show / "heads/old").mkdir()
+    (show / "heads/old/ada.bin").write_text("old")
+    rows = read_table("faces", show, {"glob": "heads/**/*.bin"})
+    assert sorted(row.name for row in rows) == ["bea", "cyd", "heads_ada", "heads_old_ada"]
