@@ -19,6 +19,7 @@ from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, UvSet
 
 _STILL = 2e-3  # cm: smaller moves are none
 _FAR = 0.3  # cm: cards that turn further beside what holds them may dip into other skin
+_HANGING = 4.0  # cm off what holds it, where hair hangs
 _CLEAR = 0.04  # cm that each row of a card stays farther off the skin than the one before
 
 
@@ -60,7 +61,6 @@ def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     """Cards on a head, moved by its shapes and joints, all in one region, with the material of their name."""
     counts, indices = _faces(held.grid)
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
-    normals = held.carry(point_normals(head.points, triangles))
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
     return Mesh(
@@ -68,7 +68,7 @@ def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         points=held.carry(head.points) + held.offsets,
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        normals=_normals(held, head.points, triangles),
         uv_sets=(UvSet(values=held.uv),),
         skin=None if head.skin is None else _skin(held, head.skin),
         blendshapes=tuple(shape for shape in shapes if shape is not None),
@@ -76,6 +76,15 @@ def mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         material=name,
         double_sided=True,
     )
+
+
+def _normals(held: Cards, skin: FloatArray, triangles: IntArray) -> FloatArray:
+    """(n, 3) those of the skin where cards lie on it, level and outwards where they hang."""
+    outwards = (held.carry(skin) + held.offsets - skin.mean(axis=0)) * [1, 0, 1]
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    lying = np.exp(-((np.linalg.norm(held.offsets, axis=1, keepdims=True) / _HANGING) ** 2))
+    normals = outwards + lying * (held.carry(point_normals(skin, triangles)) - outwards)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:

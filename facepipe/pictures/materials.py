@@ -22,6 +22,8 @@ CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 _MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
 _CUT = 0.02  # opacity in a texture below which nothing is there
 _STRANDS = 0.25  # of the highlights of a flat card: the hairs on it are round
+_THROUGH = 0.35  # share of the light that hairs pass on to those below them
+_STRETCH = 4.0  # at most, of the longer way of a pixel's texels against the average
 _PLAIN = Material(name="", diffuse_color=CLAY)
 _NUMBERS = {  # and their values without a texture
     "metallic": 0.0,
@@ -45,6 +47,7 @@ class Surfaces:
     opacity: Floats  # (m,)
     presence: Floats  # (m,) how much of it reflects: opacity cuts, but where the surface is smooth and clear
     gloss: Floats  # (m,) factor of highlights
+    through: Floats  # (m,) share of the light that comes even where something stands before it
     occlusion: Floats  # (m,)
     coat: Floats  # (m,) how much of a clear layer lies over it
     coat_roughness: Floats  # (m,)
@@ -86,6 +89,7 @@ class Materials:
             opacity=opacity,
             presence=np.maximum(opacity, 1 - table[:, 7] / _MATT),
             gloss=np.ones(len(ids), np.float32),
+            through=np.zeros(len(ids), np.float32),
             occlusion=table[:, 9].copy(),
             coat=table[:, 10].copy(),
             coat_roughness=table[:, 11].copy(),
@@ -107,7 +111,7 @@ class Materials:
         for number, material in enumerate(self._each):
             if isinstance(material.opacity, TextureInput):
                 at = np.flatnonzero(kind == number)
-                read = self._read(material.opacity, ids[at], weights[at])
+                read = self._read(material.opacity, ids[at], weights[at], whole=material.opacity_threshold > 0)
                 if read is not None:
                     opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
         return opacity
@@ -133,19 +137,24 @@ class Materials:
             matt = np.minimum(found.roughness[at] / _MATT, 1)
             found.presence[at] = np.maximum(found.opacity[at], (1 - matt) * np.minimum(found.opacity[at] / _CUT, 1))
             found.gloss[at] = 1 - (1 - _STRANDS) * matt
+            found.through[at] = _THROUGH * matt
         if material.normal is not None:
             self._bend(_as_normals(material.normal), found, at, ids, weights)
 
     def _read(
-        self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True
+        self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True, whole: bool = False
     ) -> tuple[Floats, Floats] | None:
-        """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set."""
+        """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set.
+
+        :param whole: of all texels in a pixel, as many as it spans its longer way; else as on average of both ways
+        """
         layout = self._layouts[source.uv_set]
         corners = layout.corners[ids]
         if len(ids) == 0 or np.isnan(corners[0, 0, 0]):
             return None
         uv = interpolated((corners[:, 0], corners[:, 1], corners[:, 2]), weights)
-        return self._scene.textures.sample(source, uv, layout.footprint[ids], color=color)
+        footprint = layout.longest if whole else layout.footprint
+        return self._scene.textures.sample(source, uv, footprint[ids], color=color)
 
     def _bend(self, source: TextureInput, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
         """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
@@ -186,6 +195,7 @@ class _Layout:
 
     corners: Floats  # (t, 3, 2), NaN where the mesh lacks it
     footprint: Floats  # (t,) length in UV space that a pixel spans
+    longest: Floats  # (t,) the same the way that it spans most, and `_STRETCH` of that at most
     along: Floats  # (t, 3) unit tangents in camera axes: the way that u grows
     across: Floats  # (t, 3) and v
 
@@ -199,10 +209,20 @@ def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
     p1, p2 = second - first, third - first
     facing = np.abs(np.einsum("tc,tc->t", np.cross(p1, p2), first)) / depth
     pixels = np.maximum(facing * (camera.focal / depth) ** 2, 1e-6)
+    footprint = np.sqrt(np.abs(area) / pixels)
+    (x1, y1), (x2, y2) = p1[:, :2].T, p2[:, :2].T
+    right, down = np.hypot(u1 * y2 - u2 * y1, v1 * y2 - v2 * y1), np.hypot(u2 * x1 - u1 * x2, v2 * x1 - v1 * x2)
+    longest = np.maximum(right, down) / np.maximum(np.abs(x1 * y2 - x2 * y1), 1e-12) * depth / camera.focal
     sign = np.where(area < 0, np.float32(-1), np.float32(1))[:, None]
     along = (p1 * v2[:, None] - p2 * v1[:, None]) * sign
     across = (p2 * u1[:, None] - p1 * u2[:, None]) * sign
-    return _Layout(corners=corners, footprint=np.sqrt(np.abs(area) / pixels), along=_unit(along), across=_unit(across))
+    return _Layout(
+        corners=corners,
+        footprint=footprint,
+        longest=np.clip(longest, footprint, _STRETCH * footprint),
+        along=_unit(along),
+        across=_unit(across),
+    )
 
 
 def _inputs(material: Material) -> list[TextureInput]:

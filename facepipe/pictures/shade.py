@@ -166,7 +166,9 @@ class Shader:
             base=surfaces.base * (1 - surfaces.metallic[:, None]),
             lit=lit,
             scattered=np.zeros_like(lit.diffuse),
-            key_light=self._key_light(values[:, :3], samples.normals, _turns(x, y) if grainy else None),
+            key_light=_through(
+                self._key_light(values[:, :3], samples.normals, _turns(x, y) if grainy else None), surfaces.through
+            ),
             opacity=surfaces.opacity,
             presence=surfaces.presence,
             depth=-values[:, 2],
@@ -181,7 +183,7 @@ class Shader:
             up=self.camera.axes[:, 1].astype(np.float32),
             base=surfaces.base,
             roughness=surfaces.roughness,
-            carried=self._carried(values, front, ids) * surfaces.occlusion[:, None],
+            carried=_through(self._carried(values, front, ids).T, surfaces.through).T * surfaces.occlusion[:, None],
             mirror=surfaces.mirror,
             coat=surfaces.coat,
             coat_roughness=surfaces.coat_roughness,
@@ -207,6 +209,11 @@ class Shader:
         else:
             arriving[facing] = self.shadow.softly_lit(world, turned, self.studio.spread, turns[facing])
         return arriving
+
+
+def _through(light: FloatArray, share: FloatArray) -> FloatArray:
+    """Shares of light (..., m) of which a share (m,) arrives in any case."""
+    return light + share * (1 - light)
 
 
 def _turns(x: FloatArray, y: FloatArray) -> FloatArray:

@@ -100,41 +100,76 @@ def lashes() -> Canvas:
     return canvas
 
 
-COLUMNS = ((190, 0.9, 8.5), (120, 0.85, 8.5), (64, 0.8, 7.0), (26, 0.85, 5.0))  # hairs, shortest, width in texels
+@dataclass(frozen=True)
+class Lock:
+    """A patch of the picture of straight hair: a lock, its roots at the bottom."""
+
+    left: int  # texels
+    bottom: int
+    height: int
+    hairs: int
+    tufts: int  # that its hairs end in
+    shortest: float  # share of the height
+    shade: float
+
+
+WIDE = 128  # texels of a lock
+_LONG = (  # to hang down: full ones from dark to light, thin ones, single hairs
+    (95, 7, 0.72, 0.72), (80, 5, 0.66, 0.82), (72, 4, 0.62, 0.98),
+    (48, 3, 0.60, 0.92), (26, 3, 0.60, 1.00), (9, 5, 0.70, 1.00),
+)  # fmt: skip
+_SHORT = (  # two rows of full ones, one of thin ones, one of single hairs
+    (64, 5, 0.70, 0.72), (60, 4, 0.66, 0.82), (54, 4, 0.62, 0.92), (50, 3, 0.60, 1.00),
+    (30, 3, 0.60, 0.84), (26, 2, 0.60, 1.00), (10, 4, 0.60, 0.90), (7, 4, 0.60, 1.00),
+)  # fmt: skip
+LONG = tuple(Lock(WIDE * number, 1024, 1024, *row) for number, row in enumerate(_LONG))
+SHORT = tuple(
+    Lock(768 + WIDE * (number % 2), 1024 - 256 * (number // 2), 256, *row) for number, row in enumerate(_SHORT)
+)
 
 
 def hair() -> Canvas:
-    """Four columns of straight hair, roots at the bottom: dense, of locks, sparse, single hairs."""
+    """Locks of straight hair, long and short: darker and closer at their roots, thin at their tips."""
     rng, canvas = np.random.default_rng(13), Canvas(1024, 1024)
-    for number, (count, shortest, thick) in enumerate(COLUMNS):
-        locks = rng.uniform(0.08, 0.92, 9)
-        for start in rng.permutation(np.linspace(0.06, 0.94, count)):
-            lock = locks[np.abs(locks - start).argmin()]
+    for lock in (*LONG, *SHORT):
+        long = lock.height > 512
+        tufts = np.sort(rng.uniform(0.12, 0.88, lock.tufts))
+        ends = rng.uniform(lock.shortest, 1.0, lock.tufts)
+        for start in rng.permutation(np.linspace(0.07, 0.93, lock.hairs)):
+            tuft = int(np.abs(tufts - start + rng.normal(0, 0.06)).argmin())
             u = np.linspace(0, 1, 24)
-            length = 960 * (shortest + (1 - shortest) * rng.random()) * (1 - 0.22 * rng.random() ** 2)
-            start_y = 1022 - 70 * rng.random() ** 2 * (number > 0)
-            wave = 0.012 * np.sin(u * rng.uniform(3, 6) + rng.uniform(0, 6.3)) * u
-            x = start + (lock - start) * 0.55 * u**1.6 * (number > 0) + (lock - start) * 0.3 * u**2.5 + wave
-            shade = rng.uniform(0.42, 0.9) * np.interp(u, [0, 0.25, 1], [0.5, 0.95, 1.02])
-            canvas.stroke(
-                256 * (number + x), start_y - length * u, thick * np.interp(u, [0, 0.6, 1], [1, 0.85, 0.12]), shade
-            )
+            reach = ends[tuft] * (1 - 0.35 * rng.random() ** 2)
+            length = (lock.height - 14) * (reach if rng.random() < 0.93 else rng.uniform(0.3, 0.7))
+            root = 5 + 0.12 * lock.height * rng.random() ** 1.5 * (lock.shade > 0.75)  # those below are covered
+            draw_in = 0.25 * u**1.4 + 0.5 * u**4
+            wave = 0.018 * np.sin(u * rng.uniform(2, 5) + rng.uniform(0, 6.3)) * u
+            x = np.clip(start + (tufts[tuft] - start) * draw_in + wave, 0.05, 0.95)
+            grey = lock.shade * rng.normal(1.0, 0.13) * (0.92 + 0.16 * rng.random()) * 0.82
+            shade = np.clip(grey * np.interp(u, [0, 0.2, 0.6, 1], [0.74, 0.92, 1.0, 1.08]), 0.16, 1.0)
+            thick = rng.uniform(3.0, 4.6) * (1.0 if long else 0.8)
+            y = lock.bottom - root - (length - root) * u
+            canvas.stroke(lock.left + WIDE * x, y, thick * np.interp(u, [0, 0.55, 1], [1, 0.85, 0.22]), shade)
     return canvas
 
 
 def coils() -> Canvas:
-    """Four patches of tight curls, for cards that lie along the head or stand on it."""
+    """Four patches of tight curls, two of them thin, for cards that lie along the head or stand on it."""
     rng, canvas = np.random.default_rng(14), Canvas(512, 512)
     for patch in range(4):
         middle = np.array([256 * (patch % 2) + 128, 256 * (patch // 2) + 128])
-        for _ in range(120 if patch < 2 else 60):
-            at = middle + rng.normal(0, 40, 2).clip(-84, 84)
-            radius, turn, drift = rng.uniform(7, 17), rng.uniform(0, 6.3), rng.normal(0, 16, 2)
-            u = np.linspace(0, 1, 40)
-            angle = turn + u * rng.uniform(7, 16)
-            x = at[0] + radius * np.cos(angle) * (1 - 0.4 * u) + drift[0] * u
-            y = at[1] + radius * np.sin(angle) * (1 - 0.4 * u) + drift[1] * u
-            canvas.stroke(x, y, np.interp(u, [0, 0.8, 1], [4.2, 3.4, 0.8]), rng.uniform(0.4, 0.95))
+        count = 80 if patch < 2 else 36
+        for number in range(count):
+            at = middle + rng.normal(0, 42, 2).clip(-82, 82)
+            radius, turn = rng.uniform(9, 17), rng.uniform(0, 6.3)
+            drift = rng.normal(0, 1, 2)
+            drift *= rng.uniform(20, 44) / np.linalg.norm(drift)
+            u = np.linspace(0, 1, 60)
+            angle = turn + u * rng.uniform(10, 16)
+            x = at[0] + radius * np.cos(angle) + drift[0] * (u - 0.5)
+            y = at[1] + radius * np.sin(angle) * 0.75 + drift[1] * (u - 0.5)
+            grey = (0.3 + 0.45 * number / count) * rng.normal(1, 0.08)  # what lies deeper is darker
+            lit = grey * (1 + 0.22 * np.sin(angle + 0.8))  # each turn of a curl has a light and a dark side
+            canvas.stroke(x, y, np.interp(u, [0, 0.1, 0.85, 1], [1.6, 4.6, 4.2, 1.0]), lit.clip(0.12, 1))
     return canvas
 
 

@@ -180,3 +180,27 @@ def test_upper_and_lower_lashes_are_apart_in_their_picture() -> None:
     assert gaps.max() > 16
     assert np.flatnonzero(shown).min() > 8
     assert np.flatnonzero(~shown).max() == len(alpha) - 1
+
+
+@pytest.mark.parametrize("style", ["bob", "long"])
+def test_hair_that_hangs_ends_raggedly_and_has_normals_to_the_outside(head: FaceParts, style: str) -> None:
+    held = cards.cards(style)
+    made = cards.mesh("Hair", held, head.meshes[0], "forehead")
+    points, normals = (np.asarray(one).reshape(*held.grid, 3) for one in (made.points, made.normals))
+    ends = points[:, -1].mean(axis=1)
+    assert 0.4 < ends[:, 1].std() < 3
+    hanging = points[..., 1] < -3.0
+    outwards = points[hanging] * [1, 0, 1]
+    assert (np.einsum("nc,nc->n", normals[hanging], outwards) > 0).mean() > 0.95
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0)
+
+
+def test_locks_are_thin_at_their_tips_and_darker_at_their_roots() -> None:
+    """Of the columns for hair that hangs, 128 of 1,024 texels each."""
+    pixels = np.asarray(Image.open(io.BytesIO((files("facepipe.heads") / "data" / "hair.png").read_bytes()))) / 255
+    for column in np.split(pixels[:, :640], 5, axis=1):
+        grey, alpha = column[..., 0], column[..., 1]
+        middle, tips = alpha[400:700].mean(), alpha[:200].mean()
+        assert tips < 0.35 * middle
+        roots, ends = (np.average(grey[rows], weights=alpha[rows]) for rows in (slice(900, 1024), slice(200, 500)))
+        assert roots < 0.95 * ends

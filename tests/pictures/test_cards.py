@@ -145,6 +145,21 @@ def test_fine_patterns_seen_from_afar_are_their_mean() -> None:
     np.testing.assert_allclose(inner, 0.5, atol=0.02)
 
 
+def test_hairs_pass_light_on_to_those_in_their_shade() -> None:
+    """Below a roof that a lamp shines on, a card of hairs has a third of its light, and a solid one none."""
+    lamp = Light(direction=(0.0, 0.8, 0.6), color=(1.0, 1.0, 1.0), highlight=0.0)
+    studio = replace(EVEN, lights=(lamp,), shadows=True, sky=(0.0,) * 3, ground=(0.0,) * 3)
+    card, roof = sheet("Card", 0.0), sheet("Roof", 0.0)
+    roof = replace(roof, points=roof.points[:, [0, 2, 1]] + [0, 0.3, 0])
+    hairs = matt("Card", (0.5,) * 3, opacity=texture(np.full((4, 4), 255), channels="r"))
+    shares = []
+    for one in (hairs, replace(hairs, opacity=1.0)):
+        lit, shaded = (drawn(each, [one, matt("Roof", (0.0,) * 3)], studio=studio) for each in ([card], [card, roof]))
+        shares.append(shaded[36, 32, 0] / lit[36, 32, 0])
+    assert 0.25 < shares[0] < 0.5
+    assert shares[1] < 0.05
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_normal_map_turns_the_surface(side: int) -> None:
     """Normals that lean to one side are bright in light from there, and dark in light from the other side."""
