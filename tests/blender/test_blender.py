@@ -18,7 +18,7 @@ from command_line import exit_code
 from faces import tiny_face
 from import_data import shared
 from node import validate as khronos
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.checks import validate
@@ -123,7 +123,7 @@ def test_edits_come_back_and_nothing_else(sample: Path, tmp_path: Path) -> None:
     rest = np.arange(len(head.points)) != 3
     for name, mask in head.regions.items():
         np.testing.assert_allclose(edited.regions[name][rest], mask[rest], atol=NEAR)
-    teeth = [next(mesh for mesh in parts.meshes if mesh.name == "TeethUpper") for parts in (before, after)]
+    teeth = [next(mesh for mesh in parts.meshes if mesh.name == "Teeth") for parts in (before, after)]
     np.testing.assert_allclose(
         teeth[1].points - teeth[0].points, np.tile((0, 0, 0.25), (len(teeth[0].points), 1)), atol=1e-5
     )

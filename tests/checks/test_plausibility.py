@@ -13,7 +13,7 @@ from command_line import exit_code
 from facepipe_gltf import read as gltf
 from faces import with_meshes
 from import_data import shared
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.checks import validate

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import facepipe_gltf
 import numpy as np
-import procedural_head as sample
 import pytest
+import small_head as sample
 from faces import tiny_face
 from full_faces import good_face
 from import_data import shared

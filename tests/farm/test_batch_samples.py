@@ -14,8 +14,8 @@ from every_writer import PROJECT
 from faces import tiny_face
 from photographed_face import write_photos
 from places import REPOSITORY
-from procedural_head import make
 from rebuild_stages import put_scans
+from small_head import make
 
 import facepipe
 from facepipe.processors.database import save_database

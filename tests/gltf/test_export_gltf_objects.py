@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import procedural_head as sample
 import pygltflib
 import pytest
+import small_head as sample
 from facepipe_gltf import Options, export
 from facepipe_gltf import read as gltf
 from facepipe_gltf.raw import RawDocument
@@ -67,8 +67,7 @@ def marked(document: Gltf) -> None:
     """Changes of each kind, as a plug-in makes them."""
     document.asset.extras["studio"] = {"shot": 12, "takes": []}
     document.extensionsUsed.append("KHR_materials_unlit")
-    for material in document.materials:
-        material.extensions["KHR_materials_unlit"] = {}
+    document.materials[0].extensions["KHR_materials_unlit"] = {}
     document.nodes[0].name = "RENAMED"
     lens = pygltflib.Perspective(yfov=0.5, znear=0.01)
     document.cameras.append(pygltflib.Camera(type="perspective", perspective=lens))
@@ -91,7 +90,8 @@ def test_changes_arrive_and_the_buffer_stays_whole(suffix: str, tmp_path: Path, 
     found = RawDocument(path)
     assert found.binary == plain.binary
     assert found.json["asset"]["extras"] == {"studio": {"shot": 12, "takes": []}}
-    assert all(one["extensions"]["KHR_materials_unlit"] == {} for one in found.json["materials"])
+    first, *others = plain.json["materials"]
+    assert found.json["materials"] == [first | {"extensions": {"KHR_materials_unlit": {}}}, *others]
     assert [one["name"] for one in found.json["nodes"]] == [
         "RENAMED", *(one["name"] for one in plain.json["nodes"][1:]), "camera"
     ]  # fmt: skip

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import procedural_head as sample
 import pytest
+import small_head as sample
 from facepipe_gltf import Options, save, write
 from facepipe_gltf import read as gltf
 from facepipe_gltf.record_format import content_digest
@@ -168,7 +168,8 @@ def test_our_own_file_is_the_same_face(name: str, tmp_path: Path) -> None:
     assert recipe.verb == "import gltf"
     assert recipe.options["made"] == (None if before.recipe is None else dataclasses.asdict(before.recipe))
     assert differences(before, replace(after, recipe=before.recipe), 1e-6) == []
-    there_and_back(after, tmp_path / "twice.glb")
+    still = Options(influences=8)  # turns in clips get unit length each time, and so other last bits
+    there_and_back(there_and_back(before, tmp_path / "once.glb", still), tmp_path / "twice.glb", still)
     assert (tmp_path / "once.glb").read_bytes() == (tmp_path / "twice.glb").read_bytes()
 
 
@@ -242,7 +243,8 @@ def test_units_axes_transforms_and_loose_points_come_back(tmp_path: Path) -> Non
     one, other = build(before), build(after)
     apart = one.evaluate({"jawOpen": 0.6}) - other.evaluate({"jawOpen": 0.6})
     assert np.abs(np.delete(apart, 0, axis=0)).max() < 1e-5
-    there_and_back(after, tmp_path / "twice.glb")
+    still = Options(influences=8)  # turns in clips get unit length each time, and so other last bits
+    there_and_back(there_and_back(before, tmp_path / "once.glb", still), tmp_path / "twice.glb", still)
     assert (tmp_path / "once.glb").read_bytes() == (tmp_path / "twice.glb").read_bytes()
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import content, exit_code
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.api import given, names

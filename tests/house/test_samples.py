@@ -9,7 +9,7 @@ from pathlib import Path
 
 from command_line import exit_code
 from places import REPOSITORY
-from procedural_head import make
+from small_head import make
 
 from facepipe.checks import validate
 from facepipe.stage import save_parts

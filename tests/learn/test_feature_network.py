@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -15,9 +15,9 @@ import onnx
 import onnxruntime
 from onnx import numpy_helper
 from PIL import Image, ImageDraw
-from procedural_head import make
 from with_torch import torch
 
+from facepipe import heads
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import sample_crop
@@ -54,7 +54,10 @@ def network() -> Extractor:
 
 @cache
 def subject() -> tuple[FaceParts, FaceModel]:
-    parts = make(SEED)
+    """With brows and hair that are no longer cut out of their cards: the renderer leaves out what is not opaque."""
+    parts = heads.make(SEED, textures=128, controls="bones")
+    shown = [replace(one, opacity=1.0) if one.name in ("Brows", "Hair") else one for one in parts.materials]
+    parts = replace(parts, materials=tuple(shown))
     return parts, FaceModel(parts)
 
 
@@ -62,7 +65,7 @@ def subject() -> tuple[FaceParts, FaceModel]:
 def triangle_classes() -> np.ndarray:
     """Of the opaque triangles, all but the lips and the sides of the brows."""
     parts, _ = subject()
-    names = {"EyeLeft": "leftEye", "EyeRight": "rightEye", "Hair": "hair", "Head": "face", "Lashes": "face"}
+    names = {"EyeballLeft": "leftEye", "EyeballRight": "rightEye", "Hair": "hair", "Head": "face"}
     of_points = np.concatenate(
         [np.full(len(one.points), CLASSES.index(names.get(one.name, "teeth"))) for one in parts.meshes]
     )

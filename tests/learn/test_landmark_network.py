@@ -13,7 +13,7 @@ from places import REPOSITORY, SHARED
 
 pytest.importorskip("torch", reason="the landmark network's search needs torch")
 
-from procedural_head import make
+from small_head import make
 
 from facepipe.core.errors import InputError
 from facepipe.learn.networks import FoundFace, find_landmarks, landmark_model

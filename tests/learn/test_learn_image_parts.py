@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from procedural_head import make
 from scipy.spatial.transform import Rotation
+from small_head import make
 from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from procedural_head import make
+from small_head import make
 from with_torch import tensor, torch
 
 from facepipe.learn import rasterise as module
@@ -99,7 +99,7 @@ def test_a_head_as_in_pictures(view: str | tuple[float, float], kind: str) -> No
     dtype = getattr(torch, kind)
     points = Camera.at(own.axes, own.eye, own.focal, own.center, dtype=dtype).project(tensor(scene.points).to(dtype))
     ids = shown(rasterise(points, torch.tensor(scene.triangles), 200, 300))
-    assert (expected.triangle >= 0).mean() > 0.2
+    assert (expected.triangle >= 0).mean() > 0.15
     assert (ids == expected.triangle).mean() >= 0.999
     np.testing.assert_array_equal(ids >= 0, expected.triangle >= 0)
 

@@ -10,7 +10,7 @@ import pytest
 from faces import tiny_face, with_meshes
 from import_data import shared
 from oracle import random_coefficients
-from procedural_head import make
+from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError

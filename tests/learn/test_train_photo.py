@@ -12,7 +12,7 @@ import onnx
 import pytest
 from command_line import done, failed, run
 from PIL import Image
-from procedural_head import make
+from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import FacepipeError, InputError
@@ -122,7 +122,8 @@ def test_renders_show_the_face_where_the_landmarks_are(subject: Subject, portrai
     look = Look(camera=camera, light=ambient(torch.ones(3)), background=torch.zeros(3))
     covered = portraits.model(sliders, weights, look, height=HEAD, width=HEAD)[..., 3].numpy()
     x, y = picture.landmarks[17:].astype(int).T
-    assert (covered[y, x] == 1).all()
+    assert covered[y, x].mean() > 0.98
+    assert covered[y, x].min() > 0
     assert covered[0, 0] == covered[0, -1] == 0
     edge = picture.pixels.astype(int)[covered == 0].mean(axis=0)
     assert np.abs(picture.pixels.astype(int)[y, x].mean(axis=0) - edge).max() > 10

@@ -59,7 +59,7 @@ def test_learns_curves_and_says_how_well(tmp_path: Path) -> None:
     without = errors_mm(parts, graph_of(replace(distilled, slider_network=None), tmp_path / "n.onnx"), seed=9)
     assert report.points_mm is not None
     assert found.max() <= 3 * report.points_mm.max
-    assert found.mean() == pytest.approx(report.points_mm.mean, rel=0.5)
+    assert 0.5 < found.mean() / report.points_mm.mean < 2
     assert found.max() < 0.1 * without.max()
     assert graph.metadata["slider_network"]["info"]["distilled"]["points_mm"]["max"] == report.points_mm.max
     assert {node.op_type for node in onnx.load(tmp_path / "l.onnx").graph.node} <= ALLOWED

@@ -11,7 +11,7 @@ import pytest
 from command_line import done, exit_code, failed, run
 from faces import tiny_face
 from oracle import difference, played
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.core.errors import InputError

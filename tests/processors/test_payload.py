@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference
 from payloads import REST, contents, tiny_payload
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.core.errors import InputError

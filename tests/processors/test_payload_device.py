@@ -22,7 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import difference, random_coefficients
 from payloads import contents
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.parts import FaceParts

@@ -6,13 +6,14 @@ import dataclasses
 import json
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import done, failed, run
-from faces import grid_mesh, replace_mesh, tiny_face, with_meshes
+from faces import grid_mesh, replace_mesh, tiny_face, with_head, with_meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import damaged, refused, shared
@@ -57,14 +58,25 @@ def solid(*rows: tuple[Array, ...], alpha: bool = False) -> Array:
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample head on disk, with a map painted from its own masks and a legend beside it."""
-    from procedural_head import make
+    from small_head import make
 
     folder = tmp_path_factory.mktemp("sample")
-    parts = make()
+    parts = paintable(make())
     save_parts(parts, folder / "head.usdc")
     save(paint(parts.meshes[0], 1024), folder / "map.png")
     (folder / "legend.json").write_text(json.dumps(legend_of(list(parts.meshes[0].regions))))
     return folder / "head.usdc"
+
+
+def paintable(parts: FaceParts) -> FaceParts:
+    """The head with both tiles of its UVs side by side in one, and hard regions beside the soft ones."""
+    head = parts.meshes[0]
+    (uv,) = head.uv_sets
+    return with_head(
+        parts,
+        uv_sets=(replace(uv, values=uv.values * np.float32([0.5, 1.0])),),
+        point_subsets={name: np.flatnonzero(mask > 0.75).astype(np.int32) for name, mask in head.regions.items()},
+    )
 
 
 # --- what a texel says -------------------------------------------------------------------------------------------
@@ -249,7 +261,8 @@ def test_the_command_on_the_sample(sample: Path, tmp_path: Path, capsys: pytest.
     assert inside > 0.999
     assert everywhere > 0.99
     (one,) = result["meshes"]
-    assert (one["mesh"], one["points"], one["covered"], one["kept"], one["removed"]) == ("Head", 7526, 7526, 0, [])
+    count = len(source.points)
+    assert (one["mesh"], one["points"], one["covered"], one["kept"], one["removed"]) == ("Head", count, count, 0, [])
     for name, mask in head.regions.items():
         assert one["regions"][name]["points"] == np.count_nonzero(mask)
         assert one["regions"][name]["share"] == pytest.approx(mask.mean())
@@ -386,14 +399,14 @@ def test_loose_meshes_that_keep_regions_of_another_set_are_named(sample: Path, t
     legend = halves("left", "right")
     report, face = derived(sample, tmp_path / "a.usdc", SetRegions(image=LEFT_RIGHT, legend=legend))
     (warning,) = report.warnings
-    assert warning.startswith("EyeLeft, EyeRight, TeethUpper")
-    assert "keep regions that the legend lacks (eyes, mouth" in warning
-    assert warning.endswith('"meshes" in the legend gives them one, like {"EyeLeft": "left"}')
+    assert warning.startswith("GumsAndTongue, Teeth, EyeballLeft")
+    assert "keep regions that the legend lacks (mouth, eyes" in warning
+    assert warning.endswith('"meshes" in the legend gives them one, like {"GumsAndTongue": "left"}')
     hint = json.loads(warning.rpartition(" like ")[2])
-    assert hint == {"EyeLeft": "left"}
+    assert hint == {"GumsAndTongue": "left"}
     assert set(face.meshes[0].point_subsets) == {"left", "right"}  # those of the old regions went with them
     kept = set().union(*(mesh.regions for mesh in face.meshes[1:]))
-    assert kept == {"eyes", "mouth", "eyebrows", "forehead"}  # those where no point is left are gone from all
+    assert kept == {"eyes", "mouth"}  # those where no point is left are gone from all
     whole = {"Eye*": "left", "*": "right"}
     report, face = derived(
         sample, tmp_path / "b.usdc", SetRegions(image=LEFT_RIGHT, legend=halves("left", "right", meshes=whole))

@@ -15,7 +15,7 @@ from command_line import done, exit_code, failed
 from facepipe_onnx.runtime import Deformer
 from faces import tiny_face
 from oracle import bake, played
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.core.errors import InputError, TopologyError
@@ -70,7 +70,8 @@ def composed(parts: FaceParts, weights: dict[str, float], expression: np.ndarray
 @pytest.fixture(scope="module")
 def sample() -> FaceParts:
     parts = make(3)
-    values = {one.name: one.default + 0.6 * (one.maximum - one.default) for one in parts.sliders[:8]}
+    own = [one for one in parts.sliders if not one.shapes]
+    values = {one.name: one.default + 0.6 * (one.maximum - one.default) for one in own[:8]}
     return with_values(parts, values)
 
 
@@ -233,7 +234,7 @@ def test_clips_play_on_top(tmp_path: Path) -> None:
                 both[name] = both.get(name, 0.0) + weight
             expected = build(parts).evaluate(both, joint_transforms=rest @ person @ expression)
             local = sample_transforms(found.skeleton, after, index)
-            assert worst(rig.evaluate(sample_weights(after, index), joint_transforms=local), expected) < 1e-6
+            assert worst(rig.evaluate(sample_weights(after, index), joint_transforms=local), expected) < 2e-6
 
 
 def test_poses_of_photos_lose_the_person_they_hold() -> None:

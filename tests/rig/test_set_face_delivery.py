@@ -20,7 +20,7 @@ from facepipe_onnx.runtime import Deformer
 from import_data import shared
 from node import validate
 from photographed_face import OFF
-from procedural_head import make
+from small_head import make
 from with_torch import torch
 
 import facepipe

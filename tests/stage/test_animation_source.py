@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from faces import tiny_face
 from oracle import difference, played
-from procedural_head import make
 from pxr import Sdf, Usd, UsdSkel
+from small_head import make
 
 import facepipe
 from facepipe.importers import load

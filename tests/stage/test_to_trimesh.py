@@ -8,8 +8,8 @@ from pathlib import Path
 
 import gltf_reader
 import numpy as np
-import procedural_head as sample
 import pytest
+import small_head as sample
 import trimesh
 from facepipe_gltf import Options, export
 from faces import replace_mesh, tiny_face

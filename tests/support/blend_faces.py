@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from faces import replace_mesh
 from import_data import shared
-from procedural_head import make
 from scipy.spatial.transform import Rotation
+from small_head import make
 
+from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.importers import ict, makehuman
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
@@ -20,8 +22,8 @@ from facepipe.rig import mesh_spaces
 from facepipe.stage import Face
 
 KINDS = ("sample", "ict", "makehuman")
-EYES = {"sample": ("EyeLeft", "EyeRight"), "ict": ("EyeballLeft", "EyeballRight"), "makehuman": ("EyeLeft", "EyeRight")}
-TEETH = {"sample": ("TeethUpper", "TeethLower"), "ict": ("Teeth",), "makehuman": ("TeethUpper", "TeethLower")}
+EYES = {"makehuman": ("EyeLeft", "EyeRight")} | dict.fromkeys(("sample", "ict"), ("EyeballLeft", "EyeballRight"))
+TEETH = {"makehuman": ("TeethUpper", "TeethLower")} | dict.fromkeys(("sample", "ict"), ("Teeth",))
 REGION_WEIGHTS = {  # first of two sources
     "features": {"eyes": 0.9, "eyebrows": 0.8, "nose": 0.2, "mouth": 0.1, "chin": 0.3},
     "one region": {"mouth": 1.0},
@@ -54,6 +56,25 @@ def head(kind: str, number: int) -> FaceParts:
         options = makehuman.Options(targets=_TARGETS[number])
         return makehuman.read(shared("makehuman/makehuman_head.npz"), options).parts
     return replace(changed(make(number + 1), bare), materials=())
+
+
+def rolling_eyes(parts: FaceParts) -> FaceParts:
+    """The small head with balls for eyeballs, a little behind the lids, that turn in the looks of their side."""
+    turns = {"eyeLookIn": Rotation.from_rotvec((0, -0.5, 0)), "eyeLookUp": Rotation.from_rotvec((-0.4, 0, 0))}
+
+    def one(mesh: Mesh) -> Mesh:
+        if mesh.name not in EYES["sample"]:
+            return mesh
+        ball, side = fit_ball(np.asarray(mesh.points)), mesh.name.removeprefix("Eyeball")
+        out = unit_vectors(mesh.points - ball.centre) * 0.9 * ball.radius
+        every = np.arange(len(out), dtype=np.int32)
+        shapes = tuple(
+            Blendshape(name=look + side, point_indices=every, offsets=turn.apply(out) - out)
+            for look, turn in turns.items()
+        )
+        return replace_mesh(mesh, points=ball.centre + out, blendshapes=shapes)
+
+    return changed(parts, one)
 
 
 def bare(mesh: Mesh) -> Mesh:

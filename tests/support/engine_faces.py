@@ -14,7 +14,7 @@ from facepipe_gltf import Options
 from gltf_export import Parts, motion, random_coefficients, to_gltf
 from gltf_reader import Gltf, activate, local_matrix, read
 from import_data import SHARED, shared
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.importers import load

@@ -23,8 +23,8 @@ from import_data import SHARED
 from network_faces import network, networked
 from photographed_face import write_photos
 from PIL import Image
-from procedural_head import make
 from rebuild_stages import put_scans
+from small_head import make
 
 from facepipe.cli import main
 from facepipe.learn.photo import find_key

@@ -39,10 +39,10 @@ from photo_booth import camera_at
 from photo_files import encoded, oriented, picture
 from PIL import Image
 from places import SHARED
-from procedural_head import make as make_sample
 from region_painter import legend_of, paint
 from region_painter import save as save_map
 from scan_files import cube
+from small_head import make as make_sample
 from small_sources import made
 
 import facepipe

@@ -405,7 +405,7 @@ def _small_faces() -> None:
 
 def _heads() -> None:
     from photographed_face import write_photos
-    from procedural_head import make
+    from small_head import make
 
     from facepipe.stage import save_parts
 

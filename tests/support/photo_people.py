@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from procedural_head import make
+from small_head import make
 from with_torch import torch
 
 from facepipe.learn.face_model import FaceModel, Look

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from faces import with_meshes
 from import_data import shared
-from procedural_head import make
+from small_head import make
 
+from facepipe import heads
 from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport
@@ -24,9 +25,11 @@ Array = np.ndarray[Any, Any]
 
 # joint -> landmarks of multipie68 whose middle it stands at
 KINDS = ("sample", "ict", "makehuman")
+_ICT = {"Teeth": ("head", "head/jaw"), "GumsAndTongue": ("head", "head/jaw")}
 HELD = {  # loose parts that joints hold whole
-    "sample": {"TeethUpper": ("head", "head"), "TeethLower": ("head/jaw", "head/jaw"), "Tongue": ("head/jaw",) * 2},
-    "ict": {"Teeth": ("head", "head/jaw"), "GumsAndTongue": ("head", "head/jaw")},
+    "sample": _ICT,
+    "whole sample": _ICT,
+    "ict": _ICT,
     "makehuman": {"TeethUpper": ("head", "head"), "TeethLower": ("head/jaw", "head/jaw"), "Tongue": ("head/jaw",) * 2},
 }
 AT = {
@@ -73,9 +76,11 @@ def landmark_joints(face: Face, parts: dict[str, tuple[str, str]] | None = None)
 
 @cache
 def head(kind: str) -> FaceParts:
-    """The parts of a head as it comes, without its materials: the sample, ICT or MakeHuman."""
+    """The parts of a head as it comes, without its materials: the sample, small or whole, ICT, or MakeHuman."""
     if kind == "sample":
         parts = make()
+    elif kind == "whole sample":
+        parts = heads.make(controls="bones")
     elif kind == "ict":
         parts = ict.read(shared("ict_facekit/ict_facekit.npz"), ict.Options()).parts
     else:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from faces import with_meshes
 from import_data import shared
-from procedural_head import make
+from small_head import make
 
 from facepipe.importers import load, makehuman
 from facepipe.parts import Curve, FaceParts, Skeleton, Slider

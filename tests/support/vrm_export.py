@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import procedural_head as sample
+import small_head as sample
 from facepipe_gltf import vrm
 from facepipe_gltf.vrm.meta import LICENSE_URL
 from gltf_export import Parts, limited

@@ -18,7 +18,7 @@ from facepipe.geometry.polygons import point_triangles
 from facepipe.processors.blend import BlendSession
 from facepipe.stage import Face
 
-MORE_MM = 0.2
+MORE_MM = {"sample": 0.35, "ict": 0.2, "makehuman": 0.2}  # the sample's people differ most
 SHAPES = ("jawOpen", "eyeBlinkLeft")
 LIDS, LIPS = slice(36, 48), slice(48, 68)
 
@@ -58,7 +58,7 @@ def check_neutral(statistic: Callable[[np.ndarray], float], blend: BlendSession,
     found = distances_mm(blend, kind, blend.neutral(by_region(name)).points)
     own = zip(*(distances_mm(blend, kind, points) for points in blend.sources.points), strict=True)
     for distances, of_sources in zip(found, own, strict=True):
-        assert beyond_mm(statistic, distances, list(of_sources)) <= MORE_MM
+        assert beyond_mm(statistic, distances, list(of_sources)) <= MORE_MM[kind]
 
 
 @kinds()
@@ -92,4 +92,4 @@ def test_distances_in_expressions_lie_between_those_of_the_sources(kind: str, na
         for number, distances in enumerate(found):
             for statistic in (np.mean, np.min):
                 sources = [one[number] for one in of_sources]
-                assert beyond_mm(statistic, distances, sources) <= MORE_MM, sculpt.name
+                assert beyond_mm(statistic, distances, sources) <= MORE_MM[kind], sculpt.name

@@ -19,6 +19,7 @@ from blend_faces import (
     misaligned,
     moved,
     only_shapes,
+    rolling_eyes,
     same,
     session,
     snapped,
@@ -35,7 +36,7 @@ from facepipe.processors.blend.session import Solution
 from facepipe.stage import Face
 
 SHAPES = ("jawOpen", "eyeBlinkLeft", "eyeLookInLeft", "mouthSmileLeft")
-STEP_MM = 0.1
+STEP_MM = {"sample": 0.15, "ict": 0.1}  # the sample's edges are longer
 
 
 @functools.cache
@@ -123,7 +124,7 @@ def test_the_border_of_the_moving_set_has_no_step(kind: str) -> None:
     """In every shape; without static points in the solve, jawOpen has one many times as high."""
     steps = border_steps_mm(*solved(kind)[:2])
     assert {"jawOpen", "eyeBlinkLeft"} < set(steps)
-    assert max(steps.values()) <= STEP_MM
+    assert max(steps.values()) <= STEP_MM[kind]
     document = border_steps_mm(*solved(kind, "document")[:2])
     assert document["jawOpen"] > 5 * steps["jawOpen"]
     for expressions, own in (("static", steps), ("document", document)):
@@ -154,7 +155,7 @@ def test_static_points_are_the_blended_neutral_to_the_bit(kind: str, expressions
 
 
 def test_points_that_move_less_than_the_threshold_are_static() -> None:
-    parts = [only_shapes(head("sample", number), "jawOpen") for number in range(2)]
+    parts = [only_shapes(head("sample", number), "jawForward") for number in range(2)]
     blend = BlendSession([Face.from_parts(one) for one in parts], BlendOptions(static_mm=0.5))
     (sculpt,) = blend.sculpts
     full = np.zeros((2, blend.sources.points.shape[1], 3))
@@ -187,9 +188,9 @@ def test_parts_that_move_as_a_whole_keep_their_shape(kind: str, name: str) -> No
 @pytest.mark.parametrize("name", REGION_WEIGHTS)
 def test_eyeballs_stay_round_in_looks(name: str) -> None:
     """Though points on the axis that an eyeball turns about are static."""
-    parts = [only_shapes(head("sample", number), "eyeLookInLeft", "eyeLookUpLeft") for number in range(2)]
+    parts = [only_shapes(rolling_eyes(head("sample", number)), "eyeLookInLeft", "eyeLookUpLeft") for number in range(2)]
     blend = BlendSession([Face.from_parts(parts[0]), Face.from_parts(misaligned(parts[1]))])
-    solution, eye = blend.solve(by_region(name)), mesh_points(blend)["EyeLeft"]
+    solution, eye = blend.solve(by_region(name)), mesh_points(blend)["EyeballLeft"]
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
         posed = solution.neutral.points.copy()
         posed[sculpt.points] += offsets
@@ -238,7 +239,7 @@ def test_inbetweens_reach_the_result() -> None:
     Blend(weights=Weights(default=(0.3, 0.7)))(face, blend)
     result = Face(face.stage)
     halves = {shape.name for mesh in result.meshes for shape in mesh.blendshapes if shape.inbetweens}
-    assert halves == {"eyeBlinkLeft", "eyeLookInLeft"}
+    assert halves == {"eyeBlinkLeft", "jawOpen"}
     for weight in (0.25, 0.5, 0.75, 1.0):
         own, *sources = (one.evaluate({"eyeBlinkLeft": weight}) - one.evaluate() for one in (result, *blend.faces))
         same(own, 0.3 * sources[0] + 0.7 * sources[1], 1e-6 * head_height(blend))

@@ -28,9 +28,9 @@ from blend_faces import (
     weighted,
 )
 from oracle import bake_all, random_coefficients
-from procedural_head import make
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from small_head import make
 
 import facepipe
 from facepipe.checks import validate

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blend_faces import by_region, head, misaligned, only_shapes
+from blend_faces import by_region, head, misaligned, only_shapes, rolling_eyes
 from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.balls import fit_ball
@@ -18,25 +18,25 @@ from facepipe.processors.blend.session import Solution
 from facepipe.stage import Face
 
 LOOK, BLINK = "eyeLookInLeft", "eyeBlinkLeft"
-TOLERANCE = 1e-3  # mm; the sample's eyeballs are balls to float32
+TOLERANCE = 1e-3  # mm; the eyeballs are balls to float32
 
 
 @functools.cache
 def solved() -> tuple[BlendSession, Solution]:
     """Two samples, with a shape that moves an eyeball and one that moves its lids."""
-    parts = [only_shapes(head("sample", number), LOOK, BLINK) for number in range(2)]
+    parts = [only_shapes(rolling_eyes(head("sample", number)), LOOK, BLINK) for number in range(2)]
     blend = BlendSession([Face.from_parts(parts[0]), Face.from_parts(misaligned(parts[1]))])
     return blend, blend.solve(by_region("features"))
 
 
 def contact(solution: Solution) -> LidContact:
-    return lid_contacts(solved()[0], solution)["EyeLeft"]
+    return lid_contacts(solved()[0], solution)["EyeballLeft"]
 
 
 def eye() -> np.ndarray:
     """Points of the left eyeball."""
     blend, _ = solved()
-    number = [mesh.name for mesh in blend.sources.base.meshes].index("EyeLeft")
+    number = [mesh.name for mesh in blend.sources.base.meshes].index("EyeballLeft")
     return np.arange(*blend.sources.mesh_offsets[number : number + 2])
 
 
@@ -130,7 +130,7 @@ def test_an_eyeball_that_turns_in_place_cuts_into_nothing() -> None:
 
 def one_mesh(parts: FaceParts) -> FaceParts:
     """Both eyeballs in one mesh."""
-    left, right = (next(mesh for mesh in parts.meshes if mesh.name == name) for name in ("EyeLeft", "EyeRight"))
+    left, right = (next(mesh for mesh in parts.meshes if mesh.name == name) for name in ("EyeballLeft", "EyeballRight"))
     both = Mesh(
         name="Eyeballs",
         points=np.concatenate([left.points, right.points]),
@@ -146,17 +146,17 @@ def test_two_eyeballs_in_one_mesh_are_two_balls() -> None:
     def swollen(parts: FaceParts) -> FaceParts:
         def larger(mesh: Mesh) -> Mesh:
             middle = np.asarray(mesh.points).mean(axis=0)
-            return replace(mesh, points=middle + 1.1 * (mesh.points - middle)) if mesh.name == "EyeLeft" else mesh
+            return replace(mesh, points=middle + 1.2 * (mesh.points - middle)) if mesh.name == "EyeballLeft" else mesh
 
         return replace(parts, meshes=tuple(map(larger, parts.meshes)))
 
-    faces = [swollen(only_shapes(head("sample", number))) for number in range(2)]
+    faces = [swollen(only_shapes(rolling_eyes(head("sample", number)))) for number in range(2)]
     contacts = []
     for change in (lambda parts: parts, one_mesh):
         blend = BlendSession([Face.from_parts(change(parts)) for parts in faces], BlendOptions(keep_shape="Eye*"))
         contacts.append(lid_contacts(blend, blend.solve(by_region("features"))))
     apart, together = contacts
     assert list(together) == ["Eyeballs 1", "Eyeballs 2"]
-    assert apart["EyeLeft"].depth_mm > 0.2 > apart["EyeRight"].depth_mm
-    for one, other in zip((apart["EyeLeft"], apart["EyeRight"]), together.values(), strict=True):
+    assert apart["EyeballLeft"].depth_mm > 0.2 > apart["EyeballRight"].depth_mm
+    for one, other in zip((apart["EyeballLeft"], apart["EyeballRight"]), together.values(), strict=True):
         assert (other.depth_mm, *other.sources_mm) == pytest.approx((one.depth_mm, *one.sources_mm), abs=0.01)

@@ -60,7 +60,7 @@ def test_global_weights_give_the_weighted_mean_up_to_one_translation(
     off = found - expected
     free = np.setdiff1d(np.arange(len(off)), blend.kept.points)
     about = 1e-6 * head_height(blend)
-    assert len(np.unique(blend.network.component[free])) > 3, "loose parts count too"
+    assert len(np.unique(blend.network.component[free])) > 1, "loose parts count too"
     steady(np.concatenate([off[free], means_of(blend, found) - means_of(blend, expected)]), about)
     anchor = blend.network.anchor
     np.testing.assert_array_equal(found[anchor], blend.sources.points[0, anchor])

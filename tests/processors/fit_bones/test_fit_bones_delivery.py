@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from import_data import shared
 from oracle import difference, played, random_coefficients
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.importers import load

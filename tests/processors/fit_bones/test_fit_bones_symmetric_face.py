@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bone_faces import pose, save_sources, saved, sculpt, small
 from command_line import Capsys, done, failed, run
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.core.names import mirrored_name

@@ -15,9 +15,9 @@ import pytest
 from facepipe_gltf import read as gltf
 from faces import tiny_face
 from oracle import played
-from procedural_head import make
 from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
+from small_head import make
 from with_torch import tensor
 
 import facepipe

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import procedural_head as sample
 import pytest
+import small_head as sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from import_data import refused, shared

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from procedural_head import make
+from small_head import make
 from with_torch import tensor
 
 from facepipe.core.errors import InputError
@@ -49,7 +49,7 @@ def fitted(parts: FaceParts) -> tuple[PhotoFit, np.ndarray]:
         landmark_error=0.5,
     )
     fit = PhotoFit(
-        sliders=SLIDERS, views=(view,), tint={"Skin": (0.5, 0.25, 1.0)}, history=({"total": 1.0},), kept=0, steps=1,
+        sliders=SLIDERS, views=(view,), tint={"M_Face": (0.5, 0.25, 1.0)}, history=({"total": 1.0},), kept=0, steps=1,
         stopped="iterations",
     )  # fmt: skip
     index = parts.meshes[0].landmarks["multipie68"].indices

@@ -101,9 +101,9 @@ def test_joints_move_what_they_stand_at(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_eyeballs_and_teeth_are_rigid(kind: str) -> None:
     report = skinned(kind)[1]
-    names = {"ict": ("EyeballLeft", "EyeballRight")}.get(kind, ("EyeLeft", "EyeRight"))
+    names = ("EyeLeft", "EyeRight") if kind == "makehuman" else ("EyeballLeft", "EyeballRight")
     assert [report.rigid[name] for name in names] == ["head/eyeLeft", "head/eyeRight"]
-    if kind != "ict":
+    if kind == "makehuman":
         assert (report.rigid["TeethUpper"], report.rigid["TeethLower"]) == ("head", "head/jaw")
         return
     whole = surface(kind)
@@ -115,7 +115,7 @@ def test_eyeballs_and_teeth_are_rigid(kind: str) -> None:
         assert set(jaw[own]) == {float(whole.points[own, 1].mean() < middle)}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["whole sample", "ict", "makehuman"])
 def test_a_symmetric_face_has_symmetric_weights(kind: str) -> None:
     from scipy.spatial import cKDTree
 
@@ -181,9 +181,10 @@ def test_no_weight_lies_beyond_a_radius() -> None:
 
 def test_regions_bound_a_joint() -> None:
     face = Face.from_parts(without_joints(head("sample")))
+    whole = surface_of(face.parts(), "sample")
     joints = (
         JointSpec(path="head", position=(0, 60, 0)),
-        JointSpec(path="head/nose", position=(0, -10, 100), regions=("nose",)),
+        JointSpec(path="head/nose", position=tuple(whole.points[whole.landmarks][30]), regions=("nose",)),
     )
     SkinFace(joints=JointSet(joints=joints, unit="mm"))(face)
     again = Face(face.stage)
@@ -304,9 +305,9 @@ BAD_REQUESTS = {
     "unknown mesh": ({**GOOD, "parts": {"Horn*": "head"}}, "'Horn*' matches no mesh"),
     "nowhere allowed": (
         {"unit": "mm", "joints": {"a": {"position": [0, 0, 100], "radius": 20}}},
-        "points of 7526 that no joint may move",
+        "that no joint may move",
     ),
-    "only an eye": ({"unit": "mm", "joints": {"a": {"position": [31.5, 0, 70]}}}, "no joint moves the face itself"),
+    "only an eye": ({"unit": "mm", "joints": {"a": {"position": [31, 33, 76]}}}, "no joint moves the face itself"),
 }
 
 

@@ -128,7 +128,7 @@ def test_points_without_weights_in_the_source_go_with_its_root() -> None:
         return replace(mesh, skin=replace(mesh.skin, joint_weights=mesh.skin.joint_weights * 0))
 
     _, weights, report = skinned(bare(), SkinFace(source=Face.from_parts(changed(retopologised(head("sample")), none))))
-    assert "7526 points have no weights" in report.warnings[0]
+    assert f"{len(bare().meshes[0].points)} points have no weights" in report.warnings[0]
     assert weights[: len(bare().meshes[0].points), 0].min() == pytest.approx(1)
 
 

@@ -189,7 +189,7 @@ def test_lips_and_lids_never_swap(kind: str) -> None:
     for side, over, under in (("R", [37, 38], [40, 41]), ("L", [43, 44], [46, 47])):
         lid, other = column(kind, f"orbicularis03_{side}"), column(kind, f"orbicularis04_{side}")
         assert lid[marks[over]].min() > 0.5
-        assert lid[marks[under]].max() < 1e-3
+        assert lid[marks[under]].max() < 2e-3
         assert other[marks[under]].min() > 0.5
         assert other[marks[over]].max() < 1e-3
 

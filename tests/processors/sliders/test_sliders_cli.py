@@ -14,7 +14,7 @@ from command_line import done, exit_code, failed, run
 from faces import tiny_face
 from oracle import difference, played
 from places import REPOSITORY
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.parts import Animation, BoneLimits, FaceParts, Recipe, Slider

@@ -17,7 +17,7 @@ from faces import replace_mesh, tiny_face, with_meshes
 from import_data import shared
 from oracle import difference, random_coefficients
 from places import REPOSITORY
-from procedural_head import make
+from small_head import make
 
 import facepipe
 from facepipe.checks import validate
@@ -308,7 +308,7 @@ def test_with_a_residual_the_ends_are_the_shapes(name: str) -> None:
 def test_shapes_that_bones_hardly_reach_are_left_out_or_drive_their_slider_alone() -> None:
     for residual in (False, True):
         maker = SlidersFromShapes(
-            shapes="jawOpen,mouthSmile*", limits=LimitRules(lock=STILL), least_reach=0.3, residual=residual
+            shapes="jawOpen,mouthSmile*", limits=LimitRules(lock=STILL), least_reach=0.2, residual=residual
         )
         face, report = made_of(sample(), maker)
         assert (list(report.left_out) == ["jawOpen"]) is not residual
@@ -385,7 +385,7 @@ def test_faces_and_options_that_give_no_sliders_are_refused(parts: object, maker
 
 
 def test_the_command_makes_them_and_its_recipe_makes_them_again(folder: Path, capsys: Capsys) -> None:
-    words = ("face.usdc", "--from-shapes", "mouthSmile*,jawOpen", "--limits", "limits.json", "--least-reach", "0.3")
+    words = ("face.usdc", "--from-shapes", "mouthSmile*,jawOpen", "--limits", "limits.json", "--least-reach", "0.2")
     code, out, err = run(capsys, "sliders", *words, "-o", "made.usda", "--json")
     assert code == 1
     assert "1 sliders left out" in err

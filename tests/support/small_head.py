@@ -1,0 +1,52 @@
+"""The head of the package in few triangles: what unit tests need a whole face for.
+
+Shapes, joints, skin, sliders over bones, regions and landmarks are the head's own, at the points that stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from facepipe import heads
+from facepipe.core.arrays import IntArray
+from facepipe.parts import FaceParts, Mesh
+from facepipe.processors.lod.decimate import Surface
+from facepipe.processors.lod.wedges import Wedges, mesh_of, wedges_of
+from facepipe.rig import build
+
+_TRIANGLES, _SKIN_SHARE = 6000, 0.6
+
+
+def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
+    """A person's head, in centimetres; seed 0 is the average one. One topology for all.
+
+    :param textures: texels a side of the skin's textures; 0: colours at points
+    """
+    parts = heads.make(seed, textures=textures, controls="bones")
+    kept = zip(parts.meshes, _level(), strict=False)  # without cards of hairs, which come with textures
+    meshes = tuple(_moving(mesh_of(replace(wedges, mesh=mesh), triangles)) for mesh, (wedges, triangles) in kept)
+    worn = {one.material for mesh in meshes for one in mesh.material_faces}
+    materials = tuple(one for one in parts.materials if one.name in worn)
+    sliders = tuple(one for one in parts.sliders if one.name != "headSize")  # photos have no scale
+    return replace(parts, meshes=meshes, materials=materials, sliders=sliders)
+
+
+def _moving(mesh: Mesh) -> Mesh:
+    """Without shapes that move none of its points."""
+    return replace(mesh, blendshapes=tuple(one for one in mesh.blendshapes if len(one.point_indices)))
+
+
+@cache
+def _level() -> Sequence[tuple[Wedges, IntArray]]:
+    """Each mesh of the average head in wedges, and those of them (t, 3) that make the triangles that stay."""
+    parts = heads.make(controls="bones")
+    surface = Surface(parts, build(parts))
+    level = surface.level(_TRIANGLES, _SKIN_SHARE, surface.full)
+    wedges = [wedges_of(mesh) for mesh in parts.meshes]
+    starts = np.cumsum([0, *(len(one.points) for one in wedges)])
+    mesh = np.searchsorted(starts, level[:, 0], side="right") - 1
+    return [(one, level[mesh == i] - starts[i]) for i, one in enumerate(wedges)]
