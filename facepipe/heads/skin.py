@@ -19,7 +19,7 @@ TILES = ("face", "back")
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
 _SHADE = np.array([0.75, 0.95, 1.0])
-_FLESH = np.array([0.36, 0.12, 0.10])
+_FLESH = np.array([0.52, 0.20, 0.18])
 
 
 def masks(tile: int, step: int = 1) -> dict[str, FloatArray]:
@@ -63,8 +63,7 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
     colors = _mix(colors, tint, hair)
     colors = _mix(colors, np.minimum(look.hair_color, 0.5 * look.skin), 0.4 * look.brows * m["brows"])
     colors = _mix(colors, look.skin * (0.95, 0.66, 0.62), m["socket"])
-    colors = _mix(colors, _FLESH * (1 - 0.3 * look.darkness), m["mouth"])
-    return np.asarray(colors * (1 - 0.75 * m["mouth"] * (1 - m["open"]))[..., None])
+    return _mix(colors, _FLESH * (1 - 0.3 * look.darkness), m["mouth"])
 
 
 def _mix(colors: FloatArray, other: FloatArray, share: FloatArray) -> FloatArray:
