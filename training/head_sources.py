@@ -1,88 +1,44 @@
-"""Random heads as points on fixed topologies: ICT-FaceKit's and the sample's.
-
-Every head also tells where its points are in one common frame, that of ICT-FaceKit's neutral (about centimetres, Y up,
-looking along +Z): what is painted there, brows, lips, a hairline, lands where it belongs on all of them.
-"""
+"""Random people of the head in the box: their shapes, looks and expressions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from scipy.interpolate import RBFInterpolator
 
-from facepipe.geometry.polygons import triangulate
-from facepipe.heads import make
-from facepipe.learn.normals import PointNormals
-from facepipe.learn.rig import DifferentiableRig
-from facepipe.parts import FaceParts
-from facepipe.rig import build
+from facepipe.heads.assembly import make_head
+from facepipe.heads.asset import asset
+from facepipe.heads.bone_sliders import bone_sliders
+from facepipe.heads.look import Look
+from facepipe.heads.people import MODES, draw
+from facepipe.heads.surfaces import dressed
+from facepipe.parts import FaceParts, Material, Mesh
+from facepipe.rig import build, slide
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 
-_TEXTURES = 16  # texels: brows and lashes come with textures, which are not looked at here
-
-SKIN, EYE, TEETH, MOUTH, SOCKET, STRANDS, BROW, CLOTH = range(8)  # what a triangle shows
+CLOTHES = "Clothes"
+_TEXELS = 256  # a side of the skin's textures
+_SEEDS = 1 << 31  # people to draw from
 
 # Shapes that seldom show alone; expressions are drawn from groups that go together.
-_PAIRS = ("browDown", "browInnerUp", "browOuterUp", "cheekSquint", "eyeSquint", "eyeWide", "mouthSmile", "mouthFrown")
-_PAIRS += ("mouthDimple", "mouthLowerDown", "mouthPress", "mouthStretch", "mouthUpperUp", "noseSneer", "cheekPuff")
-_SINGLES = (
-    "jawOpen",
-    "mouthFunnel",
-    "mouthPucker",
-    "mouthRollLower",
-    "mouthRollUpper",
-    "mouthShrugLower",
-    "jawForward",
-)
+_PAIRS = ("browDown", "browOuterUp", "cheekSquint", "eyeSquint", "eyeWide", "mouthSmile", "mouthFrown", "mouthDimple")
+_PAIRS += ("mouthLowerDown", "mouthPress", "mouthStretch", "mouthUpperUp", "noseSneer")
+_SINGLES = ("jawOpen", "mouthFunnel", "mouthPucker", "mouthRollLower", "mouthRollUpper", "mouthShrugLower")
+_SINGLES += ("jawForward", "browInnerUp", "cheekPuff")
 _SIDEWAYS = (("jawLeft", "jawRight"), ("mouthLeft", "mouthRight"))
-_GAZE = (("eyeLookIn_L", "eyeLookOut_R"), ("eyeLookOut_L", "eyeLookIn_R"), ("eyeLookUp_L", "eyeLookUp_R"))
-_GAZE += (("eyeLookDown_L", "eyeLookDown_R"),)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Topology:
-    """What all heads of one source share."""
-
-    triangles: torch.Tensor  # (t, 3)
-    kinds: IntArray  # (t,) what each triangle shows
-    canonical: FloatArray  # (n, 3) in the common frame
-    landmarks: IntArray  # (68,)
-    rows: tuple[IntArray, ...]  # (17,) points on which each contour landmark may slide, itself first
-    normals: PointNormals
-
-
-class Subject(Protocol):
-    """One person."""
-
-    topology: Topology
-    attributes: FloatArray  # (a,) 0..1; NaN where the source has none
-
-    def pose(self, rng: np.random.Generator) -> torch.Tensor:
-        """(n, 3) points with a random expression."""
-
-
-class Source(Protocol):
-    """A maker of persons."""
-
-    def draw(self, rng: np.random.Generator) -> Subject:
-        """A random person."""
 
 
 def expression(rng: np.random.Generator) -> dict[str, float]:
-    """Weights by ICT-FaceKit's names: nothing, a smile, an open mouth, or a mixture."""
+    """Weights of ARKit's shapes: nothing, a smile, an open mouth, or a mixture."""
     found: dict[str, float] = {}
     mood = rng.choice(["neutral", "smile", "open", "mixed"], p=[0.2, 0.35, 0.1, 0.35])
 
     def both(name: str, amount: float) -> None:
-        for side in ("_L", "_R"):
+        for side in ("Left", "Right"):
             found[name + side] = float(np.clip(amount + rng.normal(0, 0.06), 0, 1))
 
     if mood == "smile":
@@ -105,171 +61,109 @@ def expression(rng: np.random.Generator) -> dict[str, float]:
         for names in _SIDEWAYS:
             if rng.random() < 0.15:
                 found[names[rng.integers(2)]] = rng.uniform(0, 0.5)
-    if rng.random() < 0.5:
-        for name in _GAZE[rng.integers(len(_GAZE))]:
-            found[name] = rng.uniform(0, 0.6)
     blink = rng.random()
     if blink < 0.25:
         both("eyeBlink", rng.uniform(0, 0.4) if blink < 0.17 else rng.uniform(0.7, 1))
     return found
 
 
-def contour_rows(canonical: FloatArray, landmarks: IntArray, skin: IntArray) -> tuple[IntArray, ...]:
-    """The points on which each of landmarks 0-16 may slide where the head is turned away: rows towards the face."""
+def gaze(rng: np.random.Generator) -> dict[str, float]:
+    """Values of the sliders that turn the eyes: straight ahead half of the time."""
+    if rng.random() < 0.5:
+        return {}
+    return {"lookLeft": rng.uniform(-0.6, 0.6), "lookDown": rng.uniform(-0.5, 0.5)}
+
+
+class Subject:
+    """A face that can be posed."""
+
+    def __init__(self, face: FaceParts, values: dict[str, float]) -> None:
+        """:param values: of the sliders that shape the person"""
+        self.face = face
+        self._rig, self._values = build(face), values
+
+    def pose(self, rng: np.random.Generator) -> FloatArray:
+        """(n, 3) points of all meshes with a random expression."""
+        return self._points(expression(rng), gaze(rng))
+
+    def neutral(self) -> FloatArray:
+        """(n, 3) points of all meshes without an expression."""
+        return self._points({}, {})
+
+    def _points(self, weights: dict[str, float], eyes: dict[str, float]) -> FloatArray:
+        coefficients, slid = slide(self.face.sliders, self._rig.joints, self._values | eyes)
+        weights = {name: weights.get(name, 0.0) + slid.get(name, 0.0) for name in {**weights, **slid}}
+        return self._rig.evaluate(weights, coefficients=coefficients)
+
+
+class Person:
+    """A random person: drawn from the modes of identity, or the average head under random sliders of bones."""
+
+    def __init__(self, rng: np.random.Generator, *, by_sliders: bool) -> None:
+        who = draw(int(rng.integers(1, _SEEDS)))
+        self.look = who.look
+        self._bare = make_head(np.zeros(MODES) if by_sliders else who.identity, "bones")
+        values = np.where(rng.random(len(slider_names())) < 0.7, rng.uniform(-1, 1, len(slider_names())), 0.0)
+        self._values = dict(zip(slider_names(), values.tolist(), strict=True)) if by_sliders else {}
+        self.attributes = values / 2 + 0.5 if by_sliders else np.full(len(values), np.nan)  # (a,) 0..1, NaN: unknown
+
+    def bare(self) -> Subject:
+        """The head alone."""
+        return Subject(self._bare, self._values)
+
+    def dressed(self, look: Look, rng: np.random.Generator) -> Subject:
+        """The head with skin, hair and clothes."""
+        face = dressed(self._bare, look, _TEXELS)
+        cloth = Material(name=CLOTHES, diffuse_color=tuple(rng.uniform(0.02, 0.8) * rng.uniform(0.3, 1, 3)))
+        return Subject(
+            replace(face, meshes=(*face.meshes, _shoulders(rng)), materials=(*face.materials, cloth)), self._values
+        )
+
+
+def random_look(rng: np.random.Generator) -> Look:
+    """The look of someone."""
+    return draw(int(rng.integers(1, _SEEDS))).look
+
+
+@cache
+def slider_names() -> tuple[str, ...]:
+    """Sliders of bones, whose values are a person's attributes."""
+    return tuple(slider.name for slider in bone_sliders())
+
+
+@cache
+def contour_rows() -> tuple[IntArray, ...]:
+    """(17,) the points on which each contour landmark may slide where the head is turned away, itself first."""
+    head = asset()
+    places = head.points[: head.parts["Head"].points.stop]
     center = np.array([0.0, 2.0])
-    offset = canonical[skin, :2] - center
+    offset = places[:, :2] - center
     angle, radius = np.arctan2(offset[:, 1], offset[:, 0]), np.hypot(*offset.T)
     rows = []
-    for point in landmarks[:17]:
-        place = canonical[point, :2] - center
+    for point in head.landmarks[:17]:
+        place = places[point, :2] - center
         turn = np.abs((angle - np.arctan2(place[1], place[0]) + np.pi) % (2 * np.pi) - np.pi)
         length = np.hypot(*place)
         near = (turn < 0.05) & (radius > 0.5 * length) & (radius < 1.03 * length)
-        near &= canonical[skin, 2] >= canonical[point, 2] - 0.2
-        rows.append(np.concatenate([[point], skin[near]]))
+        near &= places[:, 2] >= places[point, 2] - 0.2
+        rows.append(np.concatenate([[point], np.flatnonzero(near)]))
     return tuple(rows)
 
 
-class IctSource:
-    """Persons of ICT-FaceKit's identity modes (MIT, Copyright (c) 2020 USC Institute for Creative Technologies)."""
-
-    def __init__(self, path: Path) -> None:
-        """:param path: ict_facekit.npz"""
-        with np.load(path) as data:
-            arrays = {name: data[name] for name in data.files}
-        kept = {"Face": SKIN, "Head and Neck": SKIN, "Mouth socket": MOUTH, "Gums and tongue": MOUTH, "Teeth": TEETH}
-        kept |= {"Eye socket left": SOCKET, "Eye socket right": SOCKET}
-        corners, faces = triangulate(arrays["face_vertex_counts"])
-        triangles = arrays["face_vertex_indices"][corners].astype(np.int64)
-        part = np.array([kept.get(str(name), -1) for name in arrays["part_names"]])
-        kinds = part[arrays["face_part"]][faces]
-        of_face = np.zeros(len(arrays["face_part"]), bool)
-        for name, (start, end) in zip(arrays["eye_part_names"], arrays["eye_part_face_range"], strict=True):
-            of_face[start:end] = str(name).startswith("Sclera")  # its cornea covers the iris
-        kinds[of_face[faces]] = EYE
-        triangles, kinds = triangles[kinds >= 0], kinds[kinds >= 0]
-        used, flat = np.unique(triangles, return_inverse=True)
-        triangles = flat.reshape(-1, 3)
-        place = np.full(len(arrays["neutral"]), -1)
-        place[used] = np.arange(len(used))
-        canonical = arrays["neutral"][used].astype(np.float64)
-        landmarks = place[arrays["landmarks_multipie68"]]
-        skin = place[: arrays["part_vertex_range"][0, 1]]
-        self.topology = Topology(
-            triangles=torch.as_tensor(triangles),
-            kinds=kinds,
-            canonical=canonical,
-            landmarks=landmarks,
-            rows=contour_rows(canonical, landmarks, skin[skin >= 0]),
-            normals=PointNormals(triangles, len(used)),
-        )
-        self.neutral = torch.as_tensor(canonical, dtype=torch.float32).reshape(-1)
-        self.identities = torch.as_tensor(arrays["identity_deltas"][:, used]).reshape(100, -1)
-        self.expressions = torch.as_tensor(arrays["expression_deltas"][:, used]).reshape(53, -1)
-        self.names = [str(name) for name in arrays["expression_names"]]
-
-    def draw(self, rng: np.random.Generator) -> Subject:
-        """A random person."""
-        modes = np.clip(rng.normal(0, 1, 100) * rng.choice([0.7, 1.0, 1.2]), -2.5, 2.5)
-        points = self.neutral + torch.as_tensor(modes, dtype=torch.float32) @ self.identities
-        return IctSubject(self, points, np.zeros(0))
-
-
-class IctSubject:
-    """A person of `IctSource`."""
-
-    def __init__(self, source: IctSource, points: torch.Tensor, attributes: FloatArray) -> None:
-        self.topology, self.attributes = source.topology, attributes
-        self._source, self._points = source, points
-
-    def pose(self, rng: np.random.Generator) -> torch.Tensor:
-        """(n, 3) points with a random expression."""
-        weights = torch.zeros(len(self._source.names))
-        for name, value in expression(rng).items():
-            if name in self._source.names:
-                weights[self._source.names.index(name)] = value
-        return (self._points + weights @ self._source.expressions).reshape(-1, 3)
-
-
-class SampleSource:
-    """Persons of the built-in sample: one seed's head under random sliders."""
-
-    def __init__(self, seed: int, frame: Topology) -> None:
-        """:param frame: ICT-FaceKit's, for the common frame"""
-        parts = make(seed, textures=_TEXTURES, controls="bones")
-        rig = build(parts)
-        self.expressive = np.array([bool(one.shapes) for one in parts.sliders])
-        self.rig = DifferentiableRig(rig, parts.sliders)
-        self.names = self.rig.sliders.names
-        triangles, kinds = _pieces(parts)
-        landmarks = parts.meshes[0].landmarks["multipie68"].indices.astype(np.int64)
-        rest = self.rig().numpy().astype(np.float64)
-        warp = RBFInterpolator(rest[landmarks], frame.canonical[frame.landmarks], smoothing=0.05, degree=1)
-        canonical = warp(rest)
-        skin = np.arange(len(parts.meshes[0].points))
-        self.topology = Topology(
-            triangles=torch.as_tensor(triangles),
-            kinds=kinds,
-            canonical=canonical,
-            landmarks=landmarks,
-            rows=contour_rows(canonical, landmarks, skin),
-            normals=PointNormals(triangles, len(rest)),
-        )
-
-    def draw(self, rng: np.random.Generator) -> Subject:
-        """A random person: about two thirds of the sliders away from their defaults."""
-        lower, upper, default = (
-            one.numpy() for one in (self.rig.sliders.lower, self.rig.sliders.upper, self.rig.sliders.default)
-        )
-        values = np.where(rng.random(len(lower)) < 0.7, rng.uniform(lower, upper), default)
-        return SampleSubject(self, values, lower, upper)
-
-
-class SampleSubject:
-    """A person of `SampleSource`."""
-
-    def __init__(self, source: SampleSource, values: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-        self.topology = source.topology
-        expressive = source.expressive
-        defaults = source.rig.sliders.default.numpy()
-        self._values = np.where(expressive, defaults, values)
-        self.attributes = np.where(expressive, np.nan, (self._values - lower) / (upper - lower))
-        self._rig = source.rig
-
-    def pose(self, rng: np.random.Generator) -> torch.Tensor:
-        """(n, 3) points with a random expression."""
-        weights = torch.zeros(len(self._rig.shapes))
-        for name, value in expression(rng).items():
-            plain = name.replace("_L", "Left").replace("_R", "Right")
-            for one in (plain, name[:-2]):
-                if one in self._rig.shapes:
-                    weights[self._rig.shapes.index(one)] = value
-                    break
-        return self._rig(torch.as_tensor(self._values, dtype=torch.float32), weights)
-
-
-def sample_attribute_names() -> tuple[str, ...]:
-    """The sliders of the sample."""
-    return tuple(slider.name for slider in make(0, controls="bones").sliders)
-
-
-def _pieces(parts: FaceParts) -> tuple[IntArray, IntArray]:
-    """Triangles of all meshes but the hair, and what each shows."""
-    kinds = {"Head": SKIN, "GumsAndTongue": MOUTH, "Teeth": TEETH, "Brows": BROW, "Lashes": STRANDS}
-    triangles: list[IntArray] = []
-    shown: list[IntArray] = []
-    first = 0
-    for mesh in parts.meshes:
-        corners, _ = triangulate(mesh.face_vertex_counts)
-        kind = EYE if mesh.name.startswith("Eye") else kinds.get(mesh.name)
-        if kind is not None:
-            triangles.append(np.asarray(mesh.face_vertex_indices, np.int64)[corners] + first)
-            shown.append(np.full(len(corners), kind))
-        first += len(mesh.points)
-    return np.concatenate(triangles), np.concatenate(shown)
-
-
-def all_sources(ict: Path, seeds: Sequence[int]) -> tuple[IctSource, list[SampleSource]]:
-    """ICT-FaceKit, and the sample with each of its seeds."""
-    first = IctSource(ict)
-    return first, [SampleSource(seed, first.topology) for seed in seeds]
+def _shoulders(rng: np.random.Generator) -> Mesh:
+    """A collar and what is below it, as rings."""
+    levels, angle = np.linspace(0, 1, 9)[:, None], np.linspace(-np.pi, np.pi, 33)[None]
+    y = rng.uniform(-17, -9) - 22 * levels + 0 * angle
+    wide = 6.6 + 1.5 * levels + 17 * np.clip((levels - 0.2) / 0.8, 0, 1) ** 0.7
+    deep = 6.6 + 1.2 * levels + 6 * np.clip((levels - 0.2) / 0.8, 0, 1)
+    points = np.stack([wide * np.sin(angle), y - 1.2 * np.cos(angle), deep * np.cos(angle) - 1.0], axis=-1)
+    number = np.arange(9 * 33).reshape(9, 33)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return Mesh(
+        name=CLOTHES,
+        points=points.reshape(-1, 3),
+        face_vertex_counts=np.full(len(quads), 4, np.int32),
+        face_vertex_indices=quads.ravel().astype(np.int32),
+        material=CLOTHES,
+        double_sided=True,
+    )

@@ -5,27 +5,18 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-_ICT = Path(__file__).parents[2] / "shared/data/ict_facekit/ict_facekit.npz"
 
-
-def add_heads(parser: argparse.ArgumentParser, *, seed: int) -> None:
-    """Where random heads come from.
-
-    :param seed: the default
-    """
-    parser.add_argument("--seed", type=int, default=seed, help=f"of the heads (default {seed})")
-    parser.add_argument("--ict", type=Path, default=_ICT, help="ict_facekit.npz")
-
-
-def add_shards(parser: argparse.ArgumentParser, *, count: int, shard: int) -> None:
+def add_shards(parser: argparse.ArgumentParser, *, count: int, shard: int, seed: int) -> None:
     """How many pictures are written where.
 
     :param count: the default
     :param shard: pictures a file
+    :param seed: the default
     """
     parser.add_argument("out", type=Path, help="folder for the shards")
     parser.add_argument("--count", type=int, default=count, help=f"pictures, in shards of {shard} (default {count})")
     parser.add_argument("--first", type=int, default=0, help="number of the first shard (default 0)")
+    parser.add_argument("--seed", type=int, default=seed, help=f"of the heads (default {seed})")
 
 
 def add_training(parser: argparse.ArgumentParser, *, steps: int, batch: str) -> None:

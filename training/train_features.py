@@ -4,10 +4,10 @@ usage: python training/train_features.py HEADS LOOKS -o face_features.onnx [--se
 
 HEADS and LOOKS are folders of shards that `training/heads.py` and `training/features_heads.py` wrote. One residual
 network with one trunk learns three kinds of features together: content (features of several depths, and semantic
-probabilities), identity and attributes (the sample's sliders). Identity is learned from LOOKS alone, where a person's
-pictures share the shape of the head and nothing else. Every batch shows each head in two lights. A share of the persons
-is held out for the scores, which are printed and written into the file's metadata. Single-threaded; the same seed gives
-the same file on the same kind of processor.
+probabilities), identity and attributes (the head's sliders of bones). Identity is learned from LOOKS alone, where the
+pictures of a person share the shape of the head and nothing else. Every batch shows each head in two lights. A share of
+the persons is held out for the scores, which are printed and written into the file's metadata. Single-threaded; the
+same seed gives the same file on the same kind of processor.
 """
 
 from __future__ import annotations

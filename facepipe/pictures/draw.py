@@ -44,11 +44,7 @@ def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples
     :param samples: per pixel and direction, of what covers a pixel; light is computed once or a few times in each
     :param mm: millimetres of a unit of the scene
     """
-    fine = shader.homogeneous * (samples, samples, 1.0, 1.0)
-    screen = screen_triangles(fine, shader.scene.triangles)
-    solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
-    clear = clear.take(np.argsort(-clear.limits[1], kind="stable"))  # from front to back
-    spots, over = _bands(shader, solid, clear, size, samples)
+    spots, over = seen(shader, size, samples)
     shader.prepare(spots.triangle if over is None else np.append(spots.triangle, over.triangle))
     picture = background.reshape(-1, 3)
     _paint(picture, shader, spots, size, mm)
@@ -56,6 +52,15 @@ def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples
         over.blend(picture, shader)
     encoded = linear_to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
     return encoded.astype(np.uint8)
+
+
+def seen(shader: Shader, size: int, samples: int) -> tuple[Spots, Layers | None]:
+    """What of the scene shows in a picture; arguments as for `draw`."""
+    fine = shader.homogeneous * (samples, samples, 1.0, 1.0)
+    screen = screen_triangles(fine, shader.scene.triangles)
+    solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
+    clear = clear.take(np.argsort(-clear.limits[1], kind="stable"))  # from front to back
+    return _bands(shader, solid, clear, size, samples)
 
 
 def _bands(

@@ -1,0 +1,125 @@
+"""The scripts that made the shipped networks, on a few pictures of the people that they draw."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import code_of_training  # noqa: F401  (finds the modules of training/)
+import features_data
+import features_geometry
+import features_heads
+import head_sources
+import heads
+import landmark_data
+import numpy as np
+import photo_scores
+import scenes
+import train_features
+import train_landmarks
+from landmark_export import to_onnx
+from with_torch import torch
+
+from facepipe.learn.features.crops import TEMPLATE, to_crop
+from facepipe.learn.features.semantics import CLASSES
+from facepipe.learn.networks.landmark_session import LandmarkSession
+from facepipe.pictures.scene import build_scene
+
+PARTS = {"leftBrow": slice(22, 27), "rightBrow": slice(17, 22), "nose": slice(27, 36), "lowerLip": slice(54, 60)}
+
+
+@cache
+def pictures() -> list[heads.Arrays]:
+    """Two pictures each of one person in a look of their own and of two who change it."""
+    same, other = (np.random.default_rng(seed) for seed in (2, 3))
+    changing = [row for number in (1, 2) for row in features_heads.person(number, 2, 1.0, other)]
+    return [*heads.person(0, same, poses=1, views=2), *changing]
+
+
+def test_landmarks_lie_where_the_labels_have_their_parts() -> None:
+    rng = np.random.default_rng(5)
+    who = head_sources.Person(rng, by_sliders=False)
+    subject = who.dressed(who.look, rng)
+    scene = build_scene(subject.face, subject.neutral(), scenes.SIZE)
+    behind, place = np.full((scenes.SIZE, scenes.SIZE, 3), 0.5), scenes.Placement(1.0, 0.0, np.zeros(2))
+    for _ in range(3):
+        view = scenes.render(scene, who.look, place, behind, rng)
+        for name, numbers in PARTS.items():
+            rows, columns = np.nonzero(view.labels == CLASSES.index(name))
+            middle = np.array([columns.mean(), rows.mean()]) + 0.5
+            assert np.linalg.norm(view.landmarks[numbers].mean(axis=0) - middle) < 0.06 * scenes.SIZE, name
+
+
+def test_people_are_drawn_alike_by_the_same_numbers_and_not_by_others() -> None:
+    one, again = (heads.person(4, np.random.default_rng(2), poses=1, views=1)[0] for _ in range(2))
+    assert all(np.array_equal(one[name], again[name]) for name in one)
+    assert not np.array_equal(one["landmarks"], pictures()[2]["landmarks"])
+
+
+def test_a_person_who_changes_looks_keeps_the_shape() -> None:
+    one, other = pictures()[2:4]
+    assert np.array_equal(one["neutral"], other["neutral"])
+    assert np.array_equal(one["attributes"], other["attributes"])
+    assert one["attribute_mask"].all()
+    assert not np.array_equal(one["image"], other["image"])
+
+
+def test_shards_are_read_with_faces_where_their_crops_expect_them(tmp_path: Path) -> None:
+    heads.write_shard(pictures()[2:], tmp_path / "looks_000.npz")
+    read = features_data.read([tmp_path])
+    assert read.names == head_sources.slider_names()
+    assert read.changing.all()
+    target = TEMPLATE * 2 - 1
+    assert np.sqrt(((read.marks - target) ** 2).sum(axis=2).mean()) < 0.2
+    geometry = features_geometry.marks_of(
+        head_sources.Person(np.random.default_rng(1), by_sliders=True).bare(), np.random.default_rng(1)
+    )
+    assert np.sqrt(((geometry - TEMPLATE) ** 2).sum(axis=1).mean()) < 0.1
+
+
+def test_training_of_features_lowers_the_loss_on_their_classes(tmp_path: Path) -> None:
+    heads.write_shard(pictures()[2:], tmp_path / "looks_000.npz")
+    read = features_data.read([tmp_path])
+    losses = train_features.Losses(read)
+    left = {}
+    for steps in (1, 8):
+        torch.manual_seed(0)
+        network = train_features.train(read, steps, 0)
+        with torch.no_grad():
+            terms = losses(network.train(), np.arange(len(read)), torch.Generator().manual_seed(0))
+        assert all(torch.isfinite(term) for term in terms.values())
+        left[steps] = terms["semantics"].item()
+    assert left[8] < left[1]
+
+
+def test_training_lowers_the_loss_and_gives_a_network_that_facepipe_reads() -> None:
+    shown = pictures() * 8
+    known = landmark_data.Heads(
+        images=np.stack([one["image"] for one in shown]),
+        landmarks=np.stack([one["landmarks"] for one in shown]) / scenes.SIZE,
+        presence=np.ones(len(shown), np.float32),
+    )
+    rows = np.arange(6)
+    steps = {}
+    for count in (1, 30):
+        network = train_landmarks.train(known, count, 0, lambda *_: None)
+        with torch.no_grad():
+            steps[count] = train_landmarks.joint_loss(network, landmark_data.plain(known, rows)).item()
+    assert steps[30] < 0.7 * steps[1]
+    session = LandmarkSession(
+        to_onnx(network, {"kind": "landmarks", "size": 96, "mean": [0.45] * 3, "std": [0.25] * 3})
+    )
+    found, presence = session(np.zeros((1, 3, 96, 96), np.float32))
+    assert found.shape == (1, 68, 2)
+    assert presence.shape == (1,)
+
+
+def test_a_photo_is_scored_in_views_that_show_the_whole_face() -> None:
+    marks = TEMPLATE * 80 + (300, 200)
+    shown = list(photo_scores.views(marks))
+    assert len(shown) == 13
+    for name, matrix, side in shown:
+        seen = to_crop(marks, matrix)
+        assert seen.min() > 0, name
+        assert seen.max() < side, name
+        assert (np.linalg.det(matrix[:, :2]) < 0) == (name == "mirrored")
