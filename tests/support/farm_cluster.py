@@ -7,19 +7,23 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import psutil
 
 _PATIENCE = 60.0  # seconds
+T = TypeVar("T")
 
 
 class Farm:
     """A scheduler, and the workers that were started."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, made_up: bool) -> None:
+        """:param made_up: workers do the lines of `farm_child`"""
+        self._made_up = made_up
         self._folder = folder
         self.workers: list[subprocess.Popen[bytes]] = []
         said = folder / "scheduler.json"
@@ -28,13 +32,10 @@ class Farm:
         )
         self.address: str = until(lambda: json.loads(said.read_text())["address"] if said.exists() else "")
 
-    def worker(self, made_up: bool = True, **environment: str) -> subprocess.Popen[bytes]:
-        """One more, of one thread.
-
-        :param made_up: it does the lines of `farm_child`
-        """
+    def worker(self, **environment: str) -> subprocess.Popen[bytes]:
+        """One more, of one thread."""
         words = [self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "10"]
-        words += ["--local-directory", str(self._folder), *(["--preload", "farm_worker"] if made_up else [])]
+        words += ["--local-directory", str(self._folder), *(["--preload", "farm_worker"] if self._made_up else [])]
         worker = self._start("worker", *words, **environment)
         self.workers.append(worker)
         return worker
@@ -55,16 +56,16 @@ class Farm:
 def farm_in(folder: Path, workers: int = 0, made_up: bool = True) -> Iterator[Farm]:
     """A cluster while the block runs; its logs are in the folder."""
     folder.mkdir()
-    farm = Farm(folder)
+    farm = Farm(folder, made_up)
     try:
         for _ in range(workers):
-            farm.worker(made_up)
+            farm.worker()
         yield farm
     finally:
         farm.end()
 
 
-def until(asked, seconds: float = _PATIENCE):
+def until(asked: Callable[[], T], seconds: float = _PATIENCE) -> T:
     """What `asked` gives as soon as it is true.
 
     :raises AssertionError: it never was
