@@ -1,6 +1,6 @@
-"""Draws docs/lod.png: `python docs/lod_picture.py`. Needs ../shared/data and `pip install 'facepipe[lod]'`.
+"""Draws docs/lod.png: `python docs/lod_picture.py`. Needs `pip install 'facepipe[lod]'`.
 
-ICT-FaceKit (MIT license) and its lower levels in an expression, shaded and as wire frames.
+A person of the sample and its lower levels in an expression, shaded and as wire frames.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import facepipe
-from facepipe.cli import main as facepipe_command
 from facepipe.parts import FloatArray
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import Camera, Frame, portrait
@@ -24,21 +23,12 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 HERE = Path(__file__).resolve().parent
-DATA = HERE.parents[1] / "shared" / "data"
+SEED = 3
 COUNTS = (20000, 8000, 2500)
-POSE = {"jawOpen": 0.35, "mouthSmileLeft": 0.8, "mouthSmileRight": 0.5, "eyeBlinkLeft": 0.4, "browInnerUpLeft": 0.6}
+POSE = {"jawOpen": 0.35, "mouthSmileLeft": 0.8, "mouthSmileRight": 0.5, "eyeBlinkLeft": 0.4, "browInnerUp": 0.6}
 VIEW = (0.35, 0.05)  # yaw, pitch
 SIZE = 330
 WIRE = (24, 44, 96)
-MARGIN = np.array([0.72, 0.85, 0.5])  # of the size of the landmarks, either side
-
-
-def camera(face: Face) -> Camera:
-    """One for all levels, that sees the face without neck and back of the head."""
-    mesh, landmarks = face.landmarks()
-    marks = face.split(face.evaluate())[mesh.name][landmarks.indices]
-    middle, half = marks.mean(axis=0), np.ptp(marks, axis=0) * MARGIN
-    return portrait(np.clip(face.evaluate(), middle - half, middle + half), VIEW, Frame(width=SIZE, height=SIZE))
 
 
 def shaded(face: Face, points: FloatArray, seen: Camera) -> Image:
@@ -58,13 +48,13 @@ def wired(image: Image, face: Face, points: FloatArray, seen: Camera) -> Image:
 def main() -> None:
     """Make levels, draw, save."""
     with tempfile.TemporaryDirectory() as name:
-        face, lods = Path(name) / "ict.usdc", Path(name) / "lods.usdc"
-        facepipe_command(["import", "ict", str(DATA / "ict_facekit" / "ict_facekit.npz"), str(face)])
+        face, lods = Path(name) / "head.usdc", Path(name) / "lods.usdc"
+        facepipe.sample(face, seed=SEED, textures=1024)
         report = facepipe.lod(face, out=lods, triangles=COUNTS)
         worst = [max(one.mean_mm for one in level.errors.shapes.values()) for level in report.levels]
         said = ["the face itself", *(f"{mm:.2f} mm off in the worst shape" for mm in worst)]
         full = facepipe.open(lods)
-        seen, above, below = camera(full), [], []
+        seen, above, below = portrait(full.evaluate(), VIEW, Frame(width=SIZE, height=SIZE)), [], []
         for number in range(len(full.levels)):
             level = full.at_level(number)
             points = level.evaluate(POSE)
