@@ -22,7 +22,7 @@ from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import check_input
-from facepipe.core.trust import PROJECT, Trust, trust, trusting
+from facepipe.core.trust import PROJECT, Trust, roots_in, trust, trusting
 
 if TYPE_CHECKING:
     from facepipe.core.project import Project
@@ -156,9 +156,11 @@ def paths_in(values: Iterable[object]) -> Iterator[Path]:
 def _trust_of(parsed: argparse.Namespace, project: Project | None) -> Trust:
     """The policy in force with what the line and the project say; a host that calls `main` may have set one."""
     old = trust()
-    roots = tuple(getattr(parsed, "root", old.roots))
+    roots, urls = roots_in(parsed.root) if "root" in parsed else (old.roots, old.urls)
     folders = () if project is None or old.confined else project.folders
-    return dataclasses.replace(old, roots=roots, project=folders, models=old.models or "trust_models" in parsed)
+    return dataclasses.replace(
+        old, roots=roots, urls=urls, project=folders, models=old.models or "trust_models" in parsed
+    )
 
 
 def commands_of() -> dict[str, str]:

@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NoReturn
 
 from facepipe.actions import find_action
 from facepipe.cli import command_module, paths_in
@@ -25,12 +25,15 @@ from facepipe.cli.action_line import ActionGroup, ActionLine, action_of
 from facepipe.cli.parser import Parser
 from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
-from facepipe.core.errors import InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import Trust, trusting
 from facepipe.declare import fields_of
 from facepipe.farm.contents import Contents
+from facepipe.farm.ledger import Record
+from facepipe.farm.mirror import mirror
 from facepipe.farm.work import FAILED, Line, Outcome, work
 from facepipe.kinds import Action, FileAction, InPlaceAction
+from facepipe.stage.files import naming
 
 _OTHERS = ("export", "import", "validate", "apply-bones")  # commands that are no actions, and can be steps
 
@@ -46,19 +49,31 @@ def main(read: Callable[[list[str]], Line] | None = None) -> None:
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
     setting = json.loads(requests.get())
     contents = Contents()
-    os.chdir(setting["folder"])
-    policy = Trust(roots=tuple(map(Path, setting["roots"])), models=setting["models"], confined=True)
-    with quiet_libraries(), trusting(policy):
-        while True:
-            request = json.loads(requests.get())
-            if setting["version"] != __version__:
-                what = f"facepipe {__version__} works here, expected {setting['version']}"
-                record = {"task": request["task"], "status": FAILED, "error": what, "passing": True, "refused": True}
-            else:
-                record = work(request, read or read_line, contents)
-            answers.write(json.dumps({"peak_mb": _peak_mb(), **record}).encode() + b"\n")
-            answers.flush()
-            gc.collect()
+    if setting["version"] != __version__:
+        _serve(requests, answers, _refusing(f"facepipe {__version__} works here, expected {setting['version']}"))
+    try:
+        os.chdir(setting["folder"])
+        with quiet_libraries(), mirror(setting["urls"], setting["local"], setting["local_bytes"]) as copies:
+            roots = (*map(Path, setting["roots"]), *copies.roots)
+            with trusting(Trust(roots=roots, models=setting["models"], confined=True)), naming(copies.name):
+                _serve(requests, answers, lambda request: work(request, read or read_line, contents, copies))
+    except (FacepipeError, OSError) as error:  # before the first task
+        _serve(requests, answers, _refusing(error))
+
+
+def _refusing(why: object) -> Callable[[Mapping[str, Any]], Record]:
+    refusal = {"status": FAILED, "error": str(why), "passing": True, "refused": True}
+    return lambda request: {"task": request["task"], **refusal}
+
+
+def _serve(
+    requests: queue.SimpleQueue[bytes], answers: IO[bytes], do: Callable[[Mapping[str, Any]], Record]
+) -> NoReturn:
+    while True:
+        record = do(json.loads(requests.get()))
+        answers.write(json.dumps({"peak_mb": _peak_mb(), **record}).encode() + b"\n")
+        answers.flush()
+        gc.collect()
 
 
 def _listen(requests: queue.SimpleQueue[bytes]) -> None:

@@ -36,11 +36,11 @@ class Parser(argparse.ArgumentParser):
         group = self.add_argument_group("files of others")
         roots = (
             "where files that are read may write to and copy from; may be given again (default FACEPIPE_ROOTS, else "
-            "the nearest folder with a facepipe.toml, else the folder of the file)"
+            "the nearest folder with a facepipe.toml, else the folder of the file); of batch also s3://BUCKET/FOLDER"
         )
         # nothing where none is given: an action's parser would hide what stands before the action
         given: Any = {"default": argparse.SUPPRESS}
-        group.add_argument("--root", action="append", type=Path, metavar="DIR", help=roots, **given)
+        group.add_argument("--root", action="append", metavar="DIR", help=roots, **given)
         group.add_argument("--trust-models", action="store_true", help="load models that can run code (.pt2)", **given)
 
     def error(self, message: str) -> NoReturn:

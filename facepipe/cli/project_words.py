@@ -16,6 +16,7 @@ from facepipe.declare import fields_of
 
 # a project may be of others: it decides how, not where to, with what trust, or by whom
 _NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace", "state", "each", "cluster", "cache"}
+_NEVER |= {"local"}
 
 
 Modules = Callable[[str], Any]  # a command -> what configures it, None for no command

@@ -7,6 +7,7 @@ One policy for all that reads a stage, a recipe or a project of somebody else. T
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,6 +27,7 @@ class Trust:
     """A policy; without roots the root of a file is its project's folder, else its own."""
 
     roots: tuple[Path, ...] = ()
+    urls: tuple[str, ...] = ()  # roots in stores of others, for what reads and writes there (`facepipe.farm`)
     project: tuple[Path, ...] = ()  # folders of the caller's project, which are the roots of the files in them
     models: bool = False  # models that can hold code are loaded
     confined: bool = False  # files outside the roots are not even read: for hosts that serve others
@@ -39,7 +41,14 @@ def trust() -> Trust:
     given = _given.get()
     if given is not None:
         return given
-    return Trust(roots=tuple(Path(one) for one in os.environ.get(ROOTS, "").split(os.pathsep) if one))
+    roots, urls = roots_in(re.split(rf"{os.pathsep}(?!//)", os.environ.get(ROOTS, "")))
+    return Trust(roots=roots, urls=urls)
+
+
+def roots_in(said: Iterable[str]) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Folders and URLs among roots as they are given."""
+    given = [one for one in said if one]
+    return tuple(Path(one) for one in given if "://" not in one), tuple(one for one in given if "://" in one)
 
 
 @contextmanager

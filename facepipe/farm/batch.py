@@ -18,6 +18,7 @@ from facepipe.farm.engines import Engine, Processes
 from facepipe.farm.ledger import ledger_in
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan, Step, plan_of, read_plan
+from facepipe.farm.remote import checked, is_url
 from facepipe.farm.report import BatchReport, report_of, write_report
 from facepipe.farm.run import Run
 from facepipe.stage.files import SUFFIXES
@@ -57,6 +58,10 @@ def batch(
         state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
         plan = read_plan(Path(plan))
     state = plan.folder / "facepipe_batch" if state is None else Path(state)
+    for root in trust().urls:
+        checked(root, [root])
+    if is_url(plan.out):
+        checked(plan.out, trust().urls)
     plan = _with_thumbnails(plan, state, thumbnails)
     try:
         state.mkdir(parents=True, exist_ok=True)
@@ -67,7 +72,7 @@ def batch(
         run = Run(plan=plan, ledger=ledger, options=options, told=lambda *_: None)
         if told is not None:
             run.told = told(run)
-        setting = _setting(plan, state, models)
+        setting = _setting(plan, state, models, options)
         engine: Engine = (
             Cluster(cluster, setting, processes) if cluster else Processes(processes or os.cpu_count() or 1, setting)
         )
@@ -80,11 +85,13 @@ def batch(
     return report
 
 
-def _setting(plan: Plan, state: Path, models: bool) -> Mapping[str, Any]:
+def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapping[str, Any]:
     """What processes that do tasks are told first."""
     roots = trust().roots or roots_of(plan.folder / "plan")
     folders = [*dict.fromkeys(str(one.absolute()) for one in (*roots, state))]
-    return {"folder": str(plan.folder), "roots": folders, "models": models, "version": __version__}
+    local = {"local": options.local and str(options.local.absolute()), "local_bytes": int(options.local_gb * 1e9)}
+    said = {"folder": str(plan.folder), "roots": folders, "urls": trust().urls, "models": models, **local}
+    return {**said, "version": __version__}
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:

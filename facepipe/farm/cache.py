@@ -8,63 +8,73 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import is_writable, trust
-from facepipe.farm.contents import state_of
 
 _RECORD = "record.json"
 _PASSING = ".new-"
+_BETWEEN = 0.01  # of its size: what a process may keep until it looks again at all that is there
+_unseen: dict[Path, int] = {}  # folder -> bytes that this process has kept since it looked
 
 
 class Cache:
     """A folder that several processes and plans share; what is in it can be removed at any time."""
 
-    def __init__(self, folder: Path, most_bytes: int) -> None:
-        """:raises InputError: the folder can't be made"""
-        self._folder, self._most = folder, most_bytes
+    def __init__(self, folder: Path, most_bytes: int, place: Callable[[str], Path] = Path) -> None:
+        """
+        :param place: the path of a file that a record names
+        :raises InputError: the folder can't be made
+        """
+        self._folder, self._most, self._place = folder, most_bytes, place
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, f"can't be made: {error.strerror or error}") from error
 
     def fetch(self, key: str) -> dict[str, Any] | None:
-        """Put the files of a key in their places: the record of the result; None where it isn't here, or is damaged."""
+        """Put the files of a key in their places: the record that was kept; None where it isn't here, or is damaged."""
         entry = self._folder / key
         try:
             record = json.loads((entry / _RECORD).read_bytes())
-            writes = list(record["writes"].items())
-            if any(_digest(entry / str(number)) != one[1] for number, (_, one) in enumerate(writes)):
+            writes = [(self._place(name), own) for name, (_, own) in record["writes"].items()]
+            if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
-            if not all(is_writable(Path(path), trust().roots) for path, _ in writes):
+            if not all(is_writable(path, trust().roots) for path, _ in writes):
                 raise InputError(entry, "is of files outside the roots")
         except (OSError, ValueError, LookupError, TypeError, FacepipeError):
             shutil.rmtree(entry, ignore_errors=True)
             return None
         with together(writes[0][0]) if writes else contextlib.nullcontext():
             for number, (path, _) in enumerate(writes):
-                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                path.parent.mkdir(parents=True, exist_ok=True)
                 with replacing(path) as temporary:
                     shutil.copyfile(entry / str(number), temporary)
         os.utime(entry)
-        return {**record, "writes": {path: [state_of(path), own] for path, (_, own) in writes}}
+        return dict(record)
 
     def keep(self, key: str, record: Mapping[str, Any]) -> None:
         """Keep a result; where there is no room for it on the disk, it is not kept."""
         passing = self._folder / f"{_PASSING}{secrets.token_hex(8)}"
         try:
             passing.mkdir()
-            for number, path in enumerate(record["writes"]):
-                shutil.copyfile(path, passing / str(number))
+            for number, name in enumerate(record["writes"]):
+                shutil.copyfile(self._place(name), passing / str(number))
             (passing / _RECORD).write_text(json.dumps(record), encoding="utf-8")
+            fresh = sum(one.stat().st_size for one in passing.iterdir())
             passing.rename(self._folder / key)
         except OSError:  # a full disk, or another process has kept the same
             shutil.rmtree(passing, ignore_errors=True)
-        self._evict()
+            fresh = 0
+        seen = self._folder in _unseen
+        _unseen[self._folder] = _unseen.get(self._folder, 0) + fresh
+        if not seen or _unseen[self._folder] > _BETWEEN * self._most:
+            _unseen[self._folder] = 0
+            self._evict()
 
     def _evict(self) -> None:
         entries = []

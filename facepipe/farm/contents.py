@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from facepipe.core.digests import digest
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_json_object
-from facepipe.stage.files import SUFFIXES, dependencies
+from facepipe.core.reading import read_bytes, read_json_object
+from facepipe.importers.materials_mtl import texture_name
+from facepipe.stage.files import SUFFIXES, dependencies, named_in
 
 _MOST_BYTES = 1 << 28  # of a glTF document
+_MOST_TEXT = 1 << 30  # of an OBJ file
+_MTLLIB = re.compile(r"^[ \t]*mtllib[ \t]+([^#\r\n]+)", re.MULTILINE)
+_MAP_KD = re.compile(r"^[ \t]*map_Kd[ \t]+([^\r\n]+)", re.MULTILINE)
 State = tuple[int, int]  # bytes, nanoseconds of the last change
 
 
@@ -70,12 +75,14 @@ def stands_on(path: Path) -> set[Path]:
         return {one for one in path.rglob("*") if one.is_file()}
     if not path.is_file():
         raise InputError(path, "no such file")
-    suffix = path.suffix.lower()
-    if suffix in SUFFIXES:
+    if path.suffix.lower() in SUFFIXES:
         return {_shortest(one) for one in dependencies(path) if one.is_file()} | {path}
-    if suffix == ".gltf":
-        return {path, *(one for one in _named(path) if one.is_file())}
-    return {path}
+    found, todo = {path}, [path]
+    while todo:
+        fresh = {one for one in named(todo.pop()) if one.is_file()} - found
+        found |= fresh
+        todo += fresh
+    return found
 
 
 def _shortest(path: Path) -> Path:
@@ -83,8 +90,31 @@ def _shortest(path: Path) -> Path:
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
-def _named(path: Path) -> Iterable[Path]:
-    """Files of the buffers and images of a glTF."""
+def named(path: Path) -> set[Path]:
+    """The files that a file itself names, there or not: layers, textures, buffers, libraries of materials.
+
+    :raises InputError: it is damaged
+    """
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        names: Iterable[str] = named_in(path) if suffix != ".usdz" else ()
+    elif suffix == ".gltf":
+        names = _uris(path)
+    elif suffix == ".obj":
+        names = _MTLLIB.findall(_text(path))
+    elif suffix == ".mtl":
+        names = map(texture_name, _MAP_KD.findall(_text(path)))
+    else:
+        names = ()
+    return {Path(os.path.normpath(path.parent / one.strip().replace("\\", "/"))) for one in names if "://" not in one}
+
+
+def _text(path: Path) -> str:
+    return read_bytes(path, _MOST_TEXT).decode("utf-8", "replace")
+
+
+def _uris(path: Path) -> Iterable[str]:
+    """Names of the buffers and images of a glTF."""
     from urllib.parse import unquote
 
     document = read_json_object(path, _MOST_BYTES)
@@ -93,4 +123,4 @@ def _named(path: Path) -> Iterable[Path]:
         for one in entries if isinstance(entries, list) else ():
             uri = one.get("uri") if isinstance(one, dict) else None
             if isinstance(uri, str) and not uri.startswith("data:"):
-                yield path.parent / unquote(uri)
+                yield unquote(uri)

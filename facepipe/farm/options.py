@@ -17,5 +17,7 @@ class RunOptions:
     failures: int = option(3, "processes or workers that a task may lose before it counts as failed", 0, 1000)
     retry_failed: bool = option(False, "do tasks again that failed, though nothing that they read has changed")
     resume: bool = option(False, "take what is done as it is, whatever has changed since: end a run that was killed")
+    local: Path | None = option(None, "folder of each machine for copies of files at URLs (default ~/.cache/facepipe)")
+    local_gb: float = option(20.0, "they may have; what was used longest ago goes first", 0.001, 1e6, "GB")
     cache: Path | None = option(None, "folder of results by their content, which plans and runs share")
     cache_gb: float = option(20.0, "the cache may have; what was used longest ago goes first", 0.001, 1e6, "GB")

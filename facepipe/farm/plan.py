@@ -29,6 +29,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reading import read_toml
+from facepipe.farm.remote import placed
 from facepipe.farm.table import Row, read_table
 
 _MOST_BYTES = 1 << 20
@@ -58,7 +59,7 @@ class Plan:
 
     where: str  # for messages
     folder: Path  # that paths of its lines are relative to
-    out: Path  # absolute
+    out: str  # folder of results: an absolute path, or a URL
     rows: tuple[Row, ...]
     steps: tuple[Step, ...]  # those that others need first
     faults: Mapping[str, str] = field(default_factory=dict)  # step that can't be run -> why
@@ -74,10 +75,12 @@ def read_plan(path: Path) -> Plan:
     if not isinstance(out, str) or not isinstance(faces, dict) or not isinstance(steps, dict) or not steps:
         raise InputError(path, 'expected out = "FOLDER", a table [faces], and a table [steps.NAME] for each step')
     rows = read_table(f"{path} -> faces", folder, faces)
-    return plan_of(str(path), folder, folder / out, rows, {name: _step(path, name, one) for name, one in steps.items()})
+    return plan_of(
+        str(path), folder, placed(folder, out), rows, {name: _step(path, name, one) for name, one in steps.items()}
+    )
 
 
-def plan_of(where: str, folder: Path, out: Path, rows: Sequence[Row], steps: Mapping[str, Step]) -> Plan:
+def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapping[str, Step]) -> Plan:
     """A plan with its steps in the order of their needs, and what is wrong with any of them."""
     columns = set(rows[0].values) if rows else set()
     faults = {name: line for name, one in steps.items() for line in _fault(one, columns, steps)[:1]}
@@ -138,7 +141,7 @@ def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = Non
     if not {"face", "name"} & {*braces(step)}:
         raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")
     return plan_of(
-        f"--each {pattern}", folder, folder, read_table("--each", folder, {"glob": pattern}), {step.name: step}
+        f"--each {pattern}", folder, str(folder), read_table("--each", folder, {"glob": pattern}), {step.name: step}
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.atomic import together, write_bytes
 from facepipe.core.reports import Report
+from facepipe.farm.remote import is_url
 
 if TYPE_CHECKING:
     from facepipe.farm.ledger import Record
@@ -162,7 +163,7 @@ def _faces(run: Run, state: Path) -> Iterator[str]:
     names = [step.name for step in run.plan.steps if not step.once]
     for row in run.plan.rows:
         own = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
-        pictures = [path for one in own for path in one.get("writes", ()) if path.endswith(".png")]
+        pictures = [path for one in own for path in one.get("writes", ()) if path.endswith(".png") and not is_url(path)]
         image = f'<img loading="lazy" src="{_address(run, state, pictures[-1])}" alt="">' if pictures else ""
         errors = {name: value for one in own for name, value in errors_mm(one.get("report") or {}).items()}
         figures = [f"{_safe(name)} {value:.3g} mm" for name, value in list(errors.items())[:_MOST_FIGURES]]

@@ -20,6 +20,7 @@ from facepipe.farm.engines import LOST, Engine
 from facepipe.farm.ledger import Ledger, Record
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan
+from facepipe.farm.remote import States, is_url
 from facepipe.farm.tasks import Task, line_of, needed, result_of, tasks_named, tasks_of
 from facepipe.farm.work import CACHED, FAILED, KEPT, MADE
 
@@ -49,6 +50,7 @@ class Run:
         self._waits: dict[str, int] = {}  # task -> how many that it needs are left
         self._for: dict[str, list[str]] = {}  # task -> those that need it
         self._lost: Counter[str] = Counter()
+        self._states = States(self.plan.out if is_url(self.plan.out) else "")
         self._ready: list[tuple[tuple[int, int], int, Task]] = []  # a heap
         self._numbers = itertools.count()
         self._out = 0  # tasks given out
@@ -156,7 +158,9 @@ class Run:
         return self._are({**last["reads"], **{path: state for path, (state, _) in last["writes"].items()}})
 
     def _are(self, states: dict[str, Any]) -> bool:
-        return unchanged({str(self.plan.folder / path): state for path, state in states.items()})
+        local = {str(self.plan.folder / name): state for name, state in states.items() if not is_url(name)}
+        others = ((name, tuple(state)) for name, state in states.items() if is_url(name))
+        return unchanged(local) and all(self._states(url) == state for url, state in others)
 
     def _answered(self, record: Record) -> None:
         task = self._tasks[record["task"]]
@@ -181,6 +185,7 @@ class Run:
 
     def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
         self.records[task.name] = record
+        self._states.learn(record.get("writes") or {})
         if keep and record["status"] != SKIPPED:
             self.ledger.add(record)
         self.told(task, record)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import glob
 import io
+import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +15,8 @@ from typing import Any, NamedTuple
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, file_name
 from facepipe.core.reading import read_bytes
-from facepipe.core.trust import check_copied
+from facepipe.core.trust import check_copied, trust
+from facepipe.farm.remote import Store, checked, is_url, placed
 
 _MOST_BYTES = 1 << 28  # of a CSV file
 _MOST_ROWS = 10_000_000
@@ -60,22 +63,30 @@ def _row(number: int, values: dict[str, str]) -> Row:
 def _of_glob(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     if not isinstance(said, str):
         raise InputError(where, f"{str(said)[:40]}, expected a pattern like heads/*.glb")
-    found = sorted(glob.glob(said, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
+    if is_url(said):
+        checked(re.split(r"[*?[]", said)[0].rpartition("/")[0], trust().urls)
+        found = Store(said).matching(said)
+    else:
+        found = sorted(glob.glob(said, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
     if not found:
         raise InputError(where, f"no file is called like {said[:80]}")
-    faces = [Path(one) for one in found]
+    faces = [Path(one.rpartition("://")[2]) for one in found]
     stems = Counter(one.stem for one in faces)
     alone = [one.stem if stems[one.stem] == 1 else "_".join(one.with_suffix("").parts) for one in faces]
-    return [{"face": one.as_posix(), "name": name} for one, name in zip(faces, alone, strict=True)]
+    return [{"face": one.replace(os.sep, "/"), "name": name} for one, name in zip(found, alone, strict=True)]
 
 
 def _of_csv(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     if not isinstance(said, str):
         raise InputError(where, f"{str(said)[:40]}, expected a file like faces.csv")
-    path = folder / said
-    check_copied(where, path, folder / "plan")
+    path = placed(folder, said)
+    if is_url(path):
+        data = Store(path).read(checked(path, trust().urls), _MOST_BYTES)
+    else:
+        check_copied(where, Path(path), folder / "plan")
+        data = read_bytes(Path(path), _MOST_BYTES)
     try:
-        reader = csv.reader(io.StringIO(read_bytes(path, _MOST_BYTES).decode("utf-8-sig")), strict=True)
+        reader = csv.reader(io.StringIO(data.decode("utf-8-sig")), strict=True)
         header = [one.strip() for one in next(reader, [])]
         lines = [(reader.line_num, line) for line in reader if any(one.strip() for one in line)]
     except (UnicodeDecodeError, csv.Error) as error:

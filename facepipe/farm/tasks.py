@@ -10,6 +10,7 @@ from pathlib import Path
 
 from facepipe.core.errors import InputError
 from facepipe.farm.plan import OUT, Plan, Step, filled
+from facepipe.farm.remote import is_url, placed
 from facepipe.farm.table import Row
 
 _NUMBER = re.compile(r"-\d*\.?\d*(e-?\d+)?")
@@ -65,9 +66,9 @@ def result_of(plan: Plan, task: Task) -> str:
     values = {} if task.row is None else task.row.values
     for name in _WHOLE.findall(task.step.out):
         value = values.get(name, "")
-        if Path(value).is_absolute() or ".." in re.split(r"[/\\]", value) or "\0" in value:
+        if Path(value).is_absolute() or is_url(value) or ".." in re.split(r"[/\\]", value) or "\0" in value:
             raise InputError(task.name, f"{{{name}}} is {value[:80]}, which leads out of the folder of results")
-    return _from(plan, plan.out / os.path.normpath(filled(task.step.out, {**values, OUT: "."})))
+    return _from(plan, placed(plan.out, filled(task.step.out, {**values, OUT: "."})))
 
 
 def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> list[str]:
@@ -92,9 +93,9 @@ def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> lis
     return [*words, "-o", out] if out else words
 
 
-def _from(plan: Plan, path: Path) -> str:
-    """A path from the plan's folder, so that what is written is the same wherever that is."""
+def _from(plan: Plan, path: str) -> str:
+    """A path from the plan's folder, so that what is written is the same wherever that is; a URL as it is."""
     try:
-        return Path(os.path.relpath(path, plan.folder)).as_posix()
+        return path if is_url(path) else Path(os.path.relpath(path, plan.folder)).as_posix()
     except ValueError:  # another drive
-        return path.as_posix()
+        return Path(path).as_posix()

@@ -9,7 +9,7 @@ import errno
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,10 @@ from facepipe.core.digests import digest
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import is_writable, trust
 from facepipe.farm.cache import Cache
-from facepipe.farm.contents import Contents, state_of, unchanged
+from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import Record
+from facepipe.farm.mirror import Mirror
+from facepipe.farm.remote import StoreError, is_url
 from facepipe.stage.attribution import attribution_of
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.textures import texture_folder
@@ -48,7 +50,9 @@ class Line:
     run: Callable[[], Outcome]
 
 
-def work(request: Mapping[str, Any], read_line: Callable[[list[str]], Line], contents: Contents) -> Record:
+def work(
+    request: Mapping[str, Any], read_line: Callable[[list[str]], Line], contents: Contents, mirror: Mirror
+) -> Record:
     """Do a task; faults are in the record.
 
     :param request: task, words, and the last record of the task, or null; cache, its folder, or null, and cache_bytes
@@ -56,12 +60,14 @@ def work(request: Mapping[str, Any], read_line: Callable[[list[str]], Line], con
     record: Record = {"task": request["task"], "words": request["words"], "version": __version__}
     start = time.perf_counter()
     try:
-        line = read_line(list(request["words"]))
+        line = read_line(mirror.words(request["words"]))
         _check_places(line)
+        mirror.fetch(line.reads)
         found = [contents.of(path) for path in line.reads]
         record["key"] = key = _key(request["words"], [one.digest for one in found])
-        record["reads"] = {path: state for one in found for path, state in one.states.items()}
-        record |= _kept(request.get("last"), key) or _result(request, line, key)
+        states = {mirror.name(Path(path)): state for one in found for path, state in one.states.items()}
+        record["reads"] = {name: mirror.state(name) if is_url(name) else state for name, state in states.items()}
+        record |= _kept(request.get("last"), key, mirror) or _result(request, line, key, mirror)
     except FacepipeError as error:
         record |= {"status": FAILED, "error": str(error), "passing": _is_passing(error)}
     except (OSError, MemoryError) as error:
@@ -69,6 +75,9 @@ def work(request: Mapping[str, Any], read_line: Callable[[list[str]], Line], con
     except Exception as error:  # a fault of ours or of a plug-in: the rest goes on
         what = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
         record |= {"status": FAILED, "error": f"{request['task']}: {what}", "passing": False}
+    finally:
+        mirror.clear()
+    record = mirror.said(record)
     return {"seconds": round(time.perf_counter() - start, 4), **record}  # of what is kept those that it took to make it
 
 
@@ -85,38 +94,47 @@ def _check_places(line: Line) -> None:
             raise InputError(path, f"is outside the roots ({roots}), expected --root")
 
 
-def _kept(last: Mapping[str, Any] | None, key: str) -> Record | None:
+def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror) -> Record | None:
     """The last result, where it is that of the key and still there."""
     if last is None or last.get("key") != key or last["status"] == FAILED:
         return None
-    for path, (state, own) in last["writes"].items():
-        if not unchanged({path: state}) and (state_of(path) is None or digest([Path(path)]) != own):
+    writes = {name: [mirror.state(name), own] for name, (_, own) in last["writes"].items()}
+    for name, (state, own) in writes.items():
+        if state != tuple(last["writes"][name][0]) and (state is None or mirror.digest(name) != own):
             return None
-    writes = {path: [state_of(path), own] for path, (_, own) in last["writes"].items()}
     same = {name: last.get(name) for name in ("report", "missed", "attribution", "verb", "seconds", "peak_mb")}
     return {**same, "status": KEPT, "writes": writes}
 
 
-def _result(request: Mapping[str, Any], line: Line, key: str) -> Record:
-    cache = Cache(Path(request["cache"]), request["cache_bytes"]) if request.get("cache") else None
+def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) -> Record:
+    cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
     known = None if cache is None else cache.fetch(key)
-    if known is not None:
-        return {**known, "status": CACHED}
+    record = known or _made(line, mirror)
+    if cache is not None and known is None:
+        cache.keep(key, record)
+    writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
+    folders = tuple(f"{mirror.name(one)}/" for path in line.writes for one in _places(path))
+    before = (request.get("last") or {}).get("writes", {})
+    mirror.remove(name for name in before if name not in writes and name.startswith(folders))
+    return {**record, "status": CACHED if known else MADE, "writes": writes}
+
+
+def _made(line: Line, mirror: Mirror) -> Record:
+    """What a line came to; of what it wrote the digests, its result last."""
     outcome = line.run()
-    files = sorted({file for path in line.writes for file in _written(path)})
-    record: Record = {
-        "status": MADE,
+    files = {file for path in line.writes for place in _places(path) for file in _files(place)}
+    for path in files:
+        mirror.check_named(path)
+    ordered = sorted(files, key=lambda path: (path == line.writes[0], path))
+    return {
         "verb": line.verb,
-        "writes": {path.as_posix(): [state_of(path), digest([path])] for path in files},
+        "writes": {mirror.name(path): [None, digest([path])] for path in ordered},
         "report": _brief(json.loads(json.dumps(outcome.report, default=str))),
         "missed": outcome.missed,
         "attribution": sorted({attribution_of(path) for path in (*line.reads, *files)} - {""}),
     }
-    if cache is not None:
-        cache.keep(key, record)
-    return record
 
 
 def _brief(value: Any) -> Any:
@@ -126,18 +144,20 @@ def _brief(value: Any) -> Any:
     return value
 
 
-def _written(path: Path) -> Iterator[Path]:
-    """What was written as a result: itself, the files in it, and the textures beside a stage."""
-    for one in (path, *([texture_folder(path)] if path.suffix.lower() in SUFFIXES else [])):
-        if one.is_dir():
-            yield from (file for file in one.rglob("*") if file.is_file())
-        elif one.is_file():
-            yield one
+def _places(path: Path) -> tuple[Path, ...]:
+    """Where a result is written: itself, and the textures beside a stage."""
+    return (path, texture_folder(path)) if path.suffix.lower() in SUFFIXES else (path,)
+
+
+def _files(path: Path) -> list[Path]:
+    return [one for one in (path, *path.rglob("*")) if one.is_file()]
 
 
 def _is_passing(error: FacepipeError) -> bool:
     """Whether it can go well another time or elsewhere: a full disk, not a bad file."""
     cause: BaseException | None = error
+    if isinstance(error, StoreError):
+        return True
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _PASSING:
             return True

@@ -90,7 +90,7 @@ def _with_line(material: Material, keyword: str, text: str, where: str, source: 
         value = _numbers(where, text.removeprefix("-halo"), 1)[0]
         return replace(material, opacity=1.0 - value if keyword == "Tr" else value)
     if keyword == "map_Kd":
-        texture = _texture(_beside(source, _file_name(text), where), where, result)
+        texture = _texture(_beside(source, texture_name(text), where), where, result)
         return replace(material, diffuse_color=TextureInput(texture=texture)) if texture else material
     return material
 
@@ -110,8 +110,8 @@ def _texture(path: Path, where: str, result: Materials) -> Texture | None:
     return result.textures[path]
 
 
-def _file_name(text: str) -> str:
-    """What is left after the options; a file name may hold blanks."""
+def texture_name(text: str) -> str:
+    """The file of a texture's line: what is left after the options; a file name may hold blanks."""
     words = text.split(" ")
     while len(words) > 1 and words[0] in _MAP_OPTIONS:
         option, *words = words

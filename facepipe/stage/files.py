@@ -7,7 +7,8 @@ import math
 import os
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
 
 import facepipe_schemas
@@ -100,6 +101,21 @@ def dependencies(path: Path) -> set[Path]:
         except (*USD_ERRORS, RuntimeError) as error:
             raise InputError(path, f"can't be read as USD: {reason(error)}") from None
     return {Path(layer.realPath) for layer in layers if layer.realPath} | {Path(str(asset)) for asset in assets}
+
+
+def named_in(path: Path) -> set[str]:
+    """The layers and textures that a USD file itself names, as it names them.
+
+    :raises InputError: it is damaged
+    """
+    with quiet_diagnostics():
+        try:
+            held = checked_layers(path)
+            names = UsdUtils.ExtractExternalReferences(str(path))
+            del held
+        except (*USD_ERRORS, RuntimeError) as error:
+            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
+    return {name.partition("[")[0] for kind in names for name in kind} - {""}
 
 
 def check_suffix(path: Path) -> None:
@@ -215,10 +231,29 @@ def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
     return layer
 
 
-def relative_path(path: str, folder: Path) -> str:
-    """`path` as seen from `folder`, beginning with a dot; as it is where that can't be."""
+_name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a_path", default=None)
+
+
+@contextlib.contextmanager
+def naming(name: Callable[[Path], str]) -> Iterator[None]:
+    """In the block, files that are copies of others at URLs are called by those where no relative path leads to them.
+
+    :param name: the URL of a path, or the path where it has none
+    """
+    token = _name.set(name)
     try:
-        relative = os.path.relpath(Path(path).resolve(), folder.resolve())
+        yield
+    finally:
+        _name.reset(token)
+
+
+def relative_path(path: str, folder: Path) -> str:
+    """`path` as seen from `folder`, beginning with a dot; as it is where that can't be, or by the name of `naming`."""
+    target, start, name = Path(path).resolve(), folder.resolve(), _name.get()
+    if name is not None and ("://" in name(target)) != ("://" in name(start)):
+        return name(target)
+    try:
+        relative = os.path.relpath(target, start)
     except ValueError:  # another drive on Windows
         return path
     text = Path(relative).as_posix()

@@ -1,0 +1,158 @@
+"""Files at URLs, through fsspec (https://filesystem-spec.readthedocs.io): Amazon's S3 and what speaks it, Google's
+storage, and this process's memory. Keys and addresses come from the environment, as their libraries read it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import posixpath
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from facepipe.core.errors import FacepipeError, InputError
+
+SCHEMES = {"s3": "s3fs", "gs": "gcsfs", "memory": "fsspec"}  # -> package that it needs
+State = tuple[int, str]  # bytes, and what tells versions apart
+_URL = re.compile(rf"({'|'.join(SCHEMES)})://[A-Za-z0-9][A-Za-z0-9._-]*(/[^/\\:*?\"<>|#@\x00-\x1f]+)*")
+_VERSIONS = ("ETag", "etag", "generation", "created", "LastModified", "mtime")  # as the stores call it
+
+
+class StoreError(FacepipeError):
+    """A store that does not answer, or not as it should: another time it may."""
+
+
+def is_url(name: str) -> bool:
+    """Whether a name is no path, of whatever kind it is."""
+    return "://" in name
+
+
+def placed(folder: str | Path, path: str) -> str:
+    """A path, from a folder where it is relative, in its shortest form; either can be a URL."""
+    whole = path if is_url(path) or Path(path).is_absolute() else f"{folder}/{path}"
+    scheme, mark, rest = whole.rpartition("://")
+    return f"{scheme}{mark}{posixpath.normpath(rest)}" if mark else os.path.normpath(whole)
+
+
+def checked(url: str, roots: Collection[str]) -> str:
+    """A URL of a file or folder below one of the roots.
+
+    :raises InputError: it is not, or is none: of another scheme, with a key or an option in it, with ``..`` in its path
+    """
+    plain = url.rstrip("/")
+    if not _URL.fullmatch(plain) or {".", ".."} & {*plain.split("/")}:
+        shown = re.sub(r"//[^/]*@", "//...@", url)[:200]
+        raise InputError(shown, f"can't be used, expected one like {'://, '.join(SCHEMES)}://BUCKET/FOLDER/FILE")
+    if not any(f"{plain}/".startswith(f"{one.rstrip('/')}/") for one in roots):
+        shown = ", ".join(roots) or "none has a URL"
+        raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(plain.split('/')[:3])}")
+    return plain
+
+
+class Store:
+    """What answers for the URLs of a scheme."""
+
+    def __init__(self, url: str) -> None:
+        """:raises InputError: its library is not installed"""
+        self._scheme = url.partition("://")[0]
+        try:
+            import fsspec
+
+            with _asked(url):
+                self._files = fsspec.filesystem(self._scheme, use_listings_cache=False)
+        except ImportError:
+            raise InputError(url, f"needs {SCHEMES[self._scheme]}: pip install {SCHEMES[self._scheme]}") from None
+
+    def info(self, url: str) -> Mapping[str, Any] | None:
+        """What the store says of a file or folder; None where there is none."""
+        with _asked(url), contextlib.suppress(FileNotFoundError):
+            found: Mapping[str, Any] = self._files.info(url)
+            return found
+        return None
+
+    def listed(self, folder: str, *, deep: bool = False) -> dict[str, State]:
+        """The states of the files in a folder, with `deep` of those in its folders too, in a few requests."""
+        with _asked(folder), contextlib.suppress(FileNotFoundError):
+            found = self._files.find(folder, maxdepth=None if deep else 1, detail=True)
+            return {self._url(name): state_in(one) for name, one in found.items() if one["type"] == "file"}
+        return {}
+
+    def matching(self, pattern: str) -> list[str]:
+        """The URLs of files that are called like a pattern."""
+        with _asked(pattern):
+            return sorted(map(self._url, self._files.glob(pattern)))
+
+    def read(self, url: str, most: int) -> bytes:
+        """:raises InputError: there is no such file, or it is larger than that [bytes]"""
+        with _asked(url):
+            data = bytes(self._files.cat_file(url, end=most + 1))
+        if len(data) > most:
+            raise InputError(url, f"larger than {most} bytes")
+        return data
+
+    def get(self, url: str, path: Path) -> None:
+        """Copy a file to a path."""
+        with _asked(url):
+            self._files.get_file(url, str(path))
+
+    def put(self, path: Path, url: str) -> None:
+        """Copy a file to a URL, where it is seen whole or not at all."""
+        with _asked(url):
+            self._files.put_file(str(path), url)
+
+    def remove(self, url: str) -> None:
+        """Remove a file."""
+        with _asked(url), contextlib.suppress(FileNotFoundError):
+            self._files.rm_file(url)
+
+    def _url(self, name: str) -> str:
+        return f"{self._scheme}://{str(name).lstrip('/')}"
+
+
+def state_in(info: Mapping[str, Any]) -> State:
+    """The state of a file that a store says something of."""
+    return int(info["size"]), str(next((info[key] for key in _VERSIONS if info.get(key)), ""))
+
+
+class States:
+    """The states of files as they were when a run first asked: a listing for a folder, not a question for a file."""
+
+    def __init__(self, deep: str) -> None:
+        """:param deep: a URL, or empty: what is below it is listed at once"""
+        self._deep = deep
+        self._listed: set[str] = set()
+        self._known: dict[str, State] = {}
+
+    def __call__(self, url: str) -> State | None:
+        """The state of a file; None where there is none, or its store does not answer."""
+        deep = bool(self._deep) and url.startswith(f"{self._deep}/")
+        folder = self._deep if deep else url.rpartition("/")[0]
+        if folder not in self._listed:
+            self._listed.add(folder)
+            with contextlib.suppress(FacepipeError):  # who does the task says what is wrong
+                self._known = {**Store(url).listed(folder, deep=deep), **self._known}
+        return self._known.get(url)
+
+    def learn(self, writes: Mapping[str, Iterable[Any]]) -> None:
+        """What a task has written in the meantime."""
+        self._known |= {name: tuple(state) for name, (state, _) in writes.items() if is_url(name)}
+
+
+@contextlib.contextmanager
+def _asked(url: str) -> Iterator[None]:
+    """Errors of the libraries, of which each store has its own, in one line."""
+    try:
+        yield
+    except (FacepipeError, ImportError):
+        raise
+    except FileNotFoundError:
+        raise InputError(url, "no such file") from None
+    except PermissionError as error:
+        raise InputError(url, f"access denied: {_line(error)}") from None
+    except Exception as error:
+        raise StoreError(url, f"{type(error).__name__}: {_line(error)}") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
