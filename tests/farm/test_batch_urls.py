@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import Capsys, done, failed
 from conftest import PLAN, Runner
 from faces import tiny_face, with_meshes
 from textures import COLORS, picture, textured
@@ -144,6 +146,7 @@ def test_a_face_that_is_not_there_fails_alone(s3: Any, show: Path, run_urls: Run
         ("https://localhost/ada.bin", "can't be used"),
         ("simplecache::s3://show/heads/ada.bin", "can't be used"),
         ("s3:/show/heads/ada.bin", "no such file"),
+        ("s3://show/.facepipe-0123456789abcdef/ada.bin", "can't be used"),
     ],
 )
 def test_a_url_that_is_none_of_the_roots_is_a_line(s3: Any, show: Path, run_urls: Runner, url: str, fault: str) -> None:
@@ -263,6 +266,22 @@ def test_sources_results_and_bases_can_have_a_place_each(
     assert made("another") == first  # wherever a worker has its copies
     s3.pipe_file("show/src/body_textures/skin.png", picture("skin.png", COLORS[::-1]).data)
     assert made("another")["other/built/game/ada.glb"] != first["other/built/game/ada.glb"]
+
+
+def test_the_command_takes_urls_as_roots(
+    s3: Any, show: Path, sources: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s3.put(str(show / "src"), "show/", recursive=True)
+    monkeypatch.chdir(show)
+    words = ("batch", "--each", "s3://show/src/heads/*.usda", "-o", "s3://show/game/{name}.glb", "--processes", "1")
+    line = ("--", "export", "{face}")
+    assert "outside the roots (none has a URL)" in failed(capsys, *words, *line, folder=show)
+    done(capsys, *words, "--root", "s3://show", *line, quiet=False)
+    assert sorted(s3.ls("show/game")) == ["show/game/ada.glb", "show/game/bea.glb"]
+    pictures = [path.name for path in (show / "facepipe_batch/thumbnails").iterdir()]
+    assert sorted(pictures) == ["ada.png", "bea.png"]
+    monkeypatch.setenv("FACEPIPE_ROOTS", f"{show}{os.pathsep}s3://show")
+    assert "4 kept" in done(capsys, *words, *line, quiet=False)
 
 
 def test_a_local_result_over_a_layer_at_a_url_is_refused(s3: Any, show: Path, sources: Path, run_urls: Runner) -> None:
