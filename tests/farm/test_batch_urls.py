@@ -14,10 +14,13 @@ import pytest
 from command_line import Capsys, done, failed
 from conftest import PLAN, Runner
 from faces import tiny_face, with_meshes
+from farm_cluster import farm_in
 from textures import COLORS, picture, textured
 
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trust, trusting
+from facepipe.farm.batch import batch
+from facepipe.farm.plan import read_plan
 from facepipe.farm.report import BatchReport
 from facepipe.parts import Material
 from facepipe.stage import save_parts
@@ -194,6 +197,22 @@ def test_a_lost_connection_is_tried_again_and_then_told(
     assert records["mixed/cyd"]["lost"] == 2
     server.cuts.clear()
     assert dict(run_urls().counts) == {"kept": 4, "made": 2}
+
+
+def test_workers_of_a_cluster_have_copies_of_their_own(s3: Any, show: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    (show / "plan.toml").write_text(AT_URLS)
+    (tmp_path / "file").touch()
+    with farm_in(tmp_path / "farm") as farm, trusting(Trust(urls=("s3://show",))):
+        farm.worker(XDG_CACHE_HOME=str(tmp_path / "file"))  # has no place for copies
+        farm.worker(XDG_CACHE_HOME=str(tmp_path / "own"))
+        with distributed.Client(farm.address, set_as_default=False) as client:
+            client.wait_for_workers(2)
+        report = batch(read_plan(show / "plan.toml"), show / "state", cluster=farm.address)
+    assert dict(report.counts) == {"made": 6}, report.failures
+    assert s3.cat_file("show/built/game/bea.bin") == b"beabase"
+    assert any((tmp_path / "own/facepipe/copies").iterdir())
+    assert [line for line in report.warnings if "can't be made" in line and "its tasks go to others" in line]
 
 
 FACES = """
