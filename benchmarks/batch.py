@@ -39,7 +39,7 @@ run = "sample --seed {seed} --textures 0"
 out = "people/{name}.usdc"
 [steps.child]
 run = "blend {person} {base}"
-out = "children/{name}.usda"
+out = "children/{name}.usdc"
 [steps.fitted]
 run = "fit-bones {child} --target jawOpen --limits limits/{name}.json --coefficients {out}/bones/{name}.fpb"
 out = "fitted/{name}.usda"

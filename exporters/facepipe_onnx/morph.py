@@ -66,8 +66,7 @@ def morph_nodes(
     # the 1 multiplies the neutral points
     one = nodes.constant("one", np.ones((batch, 1)))
     activations = nodes.concat([activations or activation_nodes(nodes, rig), one], 1)
-    deltas = rig.deltas.tocsc()
-    pieces = [_group(nodes, activations, deltas, neutral, parts, group, batch) for group in parts.groups]
+    pieces = [_group(nodes, activations, rig.deltas, neutral, parts, group, batch) for group in parts.groups]
     blocks = sum(len(group.blocks) for group in parts.groups)
     return nodes.reshape(nodes.concat(pieces, 1), batch, blocks, 3 * parts.size)
 
@@ -75,7 +74,7 @@ def morph_nodes(
 def _group(
     nodes: Nodes,
     activations: str,
-    deltas: sparse.csc_array,
+    deltas: sparse.csr_array,
     neutral: FloatArray,
     parts: Partition,
     group: Group,
@@ -87,6 +86,6 @@ def _group(
     if not len(group.columns):
         return nodes.constant("still_points", np.tile(rest, (batch, 1)))
     rows = (3 * points[:, None] + np.arange(3)).ravel()
-    dense = deltas[:, group.columns].tocsr()[rows].toarray().T
+    dense = deltas[rows][:, group.columns].toarray().T
     own = nodes.gather(activations, 1, [*group.columns.tolist(), deltas.shape[1]])
     return nodes.add("MatMul", own, nodes.constant("shape_offsets", np.concatenate([dense, rest])))

@@ -63,6 +63,8 @@ class Child:
                     why = f"signal {-code}" if code < 0 else f"exit code {code}"
                     raise ChildLostError(request["task"], f"its process ended ({why})")
                 found: dict[str, Any] = json.loads(answer)
+                if found.pop("grown", False):
+                    self.end()
                 return found
             if until is not None and time.monotonic() > until:
                 self.end()

@@ -24,12 +24,12 @@ class Ledger:
     def __init__(self, path: Path, file: IO[bytes], records: dict[str, Record]) -> None:
         self._path, self._file, self.records = path, file, records
 
-    def add(self, record: Mapping[str, Any]) -> None:
+    def add(self, record: Record) -> None:
         """Keep a record before anything else happens.
 
         :raises InputError: it can't be written
         """
-        self.records[record["task"]] = dict(record)
+        self.records[record["task"]] = record
         try:
             self._file.write(_line(record))
             self._file.flush()

@@ -62,17 +62,21 @@ class Asset:
         return next((name, point - part.points.start) for name, part in self.parts.items() if point < part.points.stop)
 
 
-@cache
-def arrays(name: str) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of a file of the package data."""
+def _read(name: str) -> dict[str, npt.NDArray[Any]]:
     with as_file(files("facepipe.heads") / "data" / f"{name}.npz") as path, np.load(path, allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
 
 
 @cache
+def arrays(name: str) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of a file of the package data."""
+    return _read(name)
+
+
+@cache
 def asset() -> Asset:
     """The head, read when it is first asked for."""
-    found = arrays("head")
+    found = _read("head")  # not kept packed too
     names = [str(name) for name in found["shape_names"]]
     shapes: dict[str, dict[float, npt.NDArray[np.float32]]] = {}
     for name, weight, offsets in zip(names, found["shape_weights"], unpacked(found["shapes"]), strict=True):
@@ -80,7 +84,7 @@ def asset() -> Asset:
     masks = found["regions"] / found["regions"].sum(axis=0, dtype=np.float64)
     return Asset(
         points=found["points"].astype(np.float64),
-        modes=unpacked(arrays("modes")["modes"]),
+        modes=unpacked(_read("modes")["modes"]),
         shapes=shapes,
         parts=_parts(found),
         counts=found["counts"].astype(np.int32),

@@ -59,8 +59,8 @@ class Rig:
     @cached_property
     def deltas(self) -> sparse.csr_array:
         """(3 n, targets) point offsets of every target, rows x y z point by point."""
-        rows = [(3 * t.point_indices[:, None] + np.arange(3)).ravel() for t in self.targets]
-        columns = [np.full(3 * len(t.point_indices), i) for i, t in enumerate(self.targets)]
+        rows = [(3 * t.point_indices[:, None] + np.arange(3)).ravel().astype(np.int32) for t in self.targets]
+        columns = [np.full(3 * len(t.point_indices), i, np.int32) for i, t in enumerate(self.targets)]
         values = [t.offsets.ravel() for t in self.targets]
         shape = (3 * len(self.points), len(self.targets))
         if not self.targets:

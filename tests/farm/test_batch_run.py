@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -122,6 +123,16 @@ def test_a_task_that_hangs_is_ended(show: Path, run_plan: Runner) -> None:
 def test_a_task_that_takes_too_much_memory_is_ended(show: Path, run_plan: Runner) -> None:
     more = '[steps.bad]\nonce = true\nrun = "eat 900"\nmemory_mb = 600\n'
     assert "MB, expected at most 600" in run_plan(PLAN + more, failures=0).failures[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what a process has is known on Linux alone")
+def test_a_process_that_loses_memory_is_replaced_and_no_task_is_lost(show: Path, run_plan: Runner) -> None:
+    rows = "range = { seed = [1, 7] }"
+    report = run_plan(PLAN.replace('glob = "heads/*.bin"', rows).replace("copy {face} base.bin", "keep {name}"))
+    assert dict(report.counts) == {"made": 14}
+    assert len({one.read_text() for one in (show / "built/mixed").iterdir()}) > 1
+    records = json.loads((show / "state/report.json").read_text())["records"]
+    assert {one["lost"] for one in records} == {0}
 
 
 def test_a_full_disk_is_tried_again_and_then_told(show: Path, run_plan: Runner) -> None:

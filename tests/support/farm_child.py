@@ -16,10 +16,12 @@ from facepipe.cli.batch_child import main  # noqa: E402
 from facepipe.cli.batch_child import read_line as read_command  # noqa: E402
 from facepipe.farm.work import Line, Outcome  # noqa: E402
 
+_kept: list[bytes] = []
+
 
 def read_line(words: list[str]) -> Line:
     """``copy SOURCE ... -o OUT``, ``slow SECONDS SOURCE ... -o OUT``, ``die``, ``die-once MARK``, ``hang``, ``eat MB``,
-    ``fill -o OUT``; else a command.
+    ``fill -o OUT``, ``keep NAME -o OUT``; else a command.
     """
     verb, rest = words[0], words[1:]
     out = [Path(rest[rest.index("-o") + 1])] if "-o" in rest else []
@@ -32,6 +34,7 @@ def read_line(words: list[str]) -> Line:
         "hang": _hang,
         "eat": _eat,
         "fill": _fill,
+        "keep": _keep,
     }.get(verb)
     if made is None:
         return read_command(words)
@@ -73,6 +76,12 @@ def _eat(amounts: list[Path], out: list[Path]) -> Outcome:
     held = bytearray(os.urandom(1 << 20)) * int(str(amounts[0]))
     time.sleep(600)
     return Outcome(report={"held": len(held)})
+
+
+def _keep(sources: list[Path], out: list[Path]) -> Outcome:
+    _kept.append(os.urandom(1 << 20) * 60)
+    out[0].write_text(str(os.getpid()))
+    return Outcome()
 
 
 def _fill(sources: list[Path], out: list[Path]) -> Outcome:
