@@ -15,8 +15,8 @@ from facepipe.core.project import Project
 from facepipe.declare import fields_of
 
 # a project may be of others: it decides how, not where to, with what trust, or by whom
-_NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace", "state", "each", "cluster", "cache"}
-_NEVER |= {"local"}
+_NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace"}
+_NEVER |= {"state", "each", "cluster", "cache", "local"}  # of batch
 
 
 Modules = Callable[[str], Any]  # a command -> what configures it, None for no command
