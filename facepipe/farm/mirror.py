@@ -144,6 +144,8 @@ class Mirror:
     def _local(self, word: str) -> str:
         def placed(found: re.Match[str]) -> str:
             scheme = found[0].removesuffix("://")
+            if scheme.rpartition(":")[2] not in SCHEMES:
+                return found[0]  # the address of a licence, say: nothing is read there
             if scheme not in SCHEMES or not self._urls:
                 checked(word[found.start() :], ())  # says why
             return f"{self._folder}/{scheme}/"

@@ -16,6 +16,7 @@ from textures import COLORS, picture, textured
 
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trust, trusting
+from facepipe.farm.mirror import mirror
 from facepipe.farm.report import BatchReport
 from facepipe.parts import Material
 from facepipe.stage import save_parts
@@ -139,9 +140,9 @@ def test_a_face_that_is_not_there_fails_alone(s3: Any, show: Path, run_urls: Run
         ("s3://key@show/heads/ada.bin", "s3://...@show/heads/ada.bin: can't be used"),
         ("s3://show/heads/ada.bin?versionId=1", "can't be used"),
         ("gs://show/heads/ada.bin", "is outside the roots"),
-        ("file:///etc/hostname", "can't be used"),
-        ("local://etc/hostname", "can't be used"),
-        ("https://localhost/ada.bin", "can't be used"),
+        ("file:///etc/hostname", "no such file"),
+        ("local://etc/hostname", "no such file"),
+        ("https://localhost/ada.bin", "no such file"),
         ("simplecache::s3://show/heads/ada.bin", "can't be used"),
         ("s3:/show/heads/ada.bin", "no such file"),
     ],
@@ -162,6 +163,12 @@ def test_a_url_that_is_none_of_the_roots_is_a_line(s3: Any, show: Path, run_urls
 def test_a_plan_never_chooses_its_roots(s3: Any, run_urls: Runner, change: tuple[str, str]) -> None:
     with pytest.raises(InputError, match=r"outside the roots \(s3://show\)|can't be used"):
         run_urls(AT_URLS.replace(*change))
+
+
+def test_addresses_that_are_no_files_stay_words() -> None:
+    line = ["export", "face.usda", "--license-url", "https://vrm.dev/licenses/1.0/"]
+    with mirror((), None, 0) as here:
+        assert here.words(line) == line
 
 
 def test_without_a_root_no_url_is_read(run_urls: Runner) -> None:
