@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import Parser
-from facepipe.cli.show import quiet_libraries
+from facepipe.cli.show import note, quiet_libraries
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import check_input
@@ -117,11 +117,15 @@ def _run(words: list[str]) -> int:
 def _project() -> Project | None:
     """The project that the line is typed in."""
     folder = Path.cwd()
-    if not any((one / PROJECT).is_file() for one in (folder, *folder.parents)):
+    named = "FACEPIPE_PROJECT" in os.environ
+    if not named and not any((one / PROJECT).is_file() for one in (folder, *folder.parents)):
         return None
-    from facepipe.core.project import project_around
+    from facepipe.core.project import VARIABLE, project_around
 
-    return project_around(folder)
+    project = project_around(folder)
+    if project is not None and project.roots and not project.trusted:
+        note(f"warning: roots of {project.file} are left out, expected {VARIABLE}={project.file} if you trust them")
+    return project
 
 
 def in_project(project: Project, words: Sequence[str], folder: Path, out: str = "") -> list[str]:

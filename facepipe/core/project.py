@@ -1,4 +1,5 @@
-"""The project that a caller works in: the nearest ``facepipe.toml`` around the working folder.
+"""The project that a caller works in: that of the variable FACEPIPE_PROJECT, else the nearest ``facepipe.toml`` around
+the working folder, which may be of others: its roots don't count.
 
     roots = ["/mnt/assets", "../library"]
 
@@ -12,13 +13,14 @@
     [defaults."neural-rig train"]
     steps = 4000
 
-Paths are relative to the file. An empty one is a mark.
+Paths are relative to the file. An empty one is a mark. Roots are beside its own folder.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from facepipe.core.reading import read_toml
 from facepipe.core.trust import PROJECT
 
 _MOST_BYTES = 1 << 20
+VARIABLE = "FACEPIPE_PROJECT"
 _KEYS = ("roots", "names", "defaults")
 
 
@@ -36,21 +39,24 @@ class Project:
     """What a project says."""
 
     file: Path
-    roots: tuple[Path, ...] = ()  # beside its own folder
+    roots: tuple[Path, ...] = ()
+    trusted: bool = False  # the caller has named it
     names: Mapping[str, Path] = field(default_factory=dict)  # tables of other names, by what they are called
     defaults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # command -> option -> value
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """Its folder and its roots."""
-        return (self.file.parent, *self.roots)
+        """Its folder, and its roots where it is trusted."""
+        return (self.file.parent, *(self.roots if self.trusted else ()))
 
 
 def project_around(folder: Path) -> Project | None:
-    """The project whose file is in a folder or the nearest one around it; None where there is none.
+    """The project that the environment names, else that of the nearest file around a folder; None where there is none.
 
     :raises InputError: a file that can't be read, or says what no project says
     """
+    if os.environ.get(VARIABLE):
+        return replace(_read(Path(os.environ[VARIABLE]).absolute()), trusted=True)
     for one in (folder.absolute(), *folder.absolute().parents):
         if (one / PROJECT).is_file():
             return _read(one / PROJECT)

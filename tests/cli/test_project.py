@@ -70,8 +70,10 @@ def test_a_fault_is_one_line(show: Path, capsys: Capsys, text: str, said: str) -
     assert err.count("\n") == 1
 
 
-def test_its_roots_are_those_of_the_files_in_it(show: Path, tmp_path: Path, capsys: Capsys) -> None:
-    """A recipe may be cooked in an asset folder elsewhere where the project says so."""
+def test_roots_of_a_project_that_the_caller_names_are_those_of_the_files_in_it(
+    show: Path, tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recipe may be cooked in an asset folder elsewhere where the project says so, and the caller trusts it."""
     (tmp_path / "assets").mkdir()
     for name in ("a", "b"):
         save_parts(tiny_face(), tmp_path / f"assets/{name}.usda")
@@ -82,6 +84,11 @@ def test_its_roots_are_those_of_the_files_in_it(show: Path, tmp_path: Path, caps
     assert code == 1
     assert "outside the roots" in out
     (show / "facepipe.toml").write_text('roots = ["../assets"]\n')
+    code, out, err = run(capsys, "cook", "person.usda", "--json")
+    assert code == 1
+    assert "roots of" in err
+    assert "outside the roots" in out
+    monkeypatch.setenv("FACEPIPE_PROJECT", str(show / "facepipe.toml"))
     code, out, _ = run(capsys, "cook", "person.usda", "--json")
     assert code == 0
     assert "cooked" in json.dumps(json.loads(out))

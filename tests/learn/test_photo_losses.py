@@ -262,7 +262,7 @@ def test_gradients_of_terms_are_those_of_finite_differences(
     assert own == pytest.approx(expected, rel=bound)
 
 
-@pytest.mark.parametrize(("name", "size"), [("shares", 1e-2), ("expressions", 1e-2), ("poses", 3e-3)])
+@pytest.mark.parametrize(("name", "size"), [("shares", 1e-2), ("expressions", 5e-2), ("poses", 3e-3)])
 def test_color_has_slopes_along_which_it_falls(name: str, size: float) -> None:
     """What is behind what changes with every step: to a factor of 2, at the resolution that fits use."""
     own, real = slopes(portrait(size=224), "color", name, size, {})
