@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.hidden_folders import PREFIX
 
 SCHEMES = {"s3": "s3fs", "gs": "gcsfs", "memory": "fsspec"}  # -> package that it needs
 State = tuple[int, str]  # bytes, and what tells versions apart
@@ -41,12 +42,13 @@ def checked(url: str, roots: Collection[str]) -> str:
     :raises InputError: it is not, or is none: of another scheme, with a key or an option in it, with ``..`` in its path
     """
     plain = url.rstrip("/")
-    if not _URL.fullmatch(plain) or {".", ".."} & {*plain.split("/")}:
+    parts = plain.split("/")
+    if not _URL.fullmatch(plain) or {".", ".."} & {*parts} or any(one.startswith(PREFIX) for one in parts):
         shown = re.sub(r"//[^/]*@", "//...@", url)[:200]
         raise InputError(shown, f"can't be used, expected one like {'://, '.join(SCHEMES)}://BUCKET/FOLDER/FILE")
     if not any(f"{plain}/".startswith(f"{one.rstrip('/')}/") for one in roots):
         shown = ", ".join(roots) or "none has a URL"
-        raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(plain.split('/')[:3])}")
+        raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(parts[:3])}")
     return plain
 
 

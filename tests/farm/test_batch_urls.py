@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -10,13 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import Capsys, done, failed
 from conftest import PLAN, Runner
 from faces import tiny_face, with_meshes
+from farm_cluster import farm_in
 from textures import COLORS, picture, textured
 
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trust, trusting
+from facepipe.farm.batch import batch
 from facepipe.farm.mirror import mirror
+from facepipe.farm.plan import read_plan
 from facepipe.farm.report import BatchReport
 from facepipe.parts import Material
 from facepipe.stage import save_parts
@@ -145,6 +150,7 @@ def test_a_face_that_is_not_there_fails_alone(s3: Any, show: Path, run_urls: Run
         ("https://localhost/ada.bin", "no such file"),
         ("simplecache::s3://show/heads/ada.bin", "can't be used"),
         ("s3:/show/heads/ada.bin", "no such file"),
+        ("s3://show/.facepipe-0123456789abcdef/ada.bin", "can't be used"),
     ],
 )
 def test_a_url_that_is_none_of_the_roots_is_a_line(s3: Any, show: Path, run_urls: Runner, url: str, fault: str) -> None:
@@ -198,6 +204,22 @@ def test_a_lost_connection_is_tried_again_and_then_told(
     assert records["mixed/cyd"]["lost"] == 2
     server.cuts.clear()
     assert dict(run_urls().counts) == {"kept": 4, "made": 2}
+
+
+def test_workers_of_a_cluster_have_copies_of_their_own(s3: Any, show: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    (show / "plan.toml").write_text(AT_URLS)
+    (tmp_path / "file").touch()
+    with farm_in(tmp_path / "farm") as farm, trusting(Trust(urls=("s3://show",))):
+        farm.worker(XDG_CACHE_HOME=str(tmp_path / "file"))  # has no place for copies
+        farm.worker(XDG_CACHE_HOME=str(tmp_path / "own"))
+        with distributed.Client(farm.address, set_as_default=False) as client:
+            client.wait_for_workers(2)
+        report = batch(read_plan(show / "plan.toml"), show / "state", cluster=farm.address)
+    assert dict(report.counts) == {"made": 6}, report.failures
+    assert s3.cat_file("show/built/game/bea.bin") == b"beabase"
+    assert any((tmp_path / "own/facepipe/copies").iterdir())
+    assert [line for line in report.warnings if "can't be made" in line and "its tasks go to others" in line]
 
 
 FACES = """
@@ -270,6 +292,22 @@ def test_sources_results_and_bases_can_have_a_place_each(
     assert made("another") == first  # wherever a worker has its copies
     s3.pipe_file("show/src/body_textures/skin.png", picture("skin.png", COLORS[::-1]).data)
     assert made("another")["other/built/game/ada.glb"] != first["other/built/game/ada.glb"]
+
+
+def test_the_command_takes_urls_as_roots(
+    s3: Any, show: Path, sources: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s3.put(str(show / "src"), "show/", recursive=True)
+    monkeypatch.chdir(show)
+    words = ("batch", "--each", "s3://show/src/heads/*.usda", "-o", "s3://show/game/{name}.glb", "--processes", "1")
+    line = ("--", "export", "{face}")
+    assert "outside the roots (none has a URL)" in failed(capsys, *words, *line, folder=show)
+    done(capsys, *words, "--root", "s3://show", *line, quiet=False)
+    assert sorted(s3.ls("show/game")) == ["show/game/ada.glb", "show/game/bea.glb"]
+    pictures = [path.name for path in (show / "facepipe_batch/thumbnails").iterdir()]
+    assert sorted(pictures) == ["ada.png", "bea.png"]
+    monkeypatch.setenv("FACEPIPE_ROOTS", f"{show}{os.pathsep}s3://show")
+    assert "4 kept" in done(capsys, *words, *line, quiet=False)
 
 
 def test_a_local_result_over_a_layer_at_a_url_is_refused(s3: Any, show: Path, sources: Path, run_urls: Runner) -> None:
