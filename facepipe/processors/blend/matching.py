@@ -51,7 +51,7 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     basis, goal = basis - means, goal - means.sum(axis=1) / count
     fitted = fit_simplex(basis.T @ basis, basis.T @ goal, rows, count, locked=locks)
     off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
-    table = [tuple(map(float, row)) for row in fitted.weights]
+    table = [tuple(map(float, row)) for row in np.round(fitted.weights, 9)]  # last bits differ with the threads of BLAS
     weights = Weights(
         regions=dict(zip(net.regions, table[:-1], strict=True)), default=table[-1], locked=dict(locked or {})
     )

@@ -25,7 +25,7 @@ if edit:
     head.data.shape_keys.key_blocks["jawOpen"].data[7].co.z += 0.5
     head.vertex_groups["region:mouth"].add([3], 1.0, "REPLACE")
     head.vertex_groups["region:neck"].add([3], 1.0, "REPLACE")
-    meshes["TeethUpper"].location.z += 0.25
+    meshes["Teeth"].location.z += 0.25
 answer(
     frame=bpy.context.scene.frame_current,
     rate=bpy.context.scene.render.fps,
