@@ -10,10 +10,15 @@ meshes = {one.name: one for one in bpy.data.objects if one.type == "MESH"}
 bpy.context.scene.frame_set(5)
 played = {f"played {name}": world_points(obj) for name, obj in meshes.items()}
 if weights:  # the clip that the face plays would set them again
-    bpy.context.scene.frame_set(0)  # where it rests
     for one in (*bpy.data.armatures, *bpy.data.objects, *bpy.data.shape_keys):
         if one.animation_data:
             one.animation_data.action = None
+    for keys in bpy.data.shape_keys:
+        for key in keys.key_blocks:
+            key.value = 0.0
+    for one in bpy.data.objects:
+        for bone in one.pose.bones if one.pose else ():
+            bone.matrix_basis.identity()
 for obj in meshes.values():
     for name, weight in weights.items():
         keys = obj.data.shape_keys
