@@ -17,6 +17,7 @@ from facepipe.declare import fields_of
 # a project may be of others: it decides how, not where to, with what trust, or by whom
 _NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace"}
 _NEVER |= {"state", "each", "cluster", "cache", "local"}  # of batch
+_NEVER |= {"checkpoint", "wheels"}  # a file that training writes, and code that an add-on takes in
 
 
 Modules = Callable[[str], Any]  # a command -> what configures it, None for no command

@@ -95,9 +95,10 @@ def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapp
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:
-    """A plan with a step more, which draws the last stage of each face, or the face of the table.
+    """A plan with a step more, which draws the last stage of each face, or the face of the table; unless it has a step
+    of that name.
 
-    :raises InputError: a size that pictures can't have, or a step of its name
+    :raises InputError: a size that pictures can't have
     """
     if not size:
         return plan

@@ -59,11 +59,15 @@ def test_an_option_of_one_format_is_left_out_for_another(show: Path, capsys: Cap
         ("[defaults.render]\noutput = 'x.png'\n", "'output' is no option that a project can choose"),
         ("[defaults.render]\ntrust-models = true\n", "'trust-models' is no option that a project can choose"),
         ("[defaults.batch]\ncluster = 'tcp://1.2.3.4:1'\n", "'cluster' is no option that a project can choose"),
+        ("[defaults.blender-addon]\nwheels = 'theirs'\n", "'wheels' is no option that a project can choose"),
+        ('[defaults."neural-rig train"]\ncheckpoint = "../x"\n', "'checkpoint' is no option that a project can choose"),
     ],
 )
 def test_a_fault_is_one_line(show: Path, capsys: Capsys, text: str, said: str) -> None:
     (show / "facepipe.toml").write_text(text)
-    words = ("batch", "plan.toml") if "batch" in text else ("render", "face.usda", "-o", "a.png")
+    lines = {"batch": "plan.toml", "blender-addon": "-o a.zip", "neural-rig train": "face.usda -o a.fpnr"}
+    command = next((one for one in lines if one in text), "render")
+    words = f"{command} {lines.get(command, 'face.usda -o a.png')}".split()
     code, _, err = run(capsys, *words)
     assert code == 2
     assert said in err
