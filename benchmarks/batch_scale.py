@@ -4,7 +4,7 @@ One side is `facepipe.farm.run.Run` with a simulated engine, whose workers answe
 as real ones. The other is a Dask scheduler in a process of its own, with
 a worker in another.
 
-    python benchmarks/batch_scale.py [--tasks 100000] [--dask-tasks 10000] [--json out.json]
+    python benchmarks/batch_scale.py [--tasks 100000] [--json out.json]
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def plan(folder: Path, tasks: int) -> Plan:
         face = f"{{step{number - 1}}}" if number else "{seed}"
         words = ("export", face, "--limits", "limits.json")
         steps[f"step{number}"] = Step(name=f"step{number}", words=words, out=f"step{number}/{{name}}.glb")
-    return plan_of("plan", folder, folder / "built", rows, steps)
+    return plan_of("plan", folder, str(folder / "built"), rows, steps)
 
 
 def run(folder: Path, tasks: int, engine: Any) -> Json:
@@ -183,8 +183,7 @@ def over_dask(folder: Path, tasks: int) -> Json:
 def main() -> None:
     """Run all sides, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", type=positive, default=100_000, help="of the simulated engine (default 100000)")
-    parser.add_argument("--dask-tasks", type=positive, default=10_000, help="(default 10000)")
+    parser.add_argument("--tasks", type=positive, default=100_000, help="of each side (default 100000)")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -193,7 +192,7 @@ def main() -> None:
             (folder / name).mkdir()
         figures = {
             "simulated": run(folder / "simulated", arguments.tasks, Simulated()),
-            "dask": over_dask(folder / "dask", arguments.dask_tasks),
+            "dask": over_dask(folder / "dask", arguments.tasks),
         }
     print("\n".join(table(figures)))
     if arguments.json:
