@@ -87,8 +87,9 @@ class Nodes:
             [helper.make_tensor_value_info(end, TensorProto.FLOAT, shape) for end, shape in side.items()]
             for side in (inputs, outputs)
         ]
-        tensors = [numpy_helper.from_array(values, constant) for constant, values in self.constants.items()]
-        graph = helper.make_graph(self.nodes, name, *ends, tensors)
+        graph = helper.make_graph(self.nodes, name, *ends)
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="facepipe")
         model.ir_version = IR_VERSION
+        for constant, values in self.constants.items():  # the helpers would copy all tensors twice
+            model.graph.initializer.append(numpy_helper.from_array(values, constant))
         return model

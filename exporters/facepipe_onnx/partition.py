@@ -120,7 +120,9 @@ def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
     union, weight = patterns.astype(np.float64), weight.astype(np.float64)
     labels, alive = np.arange(len(union)), np.ones(len(union), dtype=bool)
     width = union.sum(axis=1)
-    fill = np.stack([_fill(union, width, weight, alive, i) for i in range(len(union))])
+    fill = np.empty((len(union), len(union)))
+    for i in range(len(union)):
+        fill[i] = _fill(union, width, weight, alive, i)
     nearest, least = fill.argmin(axis=1), fill.min(axis=1)
     for groups in range(len(union), 1, -1):
         keep = int(least.argmin())

@@ -39,9 +39,7 @@ from facepipe.stage.files import naming
 
 _OTHERS = ("export", "import", "validate", "apply-bones")  # commands that are no actions, and can be steps
 
-_GROWTH = (
-    100.0  # MB at rest that a process may gain before it is replaced: libraries lose memory (cholespy each factor)
-)
+_GROWTH = 40.0  # MB at rest that a process may gain before it is replaced: libraries lose some (cholespy each factor)
 
 
 def main(read: Callable[[list[str]], Line] | None = None) -> None:

@@ -12,7 +12,7 @@ from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.rig.activation import Curve, curves
 from facepipe.rig.rig import Rig, Target
 
-_Sculpt = tuple[str, int, Curve, npt.NDArray[np.int64], FloatArray]
+_Sculpt = tuple[str, int, Curve, npt.NDArray[np.int32], FloatArray]
 
 
 def build(parts: FaceParts) -> Rig:
@@ -113,15 +113,19 @@ def _targets(
     number = {name: i for i, name in enumerate(shapes)}
     found: dict[tuple[str, str, Curve], list[_Sculpt]] = {}
     for mesh, start, space in zip(meshes, offsets[:-1], spaces, strict=True):
+        linear = space[:3, :3]
+        turned = not np.array_equal(linear, np.eye(3))  # offsets that are not are shared with the parts: they are large
         for shape in mesh.blendshapes:
-            indices = np.asarray(shape.point_indices, dtype=np.int64)
+            indices = np.asarray(shape.point_indices)
             if indices.size and not (indices.min() >= 0 and indices.max() < len(mesh.points)):
                 raise TopologyError(f"{mesh.name} -> {shape.name}", f"point index outside 0..{len(mesh.points) - 1}")
             for name, curve, sculpt in _sculpts(shape):
                 if len(sculpt) != len(indices):
                     raise TopologyError(f"{mesh.name} -> {name}", f"{len(sculpt)} offsets, expected {len(indices)}")
-                moved = np.asarray(sculpt, dtype=np.float64) @ space[:3, :3].T
-                own = (name, number[shape.name], curve, indices + start, moved)
+                moved = np.asarray(sculpt, dtype=np.float64)
+                if turned:
+                    moved = moved @ linear.T
+                own = (name, number[shape.name], curve, (indices + start).astype(np.int32), moved)
                 found.setdefault((shape.name, name, curve), []).append(own)
     targets = [_merge(sculpts) for sculpts in found.values()]
     return tuple(sorted(targets, key=lambda target: target.shape))
@@ -134,11 +138,8 @@ def _sculpts(shape: Blendshape) -> list[tuple[str, Curve, FloatArray]]:
 
 
 def _merge(sculpts: list[_Sculpt]) -> Target:
-    name, shape, curve = sculpts[0][:3]
-    return Target(
-        name=name,
-        shape=shape,
-        curve=curve,
-        point_indices=np.concatenate([indices for *_, indices, _ in sculpts]),
-        offsets=np.concatenate([offsets for *_, offsets in sculpts]),
-    )
+    name, shape, curve, indices, offsets = sculpts[0]
+    if len(sculpts) > 1:
+        indices = np.concatenate([one for *_, one, _ in sculpts])
+        offsets = np.concatenate([one for *_, one in sculpts])
+    return Target(name=name, shape=shape, curve=curve, point_indices=indices, offsets=offsets)

@@ -59,14 +59,13 @@ class Rig:
     @cached_property
     def deltas(self) -> sparse.csr_array:
         """(3 n, targets) point offsets of every target, rows x y z point by point."""
-        rows = [(3 * t.point_indices[:, None] + np.arange(3)).ravel().astype(np.int32) for t in self.targets]
-        columns = [np.full(3 * len(t.point_indices), i, np.int32) for i, t in enumerate(self.targets)]
-        values = [t.offsets.ravel() for t in self.targets]
         shape = (3 * len(self.points), len(self.targets))
         if not self.targets:
             return sparse.csr_array(shape)
-        entries = (np.concatenate(rows), np.concatenate(columns))
-        return sparse.csr_array((np.concatenate(values), entries), shape=shape)
+        rows = np.concatenate([3 * one.point_indices for one in self.targets])[:, None] + np.arange(3, dtype=np.int32)
+        ends = 3 * np.cumsum([0, *(len(one.point_indices) for one in self.targets)], dtype=np.int32)
+        values = np.concatenate([one.offsets for one in self.targets])
+        return sparse.csc_array((values.ravel(), rows.ravel(), ends), shape=shape).tocsr()
 
     def weight_vector(self, weights: Mapping[str, float] | None) -> FloatArray:
         """(shapes,) weights by name; shapes not named are 0.

@@ -51,8 +51,8 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
     :param threshold_mm: a point that moves no further in any source is static
     :raises InputError: a shape that some source lacks, where `missing` is ``error``
     """
-    shapes = tuple(dict.fromkeys(name for rig in sources.rigs for name in rig.shapes))
-    lacking = {shape: [k for k, rig in enumerate(sources.rigs) if shape not in rig.shapes] for shape in shapes}
+    shapes = tuple(dict.fromkeys(name for own in sources.shapes for name in own))
+    lacking = {shape: [k for k, own in enumerate(sources.shapes) if shape not in own] for shape in shapes}
     _require(sources, lacking, missing)
     sculpts, skipped, transferred = [], [], []
     transfer = _Transfers(sources, triangles)

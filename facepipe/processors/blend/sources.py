@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
 from facepipe.processors.blend.cards import with_cards
 from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
-from facepipe.rig import Rig, build, set_face
+from facepipe.rig import build, set_face
 from facepipe.stage import Face
 
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
@@ -30,7 +30,8 @@ class Sources:
 
     names: tuple[str, ...]  # where each comes from, for messages
     parts: tuple[FaceParts, ...]  # meshes in the order of the base
-    rigs: tuple[Rig, ...]
+    shapes: tuple[tuple[str, ...], ...]  # names of each one's shapes
+    mesh_offsets: IntArray  # (meshes + 1,) first point of each mesh, and the count
     to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units and up axis
     points: FloatArray  # (K, n, 3) neutral points in bind space
     mm_per_unit: float  # millimetres in a unit of bind space
@@ -41,11 +42,6 @@ class Sources:
     def base(self) -> FaceParts:
         """The first source."""
         return self.parts[0]
-
-    @property
-    def mesh_offsets(self) -> IntArray:
-        """(meshes + 1,) first point of each mesh, and the count."""
-        return self.rigs[0].mesh_offsets
 
 
 def stack(faces: Sequence[Face]) -> Sources:
@@ -76,7 +72,7 @@ def stack(faces: Sequence[Face]) -> Sources:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
     for name, one in zip(names, parts, strict=True):
         check_spaces(name, one)
-    rigs = tuple(build(one) for one in parts)
+    rigs = [replace(build(one), targets=()) for one in parts]  # offsets are read from the parts, once
     to_base = np.array([_to_base(one, base) for one in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
@@ -85,7 +81,8 @@ def stack(faces: Sequence[Face]) -> Sources:
     return Sources(
         names=names,
         parts=tuple(parts),
-        rigs=rigs,
+        shapes=tuple(rig.shapes for rig in rigs),
+        mesh_offsets=rigs[0].mesh_offsets,
         to_base=to_base,
         points=np.stack(moved),
         mm_per_unit=base.meters_per_unit * 1000.0 * _unit(base.skeleton.transform),
