@@ -46,15 +46,11 @@ def sided(weights: dict[str, float], shapes: frozenset[str]) -> dict[str, float]
 
 def sliders(shapes: frozenset[str]) -> tuple[Slider, ...]:
     """The sliders of a head that has the shapes of ARKit."""
-    named = {**_MOODS, **{f"viseme_{name}": weights for name, weights in VISEMES.items()}}
-    made = (
-        Slider(
-            name=name,
-            group="visemes" if name.startswith("viseme_") else "expression",
-            shapes=tuple(sided(weights, shapes).items()),
-        )
-        for name, weights in named.items()
-    )
+    made = [
+        Slider(name=prefix + name, group=group, shapes=tuple(sided(weights, shapes).items()))
+        for group, prefix, table in (("expression", "", _MOODS), ("visemes", "viseme_", VISEMES))
+        for name, weights in table.items()
+    ]
     return (
         *made,
         _look("lookLeft", "ry", ("eyeLookOutLeft", "eyeLookInRight"), ("eyeLookInLeft", "eyeLookOutRight")),

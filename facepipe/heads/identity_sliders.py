@@ -36,15 +36,11 @@ def identity_sliders() -> tuple[Slider, ...]:
     """All of them, from -1 to 1; those of one side name their mirror."""
     by_name = {one.name: one for one in directions()}
     found = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
-    for group, mixes in _mixes().items():
+    table = json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8"))
+    for group, mixes in table.items():  # group -> slider -> gain of each measure
         for name, gains in mixes.items():
             found += _family(name, group, [(by_name[own], gain) for own, gain in gains.items()])
     return tuple(found)
-
-
-def _mixes() -> dict[str, dict[str, dict[str, float]]]:
-    """Group -> slider -> gain of each measure."""
-    return dict(json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8")))
 
 
 def _family(name: str, group: str, parts: Gains) -> list[Slider]:
