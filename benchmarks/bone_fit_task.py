@@ -11,7 +11,7 @@ from children import Json
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
-    from facepipe.processors.fit_bones.session import BoneFit
+    from facepipe.processors.fit_bones.bone_fit import BoneFit
     from facepipe.rig import Rig
 
 MOVES_MM = 1.0  # a point that some shape moves by more than this counts
@@ -100,7 +100,7 @@ def limits(count: int, dof: int) -> tuple[Any, Any]:
 
 def session(task: Task, dof: int, **settings: Any) -> BoneFit:
     """The fit of this benchmark: rig and session, made from arrays."""
-    from facepipe.processors.fit_bones.session import BoneFit
+    from facepipe.processors.fit_bones.bone_fit import BoneFit
 
     lower, upper = limits(len(task.joints), dof)
     return BoneFit(task.rig(), lower=lower, upper=upper, **{"threshold": THRESHOLD_MM, **settings})

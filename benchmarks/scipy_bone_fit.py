@@ -51,8 +51,7 @@ class _System:
     def __init__(self, task: Task, dof: int) -> None:
         from scipy.sparse import csr_array
 
-        from facepipe.processors.fit_bones.moments import SkinnedPoints
-        from facepipe.processors.fit_bones.tree import Tree
+        from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree
         from facepipe.rig import rest_coefficients
 
         rig, self.dof = task.rig(), dof

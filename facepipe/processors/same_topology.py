@@ -1,13 +1,14 @@
-"""Checks that faces are on one topology, and the way from one stage's world to another's."""
+"""Whether meshes are on the topology of a face, which of their points are its points, and the way to its world."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import TopologyError
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import mesh_spaces
 
@@ -73,3 +74,139 @@ def check_invertible(where: str, what: str, matrix: FloatArray) -> None:
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
     if not abs(np.linalg.det(linear)) > _SINGULAR * np.linalg.norm(linear, axis=0).prod():
         raise TopologyError(where, f"singular {what}, expected an invertible one")
+
+
+@dataclass(frozen=True)
+class Match:
+    """Points of the face (k,) and of the other meshes (k,), each over all meshes one after another."""
+
+    rows: IntArray
+    others: IntArray
+    notes: tuple[str, ...] = ()
+
+
+def match_meshes(
+    parts: FaceParts, others: Sequence[Mesh], where: str, only: str = "", *, triangles: bool = False
+) -> Match:
+    """Meshes by name; a single mesh of another name is the only one of as many points, or all in stage order.
+
+    :param only: the mesh of the face that the single other mesh is
+    :param triangles: the other meshes are triangulated, and lack points that are in no face, but for those of our own
+        files, which come back as they were
+    :raises InputError: a mesh that could be several, or no mesh called `only`
+    :raises TopologyError: the first difference of two meshes
+    """
+    pairs = _pairs(parts.meshes, others, where, only)
+    if pairs is None:
+        whole = _whole(parts.meshes)
+        check_same_faces(f"{where} -> {others[0].name}", others[0], whole, parts.name)
+        numbers = np.arange(len(whole.points))
+        return Match(numbers, numbers)
+    starts, other_starts = _starts(parts.meshes), _starts(others)
+    rows, other_rows = [], []
+    for number, other in pairs:
+        mesh, trail = parts.meshes[number], f"{where} -> {others[other].name}"
+        used = np.arange(len(mesh.points))
+        if triangles and (np.asarray(others[other].face_vertex_counts) == 3).all():
+            used = np.unique(mesh.face_vertex_indices)
+            if len(others[other].points) == len(mesh.points):
+                used = np.arange(len(mesh.points))
+            _check_triangles(trail, others[other], mesh, used, parts.name)
+        else:
+            check_same_faces(trail, others[other], mesh, parts.name)
+        rows.append(starts[number] + used)
+        other_rows.append(other_starts[other] + np.arange(len(used)))
+    return Match(np.concatenate(rows), np.concatenate(other_rows), _notes(parts, others, pairs, where))
+
+
+def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str) -> list[tuple[int, int]] | None:
+    """Numbers of meshes and of others that belong together; None where the one other mesh is all of them."""
+    names, places = [mesh.name for mesh in meshes], {mesh.name: number for number, mesh in enumerate(others)}
+    if only:
+        if only not in names:
+            raise InputError(f"{where}:{only}", f"the face has no mesh '{only}', expected one of {', '.join(names)}")
+        if len(others) != 1 and only not in places:
+            raise InputError(f"{where}:{only}", f"{len(others)} meshes, expected a single one or one called '{only}'")
+        return [(names.index(only), places.get(only, 0))]
+    if len(others) == 1:
+        return _single(meshes, others[0], where)
+    pairs = [(number, places[name]) for number, name in enumerate(names) if name in places]
+    if not pairs:
+        some = ", ".join(list(places)[:6]) or "none"
+        raise TopologyError(where, f"meshes {some}, expected some of {', '.join(names)}")
+    return pairs
+
+
+def _single(meshes: Sequence[Mesh], other: Mesh, where: str) -> list[tuple[int, int]] | None:
+    """The mesh that a single other one is: by name, or the only one of as many points; None for all of them."""
+    names, points = [mesh.name for mesh in meshes], [len(mesh.points) for mesh in meshes]
+    named, count = other.name in names, len(other.points)
+    if named and points[names.index(other.name)] == count:
+        return [(names.index(other.name), 0)]
+    if points.count(count) == 1:
+        return [(points.index(count), 0)]
+    if count == sum(points):
+        return None
+    if named or len(meshes) == 1:
+        return [(names.index(other.name) if named else 0, 0)]  # whose first difference is an error
+    what = f"mesh '{other.name}' of {count:,} points is none of {', '.join(names)}"
+    raise TopologyError(where, f"{what}, expected FILE:MESH to say which")
+
+
+def _notes(parts: FaceParts, others: Sequence[Mesh], pairs: list[tuple[int, int]], where: str) -> tuple[str, ...]:
+    lacking = [mesh.name for number, mesh in enumerate(parts.meshes) if number not in {a for a, _ in pairs}]
+    extra = [mesh.name for number, mesh in enumerate(others) if number not in {b for _, b in pairs}]
+    return tuple(
+        f"{where}: {text}: {', '.join(names)}"
+        for text, names in (("lacks meshes, which don't count", lacking), ("meshes that the face lacks", extra))
+        if names
+    )
+
+
+def _starts(meshes: Sequence[Mesh]) -> IntArray:
+    return np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in meshes], dtype=np.int64)])
+
+
+def _whole(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one."""
+    starts = _starts(meshes)
+    return Mesh(
+        name="all",
+        points=np.concatenate([mesh.points for mesh in meshes]),
+        face_vertex_counts=np.concatenate([mesh.face_vertex_counts for mesh in meshes]),
+        face_vertex_indices=np.concatenate(
+            [mesh.face_vertex_indices + start for mesh, start in zip(meshes, starts, strict=False)]
+        ),
+    )
+
+
+def _check_triangles(where: str, other: Mesh, mesh: Mesh, used: IntArray, name: str) -> None:
+    """Check triangles against the faces that they were made of: each edge of these is one of theirs.
+
+    :raises TopologyError: the first difference
+    """
+    counts = np.asarray(mesh.face_vertex_counts, dtype=np.int64)
+    wanted = int(np.maximum(counts - 2, 0).sum())
+    for what, count, expected in (
+        ("points", len(other.points), len(used)),
+        ("triangles", len(other.face_vertex_counts), wanted),
+    ):
+        if count != expected:
+            raise TopologyError(where, f"{count:,} {what}, expected {expected:,} as in {name}")
+    keys = np.unique(_edges(other.face_vertex_counts, other.face_vertex_indices, len(used)))
+    edges = _edges(counts, np.searchsorted(used, mesh.face_vertex_indices), len(used))
+    missing = np.flatnonzero(~np.isin(edges, keys))
+    if len(missing):
+        face = int(np.searchsorted(np.cumsum(counts), missing[0], side="right"))
+        a, b = (int(used[end]) for end in divmod(int(edges[missing[0]]), len(used)))
+        raise TopologyError(where, f"no edge between points {a} and {b}, expected it as in face {face} of {name}")
+
+
+def _edges(counts: IntArray, indices: IntArray, points: int) -> IntArray:
+    """(corners,) one number for the edge from each corner to the next, whichever way it is gone."""
+    counts = counts[counts > 0]
+    ends = np.cumsum(counts)
+    following = np.arange(1, len(indices) + 1)
+    following[ends - 1] = ends - counts
+    a, b = np.asarray(indices, dtype=np.int64), np.asarray(indices, dtype=np.int64)[following]
+    return np.minimum(a, b) * points + np.maximum(a, b)

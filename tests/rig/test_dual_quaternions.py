@@ -19,7 +19,7 @@ from pxr import UsdSkel
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts
-from facepipe.processors.fit_bones.rig_checks import check_rig
+from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.rig import build, coefficient_matrices
 from facepipe.rig.bones import bones_in
 from facepipe.stage import Face, save_parts

@@ -10,8 +10,7 @@ from import_data import shared
 
 from facepipe.importers import makehuman
 from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones.moments import SkinnedPoints, stacked
-from facepipe.processors.fit_bones.tree import Tree
+from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree, stacked
 from facepipe.rig import Rig, build, rest_coefficients
 
 MM = 100.0  # millimetres in a unit of MakeHuman

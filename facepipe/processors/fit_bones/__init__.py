@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.fit_bones.fit_bones import FitBones
+    from facepipe.processors.fit_bones.bone_fit import BoneFit
+    from facepipe.processors.fit_bones.fit_bones import FitBones, initial_coefficients
     from facepipe.processors.fit_bones.fit_bones_action import FitBonesToTargets
-    from facepipe.processors.fit_bones.initial import initial_coefficients
     from facepipe.processors.fit_bones.limits import LimitRules, read_limits
     from facepipe.processors.fit_bones.options import FitBonesOptions
     from facepipe.processors.fit_bones.report import FitBonesReport, TargetReport
-    from facepipe.processors.fit_bones.session import BoneFit
     from facepipe.processors.fit_bones.targets import Target, read_targets
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -34,8 +34,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from facepipe.core.errors import InputError
 from facepipe.declare import beside, named_numbers, option, source, values_of
 from facepipe.kinds import Job, StageAction, action
-from facepipe.processors.fit_bones.limit_rules import RULES, read_rules
-from facepipe.processors.fit_bones.options import FitBonesOptions
+from facepipe.processors.fit_bones.options import LIMIT_RULES, FitBonesOptions, read_rules
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
@@ -45,17 +44,17 @@ if TYPE_CHECKING:
 else:
     LimitRules = Any
 
+_PICTURES = 12  # of a heat map's sheet
+
 
 def _split_target(word: str) -> tuple[str | None, str]:
-    from facepipe.processors.fit_bones.target_files import split_file
+    from facepipe.processors.fit_bones.targets import split_file
 
     return split_file(word)
 
 
 def _split_initial(word: str) -> tuple[str | None, str]:
-    from facepipe.processors.fit_bones.initial import is_payload
-
-    return (word, "") if is_payload(word) else (None, word)
+    return (word, "") if Path(word).suffix.lower() == ".fpb" else (None, word)  # animations' names have no suffix
 
 
 @action("fit-bones", "bring bones to targets, within limits")
@@ -73,7 +72,7 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
         split=_split_initial,
     )
     limits: LimitRules | None = option(
-        None, "limits over those of the rig (default none)", metavar="JSON", parse=read_rules, value=RULES
+        None, "limits over those of the rig (default none)", metavar="JSON", parse=read_rules, value=LIMIT_RULES
     )
     regions: Mapping[str, float] = option(
         dict,
@@ -101,8 +100,7 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
 
     def author(self, face: Face, job: Job) -> FitBonesReport:
         from facepipe.importers import read_face
-        from facepipe.processors.fit_bones.fit_bones import FitBones
-        from facepipe.processors.fit_bones.initial import initial_coefficients
+        from facepipe.processors.fit_bones.fit_bones import FitBones, initial_coefficients
         from facepipe.processors.fit_bones.limits import LimitRules
         from facepipe.processors.fit_bones.targets import read_targets
 
@@ -123,22 +121,54 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
         return replace(report, fitted=targets)
 
     def write_coefficients(self, face: Face, report: FitBonesReport, path: Path) -> dict[str, Any]:
-        """The payload beside the result."""
-        from facepipe.processors.fit_bones.beside import write_coefficients
+        """Write the coefficients on the stage as a payload: one clip, one pose, or one pose a target."""
+        import json
 
-        return write_coefficients(face, report, self.precision, path)
+        import numpy as np
+
+        from facepipe.payload import PayloadContent
+        from facepipe.processors.bone_payload import write_payload
+
+        animations = {animation.name: animation for animation in face.animations}
+        poses = [animations[name] for name in report.targets]
+        values = np.concatenate([pose.coefficients for pose in poses if pose.coefficients is not None])
+        times = poses[0].times if len(poses) == 1 else None
+        content = PayloadContent(
+            joints=face.skeleton.joints,
+            coefficients=values[0] if len(poses) == 1 and times is None else values,
+            times=times,
+            meters_per_unit=face.meters_per_unit,
+            precision=self.precision,
+        )
+        written: dict[str, Any] = json.loads(write_payload(path, content, face.rig()).to_json())
+        return written
 
     def draw(self, face: Face, report: FitBonesReport, path: Path) -> None:
-        """The picture of what is missed most."""
-        from facepipe.processors.fit_bones.beside import draw_missed
+        """Draw the targets that are missed most, in the pose of their worst frame, on one scale."""
+        import numpy as np
 
-        draw_missed(face, report.fitted, report, path)
+        from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
+
+        misses = {name: target.distances.max_mm for name, target in report.targets.items()}
+        targets = dict(zip(misses, report.fitted, strict=True))
+        order = sorted(misses, key=lambda name: -misses[name])
+        scale = (0.0, float(max(misses[order[0]], report.threshold_mm)))
+        parts, images = face.parts(), []
+        for name in order[:_PICTURES]:
+            points = targets[name].points
+            posed = [face.evaluate(joint_transforms=face.sample(name, frame)[0]) for frame in range(len(points))]
+            off = np.linalg.norm(np.stack(posed) - points, axis=2) * face.mm_per_unit
+            worst = int(off.max(axis=1).argmax())
+            heatmap = HeatMap(values=off[worst], label=name, range=scale)
+            image = picture(parts, posed[worst], PictureOptions(heatmap=heatmap))
+            images.append((f"{name}: {misses[name]:.3g} mm", image))
+        save_png(images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images))), path)
 
     def missed(self, report: FitBonesReport) -> bool:
         return bool(report.missed)
 
     def text(self, report: FitBonesReport, out: Path) -> str:
-        from facepipe.processors.fit_bones.text import as_text
+        from facepipe.processors.fit_bones.report import as_text
 
         return as_text(out, report)
 

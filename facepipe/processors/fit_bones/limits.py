@@ -43,7 +43,7 @@ _LARGEST = 1e9  # of a limit: in any unit it stays finite in float32
 
 @dataclass(frozen=True, kw_only=True)
 class LimitRules:
-    """Limits by patterns of joints; what the fields mean is above.
+    """Limits by patterns of joints; the fields are explained above.
 
     :raises InputError: channels or units that are unknown, limits that are not finite, or a lower one above its upper
     """
@@ -71,7 +71,7 @@ class LimitRules:
     def resolve(
         self, joints: Sequence[str], meters_per_unit: float, base: BoneLimits | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """(j, 9) lower and upper limits of joints, over those of `base`; float32 values within what the rules say.
+        """(j, 9) lower and upper limits of joints, over those of `base`; float32 values inside what the rules allow.
 
         :raises InputError: a pattern that matches no joint, or a lower limit of `base` above its upper one
         """
@@ -80,7 +80,7 @@ class LimitRules:
         scale = 1.0 if meters is None else meters / meters_per_unit
         for pattern, channels in self.joints:
             rows = _matching(f"{self.where} -> joints -> {pattern}", pattern, joints)
-            for name in sorted(channels, key=lambda one: -len(_channels("", one))):  # * first, single channels last
+            for name in sorted(channels, key=lambda channel: -len(_channels("", channel))):  # * first, single ones last
                 for column in _channels("", name):
                     low, high = _rounded_inwards(channels[name], scale if column < 3 else 1.0)
                     lower[rows, column], upper[rows, column] = low, high
@@ -125,14 +125,14 @@ def limits_from_json(content: object, where: str) -> LimitRules:
     if not isinstance(content, dict) or set(content) != set(_KEYS):
         raise InputError(where, f"{str(content)[:40]}, expected an object of {', '.join(_KEYS)}")
     joints = content["joints"]
-    pairs = isinstance(joints, list) and all(isinstance(one, list) and len(one) == 2 for one in joints)
+    pairs = isinstance(joints, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in joints)
     if not pairs or not all(isinstance(pattern, str) for pattern, _ in joints):
         raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected a list of [joint, channels]")
     return _rules(joints, content["lock"], content["units"], where)
 
 
 def _rules(joints: Iterable[tuple[str, object]], lock: object, units: object, where: str) -> LimitRules:
-    if not isinstance(lock, list) or not all(isinstance(one, str) for one in lock):
+    if not isinstance(lock, list) or not all(isinstance(word, str) for word in lock):
         raise InputError(f"{where} -> lock", f"{str(lock)[:40]}, expected a list of JOINT:CHANNEL")
     if not isinstance(units, str):
         raise InputError(f"{where} -> units", f"{str(units)[:40]}, expected one of {', '.join(_UNITS)}")
@@ -146,7 +146,7 @@ def _rules(joints: Iterable[tuple[str, object]], lock: object, units: object, wh
 
 
 def _pair(where: str, value: object) -> Range:
-    numbers = isinstance(value, list) and all(one is None or type(one) in (int, float) for one in value)
+    numbers = isinstance(value, list) and all(number is None or type(number) in (int, float) for number in value)
     if not isinstance(value, list) or len(value) != 2 or not numbers:
         raise InputError(where, f"{str(value)[:40]}, expected [lower, upper], null for no limit")
     return value[0], value[1]
@@ -163,17 +163,17 @@ def _check_pair(where: str, pair: Range) -> None:
 
 def _channels(where: str, name: str) -> list[int]:
     """Numbers of the channels that a name stands for."""
-    found = [i for i, channel in enumerate(CHANNELS) if name in (channel, channel[0], "*")]
-    if not found:
+    numbers = [number for number, channel in enumerate(CHANNELS) if name in (channel, channel[0], "*")]
+    if not numbers:
         raise InputError(where, f"unknown channel '{name[:20]}', expected {' '.join(CHANNELS)}, or t r s")
-    return found
+    return numbers
 
 
 def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
-    found = [number for number, path in enumerate(joints) if fits_joint(pattern, path)]
-    if not found:
+    numbers = [number for number, path in enumerate(joints) if fits_joint(pattern, path)]
+    if not numbers:
         raise InputError(where, unmatched(pattern, [joint.rpartition("/")[2] for joint in joints], "joints"))
-    return found
+    return numbers
 
 
 def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatArray, FloatArray]:

@@ -1,11 +1,17 @@
-"""Options of a bone fit."""
+"""Options of a bone fit, and limits of bones as a field of an action."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from facepipe.declare import check_ranges, option
+from facepipe.declare import JsonValue, check_ranges, option
 
+if TYPE_CHECKING:
+    from facepipe.processors.fit_bones.limits import LimitRules
+
+STRICTER = 0.99  # of the threshold: what solves stop at leaves room for the rounding of what is authored
 _ROUNDS = 2
 
 
@@ -54,3 +60,19 @@ class FitBonesOptions:
         if self.rounds is not None:
             return self.rounds
         return 0 if self.residual else _ROUNDS
+
+
+def read_rules(path: Path) -> LimitRules:
+    """The limits in a file."""
+    from facepipe.processors.fit_bones.limits import read_limits
+
+    return read_limits(path)
+
+
+def _load_rules(content: object, where: str) -> LimitRules | None:
+    from facepipe.processors.fit_bones.limits import limits_from_json
+
+    return None if content is None else limits_from_json(content, where)
+
+
+LIMIT_RULES = JsonValue(lambda rules: None if rules is None else rules.to_json(), _load_rules)  # whole in recipes

@@ -1,17 +1,22 @@
-"""How near bones bring a face to its targets, in millimetres."""
+"""How near bones bring a face to its targets, in millimetres, as a report and as text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.reports import Report, unsaid
+from facepipe.core.texts import table
 from facepipe.rig import CHANNELS
+
+_SHOWN = 4  # names of a list
+_REGIONS = 3  # of a single target, the worst
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,26 +88,72 @@ def distances(values: FloatArray) -> Distances:
     )
 
 
-def by_region(
-    values: FloatArray, masks: Mapping[str, FloatArray], known: npt.NDArray[np.bool_]
-) -> dict[str, Distances]:
-    """Of distances (T, n) of known points, in the region that most of each is in."""
+def by_region(off: FloatArray, masks: Mapping[str, FloatArray], known: BoolArray | None) -> dict[str, Distances]:
+    """Of distances (T, n) of known points, all without `known` (n,), in the region that most of each is in."""
     if not masks:
         return {}
-    table = np.stack(list(masks.values()))
-    largest = np.where(table.max(axis=0) > 0, table.argmax(axis=0), -1)
-    inside = {name: (largest == number) & known for number, name in enumerate(masks)}
-    return {name: distances(values[:, own]) for name, own in inside.items() if own.any()}
+    shares = np.stack(list(masks.values()))
+    largest = np.where(shares.max(axis=0) > 0, shares.argmax(axis=0), -1)
+    if known is not None:
+        largest[~known] = -1
+    numbers = dict(enumerate(masks))
+    return {name: distances(off[:, largest == number]) for number, name in numbers.items() if (largest == number).any()}
 
 
 def at_limits(
-    coefficients: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    joints: tuple[str, ...],
-    free: npt.NDArray[np.integer],
+    coefficients: FloatArray, lower: FloatArray, upper: FloatArray, joints: tuple[str, ...], free: IntArray
 ) -> tuple[str, ...]:
     """``joint:channel`` of the free joints' channels that a frame of (T, m, 9) has at a limit, where not locked."""
     held = ((coefficients <= lower) | (coefficients >= upper)).any(axis=0) & (lower < upper)
     allowed = np.isin(np.arange(len(joints)), free)
-    return tuple(f"{joints[i]}:{CHANNELS[channel]}" for i, channel in np.argwhere(held & allowed[:, None]))
+    return tuple(f"{joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(held & allowed[:, None]))
+
+
+def as_text(out: Path, report: FitBonesReport) -> str:
+    """How near each target is reached."""
+    count = len(report.targets)
+    lines = [
+        f"{out}: {count} target{'s' * (count != 1)}, {report.free} of {report.joints} joints, "
+        f"{report.points:,} points in {report.seconds:.2f} s",
+        _targets(report),
+        *(_worst_regions(target, _decimals(report)) for target in report.targets.values() if count == 1),
+        *(
+            f"{name}: stopped by limits: {_names(target.at_limits)}"
+            for name, target in report.targets.items()
+            if target.at_limits
+        ),
+    ]
+    if report.weightless:
+        lines.append(f"joints that move nothing, left as they are: {_names(report.weightless)}")
+    return "\n".join(filter(None, lines))
+
+
+def _targets(report: FitBonesReport) -> str:
+    decimals, residual = _decimals(report), any(target.residual for target in report.targets.values())
+    head = ["distance, mm", "frames", "steps", "before", "mean", "RMS", "p95", "max"]
+    rows: list[list[object]] = [[*head, *(["residual points", "max"] if residual else [])]]
+    for name, target in report.targets.items():
+        off, corrected = target.distances, target.residual
+        numbers = (
+            f"{value:.{decimals}f}" for value in (target.before.max_mm, off.mean_mm, off.rms_mm, off.p95_mm, off.max_mm)
+        )
+        rest = [f"{corrected.points:,}", f"{corrected.distances.max_mm:.{decimals}f}"] if corrected else []
+        rows.append([name, target.frames, target.steps, *numbers, *rest, *([] if target.reached else ["missed"])])
+    return table(rows)
+
+
+def _decimals(report: FitBonesReport) -> int:
+    """Of distances: enough that they differ from the threshold."""
+    return max(4, 1 - math.floor(math.log10(report.threshold_mm)))
+
+
+def _worst_regions(target: TargetReport, decimals: int) -> str:
+    if not target.regions:
+        return ""
+    worst = sorted(target.regions.items(), key=lambda item: -item[1].max_mm)[:_REGIONS]
+    return "worst regions: " + ", ".join(f"{name} {off.max_mm:.{decimals}f} mm" for name, off in worst)
+
+
+def _names(names: Sequence[str]) -> str:
+    some = ", ".join(name.rpartition("/")[2] for name in names[:_SHOWN])
+    return f"{len(names)} ({some}{', ...' if len(names) > _SHOWN else ''})"

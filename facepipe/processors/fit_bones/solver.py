@@ -14,8 +14,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.boxed_qp import BoxedQuadratic
-from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints
-from facepipe.processors.fit_bones.tree import Tree
+from facepipe.processors.fit_bones.skinning import Moments, SkinnedPoints, Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import rest_coefficients
 

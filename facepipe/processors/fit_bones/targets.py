@@ -1,24 +1,31 @@
-"""What bones are to reach: points of a face over one pose or many."""
+"""What bones are to reach: points of a face over one pose or many, named by words or read from files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import identifier, suggestion, unique_identifiers
-from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones.target_files import Loader, read_file, sampled, split_file
-from facepipe.stage import Face
+from facepipe.core.names import identifier, suggestion, unique_identifiers, unknown
+from facepipe.parts import FaceParts, Mesh
+from facepipe.processors.cached_points import cached_points
+from facepipe.processors.same_topology import match_meshes, world_to_world
+from facepipe.rig import build, person_of, sample_transforms, sample_weights
+from facepipe.stage import Face, open_face
+from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
+from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
 
 ALL_SHAPES = "shapes"
+LOADED = (".obj", ".glb", ".gltf")
 _LARGEST_WEIGHT = 1e6
 _LARGEST = 1e12  # stage units: squares add up
+
+Loader = Callable[[Path], FaceParts]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +38,7 @@ class Target:
     name: str  # a USD identifier
     points: FloatArray  # (T, n, 3) world, stage units, meshes one after another in stage order
     times: FloatArray | None = None  # (T,) seconds, ascending; None: T = 1
-    known: npt.NDArray[np.bool_] | None = None  # (n,) points that the target says something about; None: all
+    known: BoolArray | None = None  # (n,) points that the target says something about; None: all
     notes: tuple[str, ...] = ()  # what the user should know, one line each
     person: bool = False  # another face, and so who the fitted one is
 
@@ -68,48 +75,43 @@ def read_targets(face: Face, words: Sequence[str], load: Loader | None = None) -
     if twice:
         raise InputError(f"target {twice[0]}", "given twice, expected it once")
     parts = face.parts()
-    found = [target for word in words for target in _read(face, parts, word, load)]
-    names = unique_identifiers(target.name for target in found)
-    return tuple(_named(target, name) for target, name in zip(found, names, strict=True))
-
-
-def _named(target: Target, name: str) -> Target:
-    if name == target.name:
-        return target
-    return replace(target, name=name)
+    targets = [target for word in words for target in _read(face, parts, word, load)]
+    names = unique_identifiers(target.name for target in targets)
+    return tuple(
+        target if target.name == name else replace(target, name=name)
+        for target, name in zip(targets, names, strict=True)
+    )
 
 
 def _read(face: Face, parts: FaceParts, word: str, load: Loader | None) -> list[Target]:
     file, name = split_file(word)
     if file is not None:
-        read = read_file(parts, file, name, load)
-        own = identifier(name or Path(file).stem, "target")
+        read = _read_file(parts, file, name, load)
+        called = identifier(name or Path(file).stem, "target")
         person = name is None and read.times is None
-        return [
-            Target(name=own, points=read.points, times=read.times, known=read.known, notes=read.notes, person=person)
-        ]
+        return [Target(name=called, person=person, **read._asdict())]
     if word == ALL_SHAPES:
         if not face.shapes:
             raise InputError(f"target {word}", f"{face.where} has no blendshapes, expected some")
         return [_shape(face, shape, 1.0) for shape in face.shapes]
-    return [_of_face(face, word)]
+    return [_face_target(face, word)]
 
 
-def _of_face(face: Face, word: str) -> Target:
+def _face_target(face: Face, word: str) -> Target:
     """A blendshape or an animation of the face itself."""
     name, equals, text = word.rpartition("=")
     if equals and name in face.shapes:
         return _shape(face, name, _weight(word, text), word)
-    clip = any(one.name == word for one in face.animations)
+    clip = any(animation.name == word for animation in face.animations)
     if word in face.shapes and clip:
         what = f"is a blendshape and an animation, expected {word}=1 for the shape or FILE:{word} for the animation"
         raise InputError(f"target {word}", what)
     if word in face.shapes:
         return _shape(face, word, 1.0)
     if clip:
-        points, times = sampled(face, word)
+        points, times = _sampled(face, word)
         return Target(name=identifier(word), points=points, times=times)
-    known = [*face.shapes, *(one.name for one in face.animations)]
+    known = [*face.shapes, *(animation.name for animation in face.animations)]
     what = "no such blendshape, animation or file type"
     raise InputError(f"target {word}", what + suggestion(word, known, "a file (.usda .obj .glb ...)"))
 
@@ -126,3 +128,118 @@ def _weight(word: str, text: str) -> float:
     if not abs(value) <= _LARGEST_WEIGHT:  # NaN too
         raise InputError(f"target {word}", f"expected SHAPE=WEIGHT with a finite number of at most {_LARGEST_WEIGHT:g}")
     return value
+
+
+class _FilePoints(NamedTuple):
+    """World points (T, n, 3) of the rig that a file gives, at `times` (T,), and which of them it knows (n,)."""
+
+    points: FloatArray
+    times: FloatArray | None
+    known: BoolArray | None
+    notes: tuple[str, ...] = ()
+
+
+def split_file(word: str) -> tuple[str | None, str]:
+    """File and name of ``FILE`` or ``FILE:NAME``; no file where neither has a suffix that targets can have."""
+    if Path(word).suffix.lower() in (*USD_SUFFIXES, *LOADED):
+        return word, ""
+    file, _, name = word.rpartition(":")
+    return (file, name) if Path(file).suffix.lower() in (*USD_SUFFIXES, *LOADED) else (None, "")
+
+
+def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> _FilePoints:
+    """The points that a file gives.
+
+    :param parts: the face to be fitted
+    :param name: of an animation of a USD stage, or of the face's mesh that the single mesh of another file is
+    :raises InputError: a file that can't be read or has no such animation
+    :raises TopologyError: a mesh that is not on the face's topology
+    """
+    path = Path(file)
+    if path.suffix.lower() in LOADED:
+        if load is None:
+            raise InputError(path, f"suffix '{path.suffix}' needs an importer, expected a USD stage")
+        return _neutral(parts, load(path), str(path), name, triangles=path.suffix.lower() != ".obj")
+    cache = read_point_cache(path)
+    if name:
+        return _animation(parts, path, name, cache.has_face)
+    if cache.times is None and cache.has_face:
+        return _neutral(parts, open_face(path).parts(), str(path))
+    return _cached(parts, cache, path)
+
+
+def _sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """(T, n, 3) world points of an animation of a face, and its times (T,).
+
+    :raises InputError: no such animation, or joints and shapes that the face has not
+    """
+    times = next((animation.times for animation in face.animations if animation.name == name), None)
+    frames = [face.sample(name, number) for number in range(1 if times is None else len(times))]
+    return np.stack([face.evaluate(weights, joint_transforms=local) for local, weights in frames]), times
+
+
+def _neutral(parts: FaceParts, other: FaceParts, where: str, only: str = "", *, triangles: bool = False) -> _FilePoints:
+    """The neutral of another face, as it is set."""
+    person = person_of(other)
+    points = build(other).evaluate(person.weights, coefficients=person.coefficients)
+    moved = _to_world(parts, points[None], other.meters_per_unit, other.up_axis)
+    return _matched(parts, other.meshes, moved, None, where, only, triangles=triangles)
+
+
+def _cached(parts: FaceParts, cache: PointCache, path: Path) -> _FilePoints:
+    """Points over time; those of a face as its skeleton at rest places them."""
+    cached = cached_points(cache, path)
+    points = np.stack([cached.sample(number) for number in range(cached.count)])
+    moved = _to_world(parts, points, cache.meters_per_unit, cache.up_axis)
+    return _matched(parts, cached.meshes, moved, cache.times, str(path))
+
+
+def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _FilePoints:
+    """An animation of the face of a stage; of a stage without a face, one that moves the face itself."""
+    animations = read_loose_animations(path)
+    named = {animation.name: animation for animation in reversed(animations)}
+    if name not in named:
+        raise InputError(path, unknown(name, [animation.name for animation in animations], "animation"))
+    if has_face:
+        other = open_face(path)
+        points, times = _sampled(other, name)
+        moved = _to_world(parts, points, other.meters_per_unit, other.up_axis)
+        return _matched(parts, other.meshes, moved, times, str(path))
+    animation, rig = named[name], build(parts)
+    frames = range(1 if animation.times is None else len(animation.times))
+    try:
+        posed = [
+            rig.evaluate(
+                sample_weights(animation, number), joint_transforms=sample_transforms(parts.skeleton, animation, number)
+            )
+            for number in frames
+        ]
+    except InputError as error:
+        raise error.under(path) from None
+    return _FilePoints(np.stack(posed), animation.times, None)
+
+
+def _to_world(parts: FaceParts, points: FloatArray, meters_per_unit: float, up_axis: str) -> FloatArray:
+    """(T, n, 3) points of the world of another stage in that of the face."""
+    matrix = world_to_world(meters_per_unit, up_axis, parts)
+    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def _matched(
+    parts: FaceParts,
+    meshes: Sequence[Mesh],
+    points: FloatArray,
+    times: FloatArray | None,
+    where: str,
+    only: str = "",
+    *,
+    triangles: bool = False,
+) -> _FilePoints:
+    """Points (T, m, 3) of other meshes at the places of the face's."""
+    match = match_meshes(parts, meshes, where, only, triangles=triangles)
+    rest = build(parts).evaluate()
+    placed = np.repeat(rest[None], len(points), axis=0)
+    placed[:, match.rows] = points[:, match.others]
+    known = np.zeros(len(rest), dtype=bool)
+    known[match.rows] = True
+    return _FilePoints(placed, times, None if known.all() else known, match.notes)

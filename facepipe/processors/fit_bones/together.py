@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.processors.fit_bones.moments import Moments, SkinnedPoints, stacked
+from facepipe.processors.fit_bones.skinning import Moments, SkinnedPoints, Tree, stacked
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted
-from facepipe.processors.fit_bones.tree import Tree
 from facepipe.processors.fit_bones.variables import Variables
 from facepipe.rig import rest_coefficients
 

@@ -1,11 +1,17 @@
-"""The unknowns of a bone fit: the coefficients that may move, each once where some move alike."""
+"""The unknowns of a bone fit: the coefficients that may move, each once where the two sides move as mirror images."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.processors.fit_bones.symmetry import Symmetry
+from facepipe.core.errors import InputError
+from facepipe.core.names import mirrored_names
+from facepipe.rig import CHANNELS, Rig, rest_coefficients
+
+_OBLIQUE = 0.1  # how far a mirrored axis of a joint at rest may be off, of its length
 
 
 class Variables:
@@ -71,3 +77,96 @@ class Variables:
 
         ties = csr_array((self._sign, (np.arange(len(self._sign)), self._variable)), (len(self._sign), len(self)))
         return np.asarray(ties.T @ (ties.T @ by_coefficient).T)
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """The ties of 9m coefficients, flat: each is its sign times that of its leader, which may be itself."""
+
+    joints: tuple[str, ...]
+    leaders: IntArray  # (9 m,)
+    signs: FloatArray  # (9 m,) 1 or -1
+    still: BoolArray  # (9 m,) coefficients of joints in the middle that mirroring would turn round: they rest
+    single: tuple[str, ...]  # joints of one side without a partner: not tied
+
+    def limits(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 9) limits that tied coefficients share, as mirror images.
+
+        :raises InputError: limits that have nothing in common, or that exclude rest where a joint must keep it
+        """
+        low, high, rest = lower.ravel().copy(), upper.ravel().copy(), rest_coefficients(len(lower)).ravel()
+        follower = np.flatnonzero(self.leaders != np.arange(len(low)))
+        leader, turned = self.leaders[follower], self.signs[follower] < 0
+        mirrored = (np.where(turned, -high[follower], low[follower]), np.where(turned, -low[follower], high[follower]))
+        low[leader], high[leader] = np.maximum(low[leader], mirrored[0]), np.minimum(high[leader], mirrored[1])
+        self._check(low > high, "limits that are no mirror images: no value is inside both")
+        low[follower] = np.where(turned, -high[leader], low[leader])
+        high[follower] = np.where(turned, -low[leader], high[leader])
+        wrong = self.still & ((low > rest) | (high < rest))
+        self._check(wrong, "limits without 0, which a symmetric fit keeps it at")
+        low[self.still] = high[self.still] = rest[self.still]
+        return low.reshape(lower.shape), high.reshape(upper.shape)
+
+    def _check(self, wrong: BoolArray, what: str) -> None:
+        if wrong.any():
+            joint, channel = divmod(int(np.argmax(wrong)), 9)
+            raise InputError(f"limits -> {self.joints[joint]} -> {CHANNELS[channel]}", what)
+
+
+def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
+    """The ties of joints by their names (``left`` and ``right``, or ``L`` and ``R`` as a word of its own).
+
+    The axes of a joint at rest and of its partner, mirrored across x, must be the same up to their signs.
+
+    :param tied: (m,) joints that count
+    :raises InputError: no joint has a partner, or the axes of two are no mirror images
+    """
+    count = len(rig.joints)
+    leaders, signs, still = np.arange(9 * count), np.ones(9 * count), np.zeros(9 * count, dtype=np.bool_)
+    axes = rig.joint_worlds(rig.rest)[:, :3, :3]
+    partners, single = _partners(rig), []
+    for joint in np.flatnonzero(tied):
+        other = partners[joint]
+        if other is None or not tied[other]:
+            single.append(rig.joints[joint])
+            continue
+        if other < joint:
+            continue  # the other way round
+        flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", rig.joints[other])
+        own = slice(9 * other, 9 * other + 9)
+        if other == joint:
+            still[own] = flips < 0
+        else:
+            leaders[own], signs[own] = 9 * joint + np.arange(9), flips
+    if (leaders == np.arange(9 * count)).all():
+        raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
+    return Symmetry(rig.joints, leaders, signs, still, tuple(single))
+
+
+def _partners(rig: Rig) -> list[int | None]:
+    """The joint on the other side, itself for one in the middle; None for one of a side that has no partner.
+
+    Of several joints of a name it is the one below the partner of the joint above.
+    """
+    named: dict[str, list[int]] = {}
+    names = [joint.rpartition("/")[2] for joint in rig.joints]
+    for number, name in enumerate(names):
+        named.setdefault(name, []).append(number)
+    found: list[int | None] = []
+    for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
+        others = mirrored_names(name)
+        wanted = found[above] if above >= 0 else -1
+        options = next((named[other] for other in others if other in named), [])
+        below = [one for one in options if rig.parents[one] == wanted] or options
+        found.append(number if not others else below[0] if len(below) == 1 else None)
+    return [other if other is not None and found[other] == own else None for own, other in enumerate(found)]
+
+
+def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:
+    """(9,) signs of the coefficients of a joint with axes (3, 3), seen as those of its partner."""
+    turned = np.linalg.solve(one, np.array([-1.0, 1.0, 1.0])[:, None] * other)  # where axes are as long, +-1 each
+    axes = np.sign(np.diag(turned))
+    if np.abs(turned - np.diag(axes)).max() > _OBLIQUE:
+        what = f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
+        raise InputError(where, what)
+    return np.concatenate([axes, -axes, np.ones(3)])  # mirroring turns rotations about what it keeps

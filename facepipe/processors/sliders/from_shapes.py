@@ -13,8 +13,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import select
 from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, FaceParts, Recipe, Slider
+from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.processors.fit_bones.limits import LimitRules
-from facepipe.processors.fit_bones.rig_checks import check_rig
 from facepipe.processors.sliders.author_network import fitting_network
 from facepipe.processors.sliders.author_sliders import sliders_beyond
 from facepipe.processors.sliders.made_slider import RESIDUAL, Made, SliderMaker

@@ -9,8 +9,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import Curve, FaceParts, Slider
+from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.fit_bones.residual import Residual, corrective
-from facepipe.processors.fit_bones.sessions import STRICTER
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose
 from facepipe.processors.sliders.shape_names import ShapeSlider
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions

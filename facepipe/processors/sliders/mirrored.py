@@ -6,7 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
-from facepipe.processors.fit_bones.symmetry import Symmetry
+from facepipe.processors.fit_bones.variables import Symmetry
 from facepipe.rig import CHANNELS, rest_coefficients
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
-from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.sessions import STRICTER
+from facepipe.processors.fit_bones.bone_fit import BoneFit
+from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.sliders.effects import channel_effects
 from facepipe.processors.sliders.mirrored import MirroredJoints
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe.core.errors import InputError
 from facepipe.declare import named_numbers, option, source, values_of
 from facepipe.kinds import Job, StageAction, action
-from facepipe.processors.fit_bones.limit_rules import RULES, read_rules
+from facepipe.processors.fit_bones.options import LIMIT_RULES, read_rules
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         "with --from-shapes: limits of the bones over those of the rig, as in docs/bones.md (default none)",
         metavar="JSON",
         parse=read_rules,
-        value=RULES,
+        value=LIMIT_RULES,
     )
 
     @property

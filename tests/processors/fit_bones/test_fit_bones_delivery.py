@@ -24,7 +24,7 @@ import facepipe
 from facepipe.importers import load
 from facepipe.parts import FaceParts, all_regions
 from facepipe.processors.fit_bones import read_targets
-from facepipe.processors.fit_bones.half_scales import with_half_scales
+from facepipe.processors.fit_bones.residual import with_half_scales
 from facepipe.rig import CHANNELS, build, coefficient_matrices, rest_coefficients
 from facepipe.stage import Face
 

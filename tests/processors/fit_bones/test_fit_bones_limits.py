@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.processors.fit_bones import LimitRules, read_limits
-from facepipe.processors.fit_bones.point_weights import point_weights
+from facepipe.processors.fit_bones.fit_bones import point_weights
 from facepipe.rig import CHANNELS
 
 JOINTS = ("root", "root/jaw", "root/jaw/lip", "root/eyeLeft", "root/eyeRight")

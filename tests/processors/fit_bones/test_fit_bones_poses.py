@@ -16,8 +16,8 @@ import facepipe
 from facepipe.core.errors import FitError
 from facepipe.parts import FaceParts
 from facepipe.processors.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
-from facepipe.processors.fit_bones.half_scales import HalfScales, with_half_scales
-from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones.bone_fit import BoneFit
+from facepipe.processors.fit_bones.residual import half_scaled, with_half_scales
 from facepipe.rig import Rig, build, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
@@ -174,7 +174,7 @@ def test_half_scales_keep_to_limits_and_to_locked_channels(seed: int) -> None:
     at = rng.random(values.shape) < 0.3
     values[at] = upper[at]
     session = BoneFit(own, lower=lower, upper=upper, threshold=1e-3)
-    found = HalfScales(session).near(values, own.evaluate(coefficients=values))
+    found = half_scaled(session, values, own.evaluate(coefficients=values))
     np.testing.assert_array_equal(found, found.astype(np.float32))
     assert ((lower <= found) & (found <= upper)).all()
     roomy = (upper - lower)[:, 6:] > 2.0**-8

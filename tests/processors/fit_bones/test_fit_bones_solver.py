@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.boxed_qp import BoxedQuadratic, solve_boxed
-from facepipe.processors.fit_bones.moments import SkinnedPoints
-from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.tree import Tree
+from facepipe.processors.fit_bones.bone_fit import BoneFit
+from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree
 from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 

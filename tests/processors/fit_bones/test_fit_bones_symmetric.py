@@ -12,9 +12,9 @@ from faces import tiny_face
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import mirrored_name
-from facepipe.processors.fit_bones import symmetry as module
-from facepipe.processors.fit_bones.session import BoneFit
-from facepipe.processors.fit_bones.symmetry import symmetry
+from facepipe.processors.fit_bones import variables as module
+from facepipe.processors.fit_bones.bone_fit import BoneFit
+from facepipe.processors.fit_bones.variables import symmetry
 from facepipe.rig import Rig, build, rest_coefficients
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

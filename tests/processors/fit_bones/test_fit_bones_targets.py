@@ -225,7 +225,7 @@ TOPOLOGIES = {
     "corner": (other_corner, "Head: face 1 uses point 9, expected point 2 as in Tiny"),
     "points": (fewer_points, "Head: 9 points, expected 36 as in Tiny"),
     "names": (other_names, "meshes MyHead, MyTeeth, expected some of Head, Teeth"),
-    "one": (one_point_more, "points is none of Head, Teeth, expected FILE:MESH to tell which"),
+    "one": (one_point_more, "points is none of Head, Teeth, expected FILE:MESH to say which"),
 }
 
 

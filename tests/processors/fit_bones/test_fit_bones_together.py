@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bone_rigs import MM, face_joints, head, jacobian, limits, random_pose
 
-from facepipe.processors.fit_bones import session
-from facepipe.processors.fit_bones.session import BoneFit
+from facepipe.processors.fit_bones import bone_fit
+from facepipe.processors.fit_bones.bone_fit import BoneFit
 from facepipe.processors.fit_bones.solver import SETTLED
 from facepipe.processors.fit_bones.together import fit_together
 from facepipe.rig import rest_coefficients
@@ -73,7 +73,7 @@ def test_targets_in_reach_are_reached() -> None:
 
 
 def test_what_is_fitted_beside_a_target_changes_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "_MANY", 2)
+    monkeypatch.setattr(bone_fit, "_MANY", 2)
     one, two, three = *out_of_reach(1, 0.05, seed=3), *out_of_reach(2, 0.05, seed=4)
     fit = fit_of(1.0)
     alone = [fit.fit(target) for target in (two, one, three)]

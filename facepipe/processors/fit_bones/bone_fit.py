@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.processors.fit_bones.checks import check_rest, check_settings, checked_limits, checked_weights
-from facepipe.processors.fit_bones.moments import SkinnedPoints
+from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree
 from facepipe.processors.fit_bones.solver import SETTLED, Fitted, Problem, fit
-from facepipe.processors.fit_bones.symmetry import Symmetry, symmetry
 from facepipe.processors.fit_bones.together import Shared, fit_together, inverse
-from facepipe.processors.fit_bones.tree import Tree
-from facepipe.processors.fit_bones.variables import Variables
+from facepipe.processors.fit_bones.variables import Symmetry, Variables, symmetry
 from facepipe.rig import Rig, rest_coefficients
 
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
@@ -112,14 +109,14 @@ class BoneFit:
         if start.shape != self._rest.shape or not np.isfinite(start).all():
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
         start = np.clip(start, self.lower, self.upper)
-        some = [targets[first : first + _MANY] for first in range(0, len(targets), _MANY)]
+        batches = [targets[first : first + _MANY] for first in range(0, len(targets), _MANY)]
         with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # steps that lead too far count as worse
-            found = [one for own in some for one in self._fitted(np.stack(own), start)]
-        if any((one.coefficients[:, 6:] == 0.0).any() for one in found):
+            fits = [fitted for batch in batches for fitted in self._fitted(np.stack(batch), start)]
+        if any((fitted.coefficients[:, 6:] == 0.0).any() for fitted in fits):
             raise np.linalg.LinAlgError("a joint of scale 0")
-        if not all(np.isfinite(one.largest + one.slope) for one in found):
+        if not all(np.isfinite(fitted.largest + fitted.slope) for fitted in fits):
             raise InputError(self.rig.name, "numbers of the start or the target too large to square")
-        return found
+        return fits
 
     def _fitted(self, targets: FloatArray, start: FloatArray) -> list[Fitted]:
         """The fits of (K, n, 3)."""
@@ -130,44 +127,46 @@ class BoneFit:
 
     def _finished(self, target: FloatArray, start: FloatArray, shared: Fitted) -> Fitted:
         """The fit of one target, by damped steps of its own where those it `shared` did not end at an optimum."""
-        found = shared
+        fitted = shared
         if shared.largest > self.threshold and shared.slope > SETTLED:
-            found = self._solve(target, shared.coefficients if shared.slope < _NEAR else start, self.weights)
-            if found.largest > self.threshold and found.steps > _STRAIGHT:
+            fitted = self._solve(target, shared.coefficients if shared.slope < _NEAR else start, self.weights)
+            if fitted.largest > self.threshold and fitted.steps > _STRAIGHT:
                 halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
-                found = _nearer(found, self._solve(target, halfway.coefficients, self.weights))
-        return self._evened(found, target) if found.largest > self.threshold else found
+                fitted = _nearer(fitted, self._solve(target, halfway.coefficients, self.weights))
+        return self._evened(fitted, target) if fitted.largest > self.threshold else fitted
 
-    def _evened(self, found: Fitted, target: FloatArray) -> Fitted:
+    def _evened(self, fitted: Fitted, target: FloatArray) -> Fitted:
         """Rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
 
         Source: Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times
         distances, round by round; here their squares, which takes fewer rounds.
         """
-        weights, latest = self.weights, found
+        weights, latest = self.weights, fitted
         for _ in range(self.rounds):
             apart = np.linalg.norm(latest.points - target, axis=1) / latest.largest
             weights = weights * (apart**2 + _LEAST_WEIGHT)
             weights = weights * (self.weights.sum() / weights.sum())
             latest = self._solve(target, latest.coefficients, weights, settled=_ROUGH)
-            found = _nearer(found, latest)
-            if found.largest <= self.threshold:
+            fitted = _nearer(fitted, latest)
+            if fitted.largest <= self.threshold:
                 break
-        return found
+        return fitted
 
     def _sparse(self, target: FloatArray, start: FloatArray) -> Fitted:
         """Rounds of reweighted springs that add up to the mean absolute strain; then only what moves is fitted."""
-        found = self._solve(target, start, self.weights)
+        fitted = self._solve(target, start, self.weights)
         for _ in range(_SPARSE_ROUNDS):
-            strain = np.abs(self._strain(found.coefficients))
+            strain = np.abs(self._strain(fitted.coefficients))
             springs = self.sparsity * self.threshold / (strain + _STILL * self.threshold)
-            found = self._solve(target, found.coefficients, self.weights, springs=springs, threshold=0.0)
-        still = np.abs(self._strain(found.coefficients)) < _STILL * self.threshold
+            fitted = self._solve(target, fitted.coefficients, self.weights, springs=springs, threshold=0.0)
+        still = np.abs(self._strain(fitted.coefficients)) < _STILL * self.threshold
         still &= (self.lower <= self._rest) & (self._rest <= self.upper)
-        lower, upper = np.where(still, self._rest, self.lower), np.where(still, self._rest, self.upper)
-        fewer = self._variables(lower, upper)
-        start = np.where(still, self._rest, found.coefficients)
-        return self._solve(target, start, self.weights, variables=fewer)
+        return self.refit(target, np.where(still, self._rest, fitted.coefficients), still)
+
+    def refit(self, target: FloatArray, start: FloatArray, held: BoolArray) -> Fitted:
+        """Least squares from `start`, where the coefficients that are `held` (m, 9) stay as they are."""
+        lower, upper = np.where(held, start, self.lower), np.where(held, start, self.upper)
+        return self._solve(target, start, self.weights, variables=self._variables(lower, upper))
 
     def _solve(
         self,
@@ -186,10 +185,17 @@ class BoneFit:
             moments = self.skin.retargeted(self._moments, target, weights, world)
         else:
             moments = self.skin.moments(target, weights, world)
-        own = self.variables if variables is None else variables
         metric = self._metric if variables is None else self._metric_of(variables)
-        least, pull = self.threshold if threshold is None else threshold, self._pull(springs)
-        problem = Problem(target, weights, own, metric, least, self.steps, settled, pull)
+        problem = Problem(
+            target=target,
+            weights=weights,
+            variables=self.variables if variables is None else variables,
+            metric=metric,
+            threshold=self.threshold if threshold is None else threshold,
+            steps=self.steps,
+            settled=settled,
+            pull=self._pull(springs),
+        )
         return fit(self.tree, self.skin, moments, problem, start)
 
     def _shared(self) -> Shared:
@@ -218,10 +224,10 @@ class BoneFit:
     def _normal(self, variables: Variables) -> FloatArray:
         """(v, v) normal matrix at rest."""
         pose, pull = self.tree.pose(self._rest), self._pull(0.0)
-        own = self.tree.normal_matrix(self.tree.generators(pose), pose, self._moments.pairs, variables.joints)
+        matrix = self.tree.normal_matrix(self.tree.generators(pose), pose, self._moments.pairs, variables.joints)
         if pull is not None:
-            own[np.diag_indices_from(own)] += pull[variables.joints].ravel()
-        return variables.matrix(own)
+            matrix[np.diag_indices_from(matrix)] += pull[variables.joints].ravel()
+        return variables.matrix(matrix)
 
     def _pull(self, springs: FloatArray | float) -> FloatArray | None:
         """(m, 9) weights of half the squared strains; None where there are none."""
@@ -233,7 +239,7 @@ class BoneFit:
         """(m, 9) how far coefficients are from rest, in stage units."""
         return np.asarray((coefficients - self._rest) * self._levers)
 
-    def _weightless(self) -> npt.NDArray[np.bool_]:
+    def _weightless(self) -> BoolArray:
         """(m,) joints without influence on a point that counts: they keep their place.
 
         What one of them does to the joints below it these can do themselves.
