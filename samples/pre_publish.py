@@ -13,65 +13,45 @@ import tempfile
 from pathlib import Path
 
 import facepipe
-from facepipe import registry
-from facepipe.checks import validate
-from facepipe.cooking import CookOptions, CookReport, cook
-from facepipe.core.errors import FacepipeError
-
-FORMATS = (".glb", ".onnx")
+from facepipe.cooking import CookOptions
 
 
-def publish(face: Path, folder: Path) -> int:
-    """The exit code."""
-    report = cook([face], CookOptions(validate=True))
+def publish(face: Path, folder: Path) -> list[str]:
+    """Why nothing is published; no reason where it is."""
+    report = facepipe.cook([face], CookOptions(validate=True))
     for node in report.nodes:
         print(f"{node.file.name}: {node.action}", *node.why, sep="; ")
     if not report.good:
-        return refuse(complaints(report))
+        missed = [f"{node.file.name}: a threshold is missed" for node in report.nodes if node.missed]
+        stale = [f"{node.file.name}: {node.action}" for node in report.nodes if node.action == "outside the roots"]
+        findings = [one for found in report.findings.values() for one in found if one.severity == "error"]
+        return [*missed, *stale, *(f"{one.where}: {one.message}" for one in findings)]
     with tempfile.TemporaryDirectory(dir=folder, prefix=".publish.") as work:
-        made = [export(face, Path(work) / f"{face.stem}{suffix}") for suffix in FORMATS]
-        errors = [str(one.message) for path in made for one in validate(path) if one.severity == "error"]
-        if errors:
-            return refuse(errors)
+        for path in (Path(work, f"{face.stem}{suffix}") for suffix in (".glb", ".onnx")):
+            written = facepipe.export(face, path)
+            for line in (*written.warnings, *written.dropped):
+                print(f"{path.name}: {line}")
+            errors = [one.message for one in facepipe.validate(path) if one.severity == "error"]
+            if errors:
+                return errors
         for path in sorted(Path(work).iterdir()):
-            path.replace(folder / path.name)
-            print(str(folder / path.name))
-    return 0
-
-
-def export(face: Path, path: Path) -> Path:
-    """The face in the format of a suffix."""
-    exporter = registry.exporter(path)
-    report = exporter.export(facepipe.open(face), path, exporter.Options())
-    for line in (*report.warnings, *report.dropped):
-        print(f"{path.name}: {line}")
-    return path
-
-
-def complaints(report: CookReport) -> list[str]:
-    """Why a face that is cooked is not good."""
-    errors = [one for found in report.findings.values() for one in found if one.severity == "error"]
-    missed = [f"{node.file.name}: a threshold is missed" for node in report.nodes if node.missed]
-    return [*missed, *(f"{one.where}: {one.message}" for one in errors)]
-
-
-def refuse(lines: list[str]) -> int:
-    """Tell why nothing is published."""
-    for line in lines:
-        print(line, file=sys.stderr)
-    return 1
+            print(path.replace(folder / path.name))
+    return []
 
 
 def main(words: list[str]) -> int:
-    """The exit code; what can't be done is told in one line."""
+    """The exit code."""
     if len(words) != 2:
         print(__doc__, file=sys.stderr)
         return 2
     try:
-        return publish(Path(words[0]), Path(words[1]))
-    except (FacepipeError, OSError) as error:
+        reasons = publish(Path(words[0]), Path(words[1]))
+    except (facepipe.FacepipeError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
+    for reason in reasons:
+        print(reason, file=sys.stderr)
+    return 1 if reasons else 0
 
 
 if __name__ == "__main__":
