@@ -13,12 +13,6 @@ from scipy.ndimage import gaussian_filter
 FloatArray = npt.NDArray[np.floating]
 
 
-def encode(linear: FloatArray) -> FloatArray:
-    """sRGB 0..1 of linear colours (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0, 1)
-    return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055)
-
-
 def resized(image: FloatArray, size: int) -> FloatArray:
     """(size, size, c) of a square image, smooth in both directions."""
     pixels = torch.as_tensor(np.ascontiguousarray(image), dtype=torch.float32).permute(2, 0, 1)[None]

@@ -10,6 +10,7 @@ from head_sources import contour_rows
 from labels import pixel_classes
 from scipy.spatial.transform import Rotation
 
+from facepipe.geometry.colors import from_srgb
 from facepipe.heads.asset import asset
 from facepipe.heads.look import Look
 from facepipe.learn.features.crops import TEMPLATE
@@ -18,7 +19,6 @@ from facepipe.pictures.draw import draw
 from facepipe.pictures.portrait import Portrait, Softbox
 from facepipe.pictures.scene import Scene
 from facepipe.pictures.shade import Shader
-from facepipe.pictures.textures import srgb_to_linear
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -133,5 +133,5 @@ def render(scene: Scene, look: Look, placement: Placement, behind: FloatArray, r
     head = scene.points[: asset().parts["Head"].points.stop]
     camera, marks = random_camera(head, placement, rng)
     shader = Shader(scene, camera, lights=random_light(look, rng))
-    image = draw(shader, SIZE, srgb_to_linear(behind).astype(np.float32), _SAMPLES, _MM) / 255
+    image = draw(shader, SIZE, from_srgb(behind).astype(np.float32), _SAMPLES, _MM) / 255
     return View(image, pixel_classes(shader, SIZE), marks, placement.present)

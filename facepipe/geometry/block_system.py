@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -40,17 +41,44 @@ def pairs_within(points: IntArray) -> IntArray:
     return np.asarray(pairs[(pairs >= 0).all(axis=1)])
 
 
+def sparse_blocks(blocks: FloatArray, shared: Any) -> Any:
+    """(3n, 3n) sparse ``kron(S, 1) + diag(B_1 .. B_n)``, axes of a point side by side.
+
+    :param blocks: (n, 3, 3) B, what mixes the axes of each point
+    :param shared: (n, n) sparse S, the same for each axis
+    """
+    from scipy.sparse import bsr_array, eye_array, kron
+
+    points = np.arange(len(blocks))
+    own = bsr_array((blocks, points, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks)))
+    return kron(shared, eye_array(3), format="csc") + own.tocsc()
+
+
 class BlockSystem:
     """``A x = b`` of a sum of weighted squares, gathered group by group.
 
     :param count: points
-    :param links: number of pairs of points with blocks
+    :param links: (p,) ascending ``lower * count + higher`` of pairs of points with blocks
     """
 
-    def __init__(self, count: int, links: int) -> None:
+    def __init__(self, count: int, links: IntArray) -> None:
+        self._links = links
         self.own = np.zeros((count, 3, 3))
-        self.between = np.zeros((links, 3, 3))  # rows of the lower point
+        self.between = np.zeros((len(links), 3, 3))  # rows of the lower point
         self.right = np.zeros((count, 3))
+
+    def matrix(self, shared: Any) -> Any:
+        """A (3n, 3n) sparse, with `shared` (n, n) sparse for each axis on top."""
+        from scipy.sparse import coo_array
+
+        count = len(self.own)
+        low, high = np.divmod(self._links, max(count, 1))
+        axes = np.arange(3)
+        rows = np.broadcast_to(3 * low[:, None, None] + axes[:, None], self.between.shape)
+        columns = np.broadcast_to(3 * high[:, None, None] + axes, self.between.shape)
+        entries = (self.between.ravel(), (rows.ravel(), columns.ravel()))
+        above = coo_array(entries, shape=(3 * count, 3 * count)).tocsc()
+        return sparse_blocks(self.own, shared) + above + above.T
 
     def add(self, groups: Groups, jacobian: FloatArray, residual: FloatArray, weights: FloatArray) -> None:
         """Add ``sum_m weight |residual + jacobian x|^2``.

@@ -15,9 +15,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.change_smoothness import ChangeSmoothness
+from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
-from facepipe.geometry.registration.membrane import pairs_of
 from facepipe.geometry.registration.robust import means_around
 from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
@@ -88,9 +88,7 @@ class _State:
         self._areas = point_areas(surface.base, surface.triangles)
         self._spread = self._view.spread[:, np.flatnonzero(free)]
         self._follow = follow
-        self._smoothness = ChangeSmoothness.of(
-            surface.base, surface.triangles, free, options.smooth, options.near, pairs_of(self._view.spread)
-        )
+        self._smoothness = ChangeSmoothness.of(surface.base, surface.triangles, free, options.smooth, options.near)
         self._moves = np.zeros_like(surface.base)
 
     @property
@@ -129,7 +127,7 @@ class _State:
         system.own += own[free]
         system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
         shared = self._spread.T @ diags_array(anchored) @ self._spread
-        step = self._smoothness.factor(system, shared).solve(system.right.ravel()).reshape(-1, 3)
+        step = factorise(system.matrix(shared)).solve(system.right.ravel()).reshape(-1, 3)
         self._moves[free] += step
         return float(np.sqrt((step**2).sum(axis=1).mean()))
 

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
+from facepipe.geometry.colors import to_srgb
 from facepipe.heads.asset import arrays
 from facepipe.heads.look import STYLES, Look
 from facepipe.heads.pixels import enlarged, to_bytes
-from facepipe.pictures.textures import linear_to_srgb
 
 TILES = ("face", "back")
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
@@ -74,7 +74,7 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) sRGB bytes."""
     rng = np.random.default_rng((look.seed, 100 + tile))
     m, scalp = masks(tile), STYLES[look.style][0]
-    base = enlarged(to_bytes(linear_to_srgb(coarse(look, tile))), size)
+    base = enlarged(to_bytes(to_srgb(coarse(look, tile))), size)
     skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3

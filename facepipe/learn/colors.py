@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from facepipe.core.images import open_image, pixels
+from facepipe.geometry.colors import from_srgb
 from facepipe.learn.rasterise import Raster, interpolate
 from facepipe.learn.rows import take
 from facepipe.learn.surfaces import Surfaces
@@ -74,6 +75,5 @@ def linear_texels(source: TextureInput, largest: int) -> np.ndarray[tuple[int, .
     where = f"texture {source.texture.name}"
     image = open_image(source.texture.image(), where)
     texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
-    levels = np.arange(256) / 255.0
-    table = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+    table = from_srgb(np.arange(256) / 255.0)
     return np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32))

@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.threads import mapped
+from facepipe.geometry.colors import to_srgb
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
 from facepipe.pictures.scatter import open_share, smoothed, spread
 from facepipe.pictures.shade import Shaded, Shader
-from facepipe.pictures.textures import linear_to_srgb
 
 Image8 = npt.NDArray[np.uint8]
 
@@ -50,7 +50,7 @@ def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples
     _paint(picture, shader, spots, size, mm)
     if over is not None:
         over.blend(picture, shader)
-    encoded = linear_to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
+    encoded = to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
     return encoded.astype(np.uint8)
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts
 from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, Frame, View, portrait
@@ -24,7 +25,6 @@ from facepipe.pictures.portrait import Portrait
 from facepipe.pictures.regions import RegionColors, draw_legend, legend_width
 from facepipe.pictures.scene import Scene, build_scene, world_points
 from facepipe.pictures.shade import Shader
-from facepipe.pictures.textures import srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -158,12 +158,12 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
 def _behind(options: PictureOptions) -> npt.NDArray[np.float32]:
     """(size, size, 3) linear background: the backdrop, one colour, or a blend from the middle to the corners."""
     if options.backdrop is not None:
-        return srgb_to_linear(np.asarray(options.backdrop, dtype=np.float32)).astype(np.float32)
+        return from_srgb(np.asarray(options.backdrop, dtype=np.float32)).astype(np.float32)
     middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
     across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
     distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
     share = (distance**2 * (3 - 2 * distance))[..., None]
-    return srgb_to_linear(middle + (corner - middle) * share).astype(np.float32)
+    return from_srgb(middle + (corner - middle) * share).astype(np.float32)
 
 
 def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:

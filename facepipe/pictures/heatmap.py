@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.pictures.textures import srgb_to_linear
+from facepipe.geometry.colors import from_srgb
 
 # Eleven sRGB stations of viridis (CC0), a perceptually even map that colour-blind readers can tell apart.
 STATIONS = (
@@ -57,7 +57,7 @@ class HeatMap:
     def colors(self, values: FloatArray) -> FloatArray:
         """(m, 3) linear colours of values (m,); outside the range the end colour, NaN grey."""
         low, high = self.limits
-        return srgb_to_linear(colors((values - low) / (high - low)))
+        return from_srgb(colors((values - low) / (high - low)))
 
 
 def colors(shares: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.parts import FaceParts
-from facepipe.pictures.textures import linear_to_srgb, srgb_to_linear
 from facepipe.pictures.typesetting import Color, Shapes
 from facepipe.pictures.wireframe import wireframe
 
@@ -184,8 +184,8 @@ def render_picture(render: FloatArray, photo: FloatArray, crop: Crop, *, on_phot
     pixels = cut(np.asarray(render), crop, photo.shape[1::-1])
     cover = np.clip(pixels[..., 3:], 0, 1)
     ground = cut(photo, crop, photo.shape[1::-1]) if on_photo else np.array(GROUND) / 255
-    behind = srgb_to_linear(np.clip(ground, 0, 1))
-    return _image(linear_to_srgb(np.clip(np.maximum(pixels[..., :3], 0) + behind * (1 - cover), 0, 1)))
+    behind = from_srgb(np.clip(ground, 0, 1))
+    return _image(to_srgb(np.clip(np.maximum(pixels[..., :3], 0) + behind * (1 - cover), 0, 1)))
 
 
 def _toned(pixels: FloatArray, amount: float) -> FloatArray:

@@ -9,10 +9,10 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, all_regions
 from facepipe.pictures.heatmap import NO_VALUE
 from facepipe.pictures.overlay import INK, font, text_size
-from facepipe.pictures.textures import srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -75,8 +75,8 @@ class RegionColors:
         """(n, 3) linear colours of the points."""
         table = self.table
         total = table.sum(axis=1, keepdims=True)
-        mixed = (table / np.where(total > 0, total, 1.0)) @ srgb_to_linear(region_colors(len(self.masks)))
-        return np.where(total > 0, mixed, srgb_to_linear(np.array(NO_VALUE)))
+        mixed = (table / np.where(total > 0, total, 1.0)) @ from_srgb(region_colors(len(self.masks)))
+        return np.where(total > 0, mixed, from_srgb(np.array(NO_VALUE)))
 
 
 def region_colors(count: int) -> FloatArray:

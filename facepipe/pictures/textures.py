@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.images import open_image, pixels
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import Texture, TextureInput
 
 Pixels = npt.NDArray[np.float32]
@@ -17,20 +18,8 @@ Pixels = npt.NDArray[np.float32]
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}
 
 
-def srgb_to_linear(values: FloatArray) -> FloatArray:
-    """IEC 61966-2-1 decoding of values in 0..1."""
-    low = values <= 0.04045
-    return np.where(low, values / 12.92, ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(values: FloatArray) -> FloatArray:
-    """IEC 61966-2-1 encoding; values are clipped to 0..1."""
-    clipped = np.clip(values, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * np.maximum(clipped, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 _DATA: Pixels = (np.arange(256) / 255.0).astype(np.float32)
-_SRGB: Pixels = srgb_to_linear(_DATA.astype(np.float64)).astype(np.float32)
+_SRGB: Pixels = from_srgb(_DATA.astype(np.float64)).astype(np.float32)
 
 
 def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:

@@ -14,9 +14,9 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
+from facepipe.geometry.colors import to_srgb
 from facepipe.heads.look import IRIS
 from facepipe.heads.pixels import to_bytes
-from facepipe.pictures.textures import linear_to_srgb
 
 # Of the texture's side, from its middle: the asset's texture coordinates are discs around the eye's axis.
 _PUPIL, _IRIS = 0.125, 0.415  # on the inner ball
@@ -41,7 +41,7 @@ def iris(color: tuple[float, float, float], seed: int, size: int) -> Any:
     colors += ring[..., None] * (warm * (1.1 + 0.3 * fibre)[..., None] - colors) * 0.75
     colors *= (1 - 0.8 * _step(0.72, 1.0, t))[..., None] * (1 - 0.55 * _step(0.10, 0.0, t))[..., None]
     pupil = _step(_PUPIL + 0.006, _PUPIL - 0.006, radius)[..., None]
-    return to_bytes(linear_to_srgb(np.clip(colors * (1 - pupil) + 0.0012 * pupil, 0, 1)))
+    return to_bytes(to_srgb(np.clip(colors * (1 - pupil) + 0.0012 * pupil, 0, 1)))
 
 
 def white(size: int) -> Any:
@@ -59,7 +59,7 @@ def white(size: int) -> Any:
     clear = _step(_WHITE, _CLEAR, radius)
     alpha = 1 - 0.95 * clear
     colors = colors * (1 - clear)[..., None]
-    return to_bytes(np.concatenate([linear_to_srgb(np.clip(colors, 0, 1)), alpha[..., None]], axis=-1))
+    return to_bytes(np.concatenate([to_srgb(np.clip(colors, 0, 1)), alpha[..., None]], axis=-1))
 
 
 def _veins(rng: np.random.Generator, size: int) -> FloatArray:

@@ -17,9 +17,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from skin_maps import baked, step
 
+from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import triangulate
 from facepipe.heads.pixels import to_bytes
-from facepipe.pictures.textures import linear_to_srgb
 
 Array = Any
 SIZE = 512  # texels a side
@@ -74,7 +74,7 @@ def picture(model: Model, faces: tuple[int, int], tile: int, colors: Array, grai
     texels = baked(Piece.of(model, faces), tile, colors, SIZE)
     mottle = sum(gaussian_filter(rng.standard_normal((SIZE, SIZE)), s) * s for s in (1.5, 6))
     texels = texels * np.exp(grain * mottle[..., None] * (0.4, 1.0, 1.0))
-    return Image.fromarray(to_bytes(linear_to_srgb(texels)))
+    return Image.fromarray(to_bytes(to_srgb(texels)))
 
 
 def main(data: Path, folder: Path) -> None:

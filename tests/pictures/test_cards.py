@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput, UvSet
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Light, Studio
-from facepipe.pictures.textures import srgb_to_linear
 
 EVEN = Studio(lights=(), sky=(1.0, 1.0, 1.0), ground=(1.0, 1.0, 1.0), shadows=False, compress=False)
 UVS = UvSet(values=np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float))
@@ -51,7 +51,7 @@ def drawn(meshes: list[Mesh], materials: list[Material], **options: object) -> n
     settings = {"size": 64, "samples": 3, "background": (0.0, 0.0, 0.0), "studio": EVEN, **options}
     parts = FaceParts(meshes=tuple(meshes), materials=tuple(materials))
     image = picture(parts, None, PictureOptions(**settings))  # type: ignore[arg-type]
-    return np.asarray(srgb_to_linear(np.asarray(image) / 255.0))
+    return np.asarray(from_srgb(np.asarray(image) / 255.0))
 
 
 @pytest.mark.parametrize("opacity", [0.25, 0.5, 0.75])

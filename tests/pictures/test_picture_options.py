@@ -9,12 +9,12 @@ import pytest
 from faces import grid_mesh
 
 from facepipe.core.errors import InputError
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera, Frame, portrait
 from facepipe.pictures.lighting import Light, Studio
 from facepipe.pictures.portrait import PORTRAIT
-from facepipe.pictures.textures import srgb_to_linear
 
 GREY = Material(name="Grey", diffuse_color=(0.5, 0.5, 0.5), roughness=1.0)
 NO_LIGHT = Studio(lights=(), sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))
@@ -32,7 +32,7 @@ def pixels(parts: FaceParts, **options: object) -> np.ndarray:
 
 def linear(values: np.ndarray) -> np.ndarray:
     """Light of colours 0..255."""
-    return np.asarray(srgb_to_linear(values / 255))
+    return np.asarray(from_srgb(values / 255))
 
 
 def turned_camera(seed: int) -> Camera:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from faces import grid_mesh
 
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Samples
 from facepipe.pictures.occlusion import depth_map
 from facepipe.pictures.portrait import PORTRAIT, Portrait, Softbox, filmic
 from facepipe.pictures.scatter import open_share, spread
-from facepipe.pictures.textures import srgb_to_linear
 
 WHITE = (1.0, 1.0, 1.0)
 DARK = Softbox(direction=(0.0, 0.0, 1.0), color=(0.0, 0.0, 0.0), size=(0.2, 0.2))
@@ -95,7 +95,7 @@ def sphere(rings: int = 40) -> Mesh:
 def drawn(*meshes: Mesh, **options: object) -> np.ndarray:
     """(96, 96, 3) linear colours on black."""
     made = PictureOptions(**{"size": 96, "samples": 2, "background": (0.0, 0.0, 0.0), **options})  # type: ignore[arg-type]
-    return np.asarray(srgb_to_linear(np.asarray(picture(FaceParts(meshes=meshes), None, made)) / 255.0))
+    return np.asarray(from_srgb(np.asarray(picture(FaceParts(meshes=meshes), None, made)) / 255.0))
 
 
 @pytest.mark.parametrize(("x", "y"), [(-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])

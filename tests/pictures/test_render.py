@@ -14,6 +14,7 @@ from PIL import Image
 from places import SHARED
 
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import Frame, portrait
@@ -21,7 +22,7 @@ from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
 from facepipe.pictures.hidden import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
 from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
-from facepipe.pictures.textures import bilinear, linear_to_srgb, srgb_to_linear
+from facepipe.pictures.textures import bilinear
 
 
 def screen_points(xyw: Iterable[Sequence[float]]) -> np.ndarray:
@@ -260,7 +261,7 @@ def test_opacity_blends_and_zero_is_not_drawn() -> None:
     def center(opacity: float) -> np.ndarray:
         materials = (colored("wall", (0.0, 0.5, 0.0)), colored("film", (0.5, 0.0, 0.0), opacity=opacity))
         meshes = (square("Wall", 0.0, material="wall"), square("Film", 0.2, material="film"))
-        return srgb_to_linear(drawn(FaceParts(meshes=meshes, materials=materials), size=32)[16, 16] / 255)
+        return from_srgb(drawn(FaceParts(meshes=meshes, materials=materials), size=32)[16, 16] / 255)
 
     clear, half, solid = center(0.0), center(0.5), center(1.0)
     assert clear[1] > 5 * clear[0]
@@ -275,7 +276,7 @@ def test_see_through_layers_blend_from_back_to_front_whatever_the_order() -> Non
     first = drawn(FaceParts(meshes=(near, far), materials=materials), background=(0.0, 0.0, 0.0))
     second = drawn(FaceParts(meshes=(far, near), materials=materials), background=(0.0, 0.0, 0.0))
     np.testing.assert_array_equal(first, second)
-    linear = srgb_to_linear(first[32, 32] / 255)
+    linear = from_srgb(first[32, 32] / 255)
     assert 1.5 < linear[0] / linear[2] < 2.6  # the near layer counts 1/2, the far one 1/4
 
 
@@ -421,10 +422,10 @@ def test_heat_colours_at_the_ends_and_without_a_value() -> None:
     def center(value: float) -> np.ndarray:
         heat = HeatMap(values=np.full(4, value), range=(0.0, 2.0))
         pixels = drawn(FaceParts(meshes=(square("Wall", 0.0),)), size=32, heatmap=heat)
-        return srgb_to_linear(pixels[16, 16] / 255)
+        return from_srgb(pixels[16, 16] / 255)
 
     for value, wanted in ((0.0, STATIONS[0]), (2.0, STATIONS[-1]), (9.0, STATIONS[-1]), (np.nan, np.array(NO_VALUE))):
-        np.testing.assert_allclose(linear_to_srgb(center(value)), wanted, atol=0.06)
+        np.testing.assert_allclose(to_srgb(center(value)), wanted, atol=0.06)
 
 
 def test_the_bar_shows_the_colours_of_the_range() -> None:

@@ -53,19 +53,15 @@ class Step:
 
 
 def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[Pull]) -> Step:
-    """The least-squares step of all unknowns.
-
-    :param membrane: made for the pulls' anchors
-    """
+    """The least-squares step of all unknowns."""
     rows = [_Rows.of(surface, pull) for pull in pulls]
     system = _System.of(surface, rows)
     right = np.zeros((3 * len(surface.base), 1 + system.count))
     for pull, row, own in zip(pulls, rows, system.columns, strict=True):
         right[:, own] += row.right(len(surface.base), pull)
-    factor = membrane.factor(pulls)
-    half = factor.half(right)
-    unknown = system.solve(half.T @ half)
-    residual = factor.back(half[:, 0] - half[:, 1:] @ unknown)
+    solved = membrane.factor(pulls).solve(right)
+    unknown = system.solve(right.T @ solved)
+    residual = solved[:, 0] - solved[:, 1:] @ unknown
     return system.step(unknown, residual.reshape(surface.base.shape))
 
 

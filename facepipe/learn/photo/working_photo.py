@@ -60,12 +60,12 @@ class WorkingPhoto:
 
 
 def to_linear(color: Tensor) -> Tensor:
-    """Linear light of sRGB 0..1 (IEC 61966-2-1)."""
+    """Linear light of sRGB 0..1 (IEC 61966-2-1): `geometry.colors.from_srgb` with gradients."""
     return torch.where(color <= 0.04045, color / 12.92, ((color.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(light: Tensor) -> Tensor:
-    """sRGB of linear light (IEC 61966-2-1), 0..1."""
+    """sRGB of linear light (IEC 61966-2-1), 0..1: `geometry.colors.to_srgb` with gradients."""
     light = light.clamp(0, 1)
     return torch.where(light <= 0.0031308, light * 12.92, 1.055 * light.clamp(min=0.0031308) ** (1 / 2.4) - 0.055)
 

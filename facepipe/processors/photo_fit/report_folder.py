@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image
 
 from facepipe.core.atomic import write_bytes
+from facepipe.geometry.colors import to_srgb
 from facepipe.pictures import photo_pictures as pictures
 from facepipe.pictures import photo_sheet, save_png
-from facepipe.pictures.textures import linear_to_srgb
 from facepipe.processors.photo_fit.landmark_file import write_landmarks
 from facepipe.processors.photo_fit.report_sheet import report_sheet
 
@@ -43,7 +43,7 @@ def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
 def render_image(one: SheetPhoto) -> Image.Image:
     """The face as the camera of the photo sees it, sRGB, transparent around it."""
     cover = np.clip(one.render[..., 3:], 0, 1)
-    color = linear_to_srgb(np.clip(one.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
+    color = to_srgb(np.clip(one.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
     return Image.fromarray((np.concatenate([color * (cover > 0), cover], axis=2) * 255 + 0.5).astype(np.uint8))
 
 

@@ -15,7 +15,7 @@ from photo_files import encoded, linear_profile, oriented, picture, png, png16
 from PIL import Image, ImageCms, features
 
 from facepipe.core.errors import InputError
-from facepipe.pictures.textures import linear_to_srgb
+from facepipe.geometry.colors import to_srgb
 from facepipe.processors.photo_fit import Photo, read_photo
 
 Array = np.ndarray[Any, Any]
@@ -168,7 +168,7 @@ def test_a_transparent_palette_colour_is_mixed_with_mid_grey(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(("kind", "most"), [("PNG", 2.5), ("TIFF", 2.5), ("JPEG", 12)])
 def test_embedded_profiles_lead_to_srgb(tmp_path: Path, kind: str, most: float) -> None:
-    linear = np.asarray(linear_to_srgb(picture() / 255.0)) * 255
+    linear = np.asarray(to_srgb(picture() / 255.0)) * 255
     image = Image.fromarray(picture())
     options = {"quality": 100, "subsampling": 0} if kind == "JPEG" else {}
     plain = read(tmp_path, encoded(image, kind, icc_profile=linear_profile(), **options))
@@ -181,7 +181,7 @@ def test_embedded_profiles_lead_to_srgb(tmp_path: Path, kind: str, most: float) 
 
 def test_a_profile_survives_turning_and_reducing(tmp_path: Path) -> None:
     data = oriented(picture(480, 400), 6, "PNG", icc_profile=linear_profile())
-    expected = np.asarray(linear_to_srgb(picture(480, 400)[200, 240] / 255.0))
+    expected = np.asarray(to_srgb(picture(480, 400)[200, 240] / 255.0))
     assert read(tmp_path, data, largest=240).pixels[100, 120] == pytest.approx(expected, abs=0.02)
 
 
