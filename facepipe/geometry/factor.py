@@ -1,6 +1,6 @@
 """Factors of sparse symmetric positive definite matrices, made once and solved many times.
 
-``A = P^T L L^T P`` with a permutation P that keeps L sparse: on a surface of n points a minimum degree ordering gives L
+``A = P^T L L^T P`` with a permutation P that keeps L sparse: on a surface of n points a fill-reducing ordering leaves L
 about n log n values. The systems here are solved for 3 to some hundred right-hand sides each, which is why they are
 factored rather than iterated on.
 """
