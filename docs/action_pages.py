@@ -26,6 +26,9 @@ export` makes of that. It takes `--force` (`overwrite`), `--flatten` (`flatten`:
 report, which the function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given
 changed. One that makes another file says which; it has no recipe, and so no `--edit` and no `--flatten`. One that works
 in place changes its first file, unless it is given OUT. One that has no OUT shows what there is.
+
+Every command takes `-q` (`--quiet`: nothing on stderr but errors; warnings are in the report of `--json`) and `-v`
+(`--verbose`: debug lines with times too, of Python's logger `facepipe`).
 """
 _ON = {True: "on", False: "off"}
 _TYPES = {bool: "on or off", float: "number", int: "whole number", str: "text", Path: "file"}

@@ -22,7 +22,8 @@ from facepipe.registry import loaded
 
 GROUP = "facepipe.processors"
 # flags that commands have, and arguments of functions, beside those of fields
-_TAKEN = {"edit", "flatten", "force", "help", "json", "out", "output", "overwrite", "replace", "root", "trust-models"}
+_TAKEN = {"edit", "flatten", "force", "help", "json", "out", "output", "overwrite", "quiet", "replace", "root"}
+_TAKEN |= {"loudness", "trust-models", "verbose"}
 _DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
 
 

@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import dataclasses
 import importlib
+import logging
 import os
 import signal
 import sys
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import Parser
-from facepipe.cli.show import note, quiet_libraries
+from facepipe.cli.show import note, quiet_libraries, speaking
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import check_input
@@ -26,6 +27,8 @@ from facepipe.core.trust import PROJECT, Trust, roots_in, trust, trusting
 
 if TYPE_CHECKING:
     from facepipe.core.project import Project
+
+_log = logging.getLogger(__name__)
 
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {
@@ -102,16 +105,21 @@ def _run(words: list[str]) -> int:
     module = None if command is None else command_module(command)
     if command is None or module is None:
         return _help(words, command)
-    rest = words[words.index(command) + 1 :]
+    place = words.index(command)
+    rest = [*words[:place], *words[place + 1 :]]  # -v and -q may stand before it
     project = None if {"-h", "--help"} & {*rest} else _project()
     line = rest if project is None else in_project(project, [command, *rest], Path.cwd())[1:]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, line)
     parsed = parser.parse_args(line)
-    for path in paths_in(list(vars(parsed).values())):
-        check_input(path)
-    with trusting(_trust_of(parsed, project)):
-        return int(module.run(parsed))
+    with speaking(getattr(parsed, "loudness", "usual")), trusting(_trust_of(parsed, project)):
+        _log.debug("facepipe %s, Python %s: %s", __version__, sys.version.split()[0], " ".join([command, *line]))
+        _note_roots(project)
+        for path in paths_in(list(vars(parsed).values())):
+            check_input(path)
+        code = int(module.run(parsed))
+        _log.debug("exit code %d", code)
+        return code
 
 
 def _project() -> Project | None:
@@ -120,12 +128,20 @@ def _project() -> Project | None:
     named = "FACEPIPE_PROJECT" in os.environ
     if not named and not any((one / PROJECT).is_file() for one in (folder, *folder.parents)):
         return None
-    from facepipe.core.project import VARIABLE, project_around
+    from facepipe.core.project import project_around
 
-    project = project_around(folder)
-    if project is not None and project.roots and not project.trusted:
+    return project_around(folder)
+
+
+def _note_roots(project: Project | None) -> None:
+    """Say that roots of a project are left out, where they are."""
+    if project is None:
+        return
+    from facepipe.core.project import VARIABLE
+
+    _log.debug("project file %s", project.file)
+    if project.roots and not project.trusted:
         note(f"warning: roots of {project.file} are left out, expected {VARIABLE}={project.file} if you trust them")
-    return project
 
 
 def in_project(project: Project, words: Sequence[str], folder: Path, out: str = "") -> list[str]:
@@ -181,7 +197,7 @@ def _help(words: list[str], command: str | None) -> int:
     width = max(map(len, commands))
     listing = "\n".join(f"  {name:{width}}  {text}" for name, text in commands.items())
     parser = Parser(
-        trust=False,
+        common=False,
         prog="facepipe",
         usage="facepipe COMMAND ...",
         description="Face assets from a DCC to a game engine.",

@@ -119,7 +119,7 @@ def read_line(words: list[str]) -> Line:
     module = command_module(verb)
     if module is None or not (isinstance(module, ActionLine | ActionGroup) or verb in _OTHERS):
         raise InputError(verb[:40], "can't be a step, expected an action, export, import or validate")
-    parser = Parser(prog=f"facepipe {verb}", description=module.__doc__, trust=False)
+    parser = Parser(prog=f"facepipe {verb}", description=module.__doc__, common=False)
     with _spoken() as (_, errors):
         module.configure(parser, words[1:])
         parsed = _parsed(parser, words[1:], errors)
@@ -167,7 +167,8 @@ def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> li
 
 def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.Namespace:
     try:
-        return parser.parse_args(words)
+        parsed: argparse.Namespace = parser.parse_args(words)
+        return parsed
     except SystemExit:
         lines = errors.getvalue().strip().splitlines() or [f"{parser.prog}: no line to run"]
         where, _, what = lines[-1].partition(": ")

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.show import note
+from facepipe.cli.show import is_quiet, note
 
 if TYPE_CHECKING:
     from facepipe.farm.run import Run
@@ -21,7 +21,7 @@ _EVERY = 10.0  # seconds between two lines of a log
 def shown() -> Iterator[Callable[[Run], Callable[..., object]]]:
     """What is to be told of a run: for each task that ends, its record."""
     with contextlib.ExitStack() as ends:
-        yield lambda run: _bars(run, ends) if sys.stderr.isatty() else _lines(run)
+        yield lambda run: _bars(run, ends) if sys.stderr.isatty() and not is_quiet() else _lines(run)
 
 
 def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:

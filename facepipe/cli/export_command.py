@@ -43,7 +43,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     level = "level of detail of a face that `facepipe lod` made, 0 the finest (default 0)"
     parser.add_argument("--lod", type=int, default=0, metavar="N", help=level)
-    finder = Parser(add_help=False, trust=False)
+    finder = Parser(add_help=False, common=False)
     finder.add_argument("-o", "--output")
     suffix = "" if {"-h", "--help"} & set(words) else Path(finder.parse_known_args(words)[0].output or "").suffix
     known = suffix.lower().removeprefix(".") in registry.suffixes()

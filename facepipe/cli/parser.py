@@ -1,4 +1,4 @@
-"""Arguments: one-line usage errors, flags from option dataclasses, output files."""
+"""Arguments: one-line usage errors with the nearest right word, flags from option dataclasses, output files."""
 
 from __future__ import annotations
 
@@ -10,17 +10,51 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 from facepipe.declare import Field, fields_of
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse with errors of one line, texts kept as written, and what every command says of files of others."""
+    """argparse with errors of one line, texts kept as written, and the flags that every command has.
 
-    def __init__(self, *, trust: bool = True, **settings: Any) -> None:
+    :param common: with those flags: how much is printed, and what files of others may do
+    """
+
+    def __init__(self, *, common: bool = True, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
         self.intermixed = False  # whether words without a flag may stand between flags; else they stand in one run
-        if trust:
+        if common:
+            self._add_loudness()
             self._add_trust()
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does; of a word that no command knows the error has the nearest flag."""
+        parsed, others = self.parse_known_args(args, namespace)
+        if others:
+            flags = [one.partition("=")[0] for one in others if one.startswith("-")]
+            near = did_you_mean(flags[0], self._flags()) if flags else ""
+            self.error(f"unrecognized arguments: {' '.join(others)}{near}")
+        return parsed
+
+    def _flags(self) -> list[str]:
+        """The flags of this parser and of those below it."""
+        groups = [one for one in self._actions if isinstance(one, argparse._SubParsersAction)]
+        below = [parser for group in groups for parser in group.choices.values()]
+        return [flag for parser in (self, *below) for flag in parser._option_string_actions if flag.startswith("--")]
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """:raises argparse.ArgumentError: `value` is no choice of the action; with the nearest one"""
+        if action.choices is not None and value not in action.choices:
+            choices = [str(one) for one in action.choices]
+            near = did_you_mean(str(value), choices) or f" (choose from {', '.join(choices)})"
+            raise argparse.ArgumentError(action, f"invalid choice: {value!r}{near}")
+
+    def _add_loudness(self) -> None:
+        group = self.add_argument_group("what is printed").add_mutually_exclusive_group()
+        given: Any = {"action": "store_const", "dest": "loudness", "default": argparse.SUPPRESS}
+        group.add_argument("-v", "--verbose", const="verbose", help="also debug lines with times, on stderr", **given)
+        quiet = "nothing on stderr but errors: no progress, no notes, no warnings (they are in the report of --json)"
+        group.add_argument("-q", "--quiet", const="quiet", help=quiet, **given)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does, and words of parsers that are `intermixed` in any place."""

@@ -70,7 +70,7 @@ def _flags(project: Project, command: str, modules: Modules, words: Sequence[str
 
 def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[str]:
     """The options of a command that a project may choose, of the format that `words` write, or of all (--help)."""
-    parser = Parser(add_help=False, trust=False)
+    parser = Parser(add_help=False, common=False)
     kind = find_action(command)
     if kind is None:
         modules(command).configure(parser, [*words])

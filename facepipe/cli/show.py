@@ -1,18 +1,52 @@
-"""What commands print: tables, JSON, progress; and what libraries print of their own accord, which goes nowhere."""
+"""What commands print: tables, JSON, progress, logs; and what libraries print of their own accord, which goes nowhere.
+
+``--quiet`` and ``--verbose`` are decided here: notes and bars ask `_loudness`, debug lines are those of the logger
+``facepipe``, which a host may listen to as well.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import json
+import logging
 import os
 import sys
+import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from contextvars import ContextVar
+from typing import Any, Literal
 
 from facepipe.core.errors import printable
 from facepipe.core.reports import Report
+
+Loudness = Literal["quiet", "usual", "verbose"]
+
+_loudness: ContextVar[Loudness] = ContextVar("facepipe_loudness", default="usual")
+_log = logging.getLogger(__name__)
+
+
+@contextlib.contextmanager
+def speaking(loudness: Loudness) -> Iterator[None]:
+    """In the block, stderr gets errors alone (quiet), or also debug lines with the milliseconds since the start."""
+    token, logger, level = _loudness.set(loudness), logging.getLogger("facepipe"), logging.getLogger("facepipe").level
+    lines = logging.StreamHandler(sys.stderr)
+    lines.setFormatter(logging.Formatter("facepipe: %(relativeCreated)d ms: %(message)s"))
+    if loudness == "verbose":
+        logger.addHandler(lines)
+        logger.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        logger.removeHandler(lines)
+        logger.setLevel(level)
+        _loudness.reset(token)
+
+
+def is_quiet() -> bool:
+    """Whether stderr gets errors alone."""
+    return _loudness.get() == "quiet"
 
 
 def emit(value: Report | dict[str, Any], text: str, *, as_json: bool) -> None:
@@ -32,8 +66,9 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def note(line: str) -> None:
-    """Print a fact to stderr."""
-    print(f"facepipe: {printable(line)}", file=sys.stderr)
+    """Print a fact to stderr, unless all is to be quiet."""
+    if not is_quiet():
+        print(f"facepipe: {printable(line)}", file=sys.stderr)
 
 
 def noted_names(given: str | None, names: Mapping[str, str]) -> None:
@@ -45,11 +80,14 @@ def noted_names(given: str | None, names: Mapping[str, str]) -> None:
 
 @contextlib.contextmanager
 def progress(label: str, total: int) -> Iterator[Any]:
-    """A bar on stderr with ``update()`` per step; shown on a terminal only."""
+    """A bar on stderr with ``update()`` per step; shown on a terminal only, and as a line with its time if verbose."""
     from tqdm import tqdm
 
-    with tqdm(total=total, desc=label, file=sys.stderr, disable=None, leave=False) as bar:
+    hidden = None if _loudness.get() == "usual" else True
+    start = time.perf_counter()
+    with tqdm(total=total, desc=label, file=sys.stderr, disable=hidden, leave=False) as bar:
         yield bar
+    _log.debug("%s: %d step(s) in %.3f s", label, total, time.perf_counter() - start)
 
 
 @contextlib.contextmanager

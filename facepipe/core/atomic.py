@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import secrets
 import shutil
@@ -28,6 +29,7 @@ from facepipe.core.placing import (
 from facepipe.core.trust import check_beside
 
 AnyPath = str | os.PathLike[str]
+_log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -212,6 +214,8 @@ class _Group:
             self._journaled(moves)
         for parent in self._homes:
             sync_folder(parent)
+        for move in moves:
+            _log.debug("%s: %s", move.target, "removed" if move.role == "stale" else "written")
         for call in self.calls:
             call()
 

@@ -18,7 +18,8 @@ from facepipe.declare import fields_of
 PAGE = (REPOSITORY / "docs" / "actions.md").read_text(encoding="utf-8")
 OF_ALL = {"--output", "--force", "--edit", "--flatten", "--json"}
 LISTED = {"apply-bones": {"--info"}}  # what commands do beside their action
-LAST = {"--help", "--root", "--trust-models", "--replace"}  # of every command; of sources that are several
+LAST = {"--help", "--verbose", "--quiet", "--root", "--trust-models"}  # of every command
+LAST |= {"--replace"}  # of sources that are several
 
 
 def test_the_page_is_what_its_script_makes() -> None:

@@ -493,7 +493,7 @@ def test_recipes_of_the_release_before_are_read(folder: Path, given: bool) -> No
 
 def edited(*words: str) -> FitPhoto:
     """The action that a line asks for."""
-    parser = Parser(trust=False)
+    parser = Parser(common=False)
     configure(parser, FitPhoto)
     return action_of(parser.parse_args([*words, "--edit", "out/person.usda"]), FitPhoto)[1]
 
