@@ -127,7 +127,7 @@ def solve(first: str, second: str, solver: str, arrays: str) -> Json:
     start = time.perf_counter()
     session = BlendSession(faces, options)
     made = time.perf_counter()
-    weights = _weights(session.network.regions)
+    weights = _weights(session.graph.regions)
     solution = session.solve(weights[0])
     end = time.perf_counter()
     peak, factoring = peak_memory(), clock.factoring

@@ -16,7 +16,7 @@ from facepipe.importers.ict import Options
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
 from facepipe.processors.blend import BlendSession, Weights
-from facepipe.processors.blend.mixing import mix
+from facepipe.processors.blend.graph import mix
 from facepipe.rig.trs import rotation_matrices
 from facepipe.stage import Face
 

@@ -48,8 +48,7 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     import facepipe
     from facepipe.core.atomic import write_bytes
     from facepipe.payload import decode
-    from facepipe.processors.apply_bones import check_fits, limit_warnings, posed_points
-    from facepipe.processors.bone_limits import beyond_limits, within_limits
+    from facepipe.processors.apply_bones import beyond_limits, check_fits, limit_warnings, posed_points, within_limits
     from facepipe.processors.bone_payload import payload_bytes
 
     out = output_of(arguments, [action.face, action.coefficients])
@@ -75,8 +74,7 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
 def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
     import facepipe
     from facepipe.payload import decode, read_header
-    from facepipe.processors.apply_bones import limit_warnings
-    from facepipe.processors.bone_limits import beyond_limits
+    from facepipe.processors.apply_bones import beyond_limits, limit_warnings
     from facepipe.processors.bone_payload import payload_bytes
 
     where = action.coefficients

@@ -14,7 +14,7 @@ from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
 from facepipe.processors.blend import BlendFaces, BlendSession, Weights
 from facepipe.processors.blend.result import result_parts
-from facepipe.processors.blend.weights_json import weights_from_json
+from facepipe.processors.blend.weights import weights_from_json
 from facepipe.stage import open_face
 
 _DEFAULT = "default"

@@ -1,8 +1,8 @@
-"""Rebuilds a face from bone coefficients: poses or a clip on a stage, or points."""
+"""Rebuilds a face from bone coefficients, in its limits or beyond: poses or a clip on a stage, or points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
-from facepipe.parts import Animation, Recipe
-from facepipe.payload import PayloadContent
-from facepipe.processors.bone_limits import beyond_limits, within_limits
+from facepipe.parts import Animation, BoneLimits, Recipe
+from facepipe.payload import PayloadContent, as_stored
+from facepipe.rig import CHANNELS
 from facepipe.stage import Face
 from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
@@ -107,6 +107,47 @@ def limit_warnings(beyond: tuple[str, ...], *, clamped: bool) -> tuple[str, ...]
     return (f"{len(beyond)} channels {done} the limits of the face: {some}",)
 
 
+def check_limits(joints: Sequence[str], limits: BoneLimits) -> None:
+    """:raises InputError: a lower limit above its upper one"""
+    crossed = np.argwhere(np.asarray(limits.lower) > np.asarray(limits.upper))
+    if len(crossed):
+        joint, channel = crossed[0]
+        what = f"lower limit {limits.lower[joint, channel]:g} above the upper {limits.upper[joint, channel]:g}"
+        raise InputError(f"bone limits -> {joints[joint]} -> {CHANNELS[channel]}", what)
+
+
+def beyond_limits(face: Face, content: PayloadContent) -> tuple[str, ...]:
+    """``joint:channel`` of what some frame has beyond the face's limits, as these are in the payload's precision.
+
+    :raises InputError: limits of the face that cross
+    """
+    limits = _limits(face)
+    if limits is None:
+        return ()
+    stored = as_stored(content.frames, content.precision)
+    lower, upper = (as_stored(one, content.precision) for one in (limits.lower, limits.upper))
+    beyond = ((stored < lower) | (stored > upper)).any(axis=0)
+    return tuple(f"{content.joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond))
+
+
+def within_limits(face: Face, content: PayloadContent) -> PayloadContent:
+    """The coefficients brought into the face's limits.
+
+    :raises InputError: limits of the face that cross
+    """
+    limits = _limits(face)
+    if limits is None:
+        return content
+    return replace(content, coefficients=np.clip(content.coefficients, limits.lower, limits.upper))
+
+
+def _limits(face: Face) -> BoneLimits | None:
+    limits = face.parts().bone_limits
+    if limits is not None:
+        check_limits(face.skeleton.joints, limits)
+    return limits
+
+
 def check_fits(face: Face, content: PayloadContent) -> None:
     """:raises InputError: the coefficients are of other joints or in other units than the face"""
     joints = face.skeleton.joints
@@ -125,10 +166,10 @@ def posed_points(face: Face, content: PayloadContent, done: Callable[[], object]
     """
     check_fits(face, content)
     points = np.empty((len(content.frames), len(face.rig().points), 3), np.float32)
-    for number, (own, coefficients) in enumerate(zip(points, content.frames, strict=True)):
+    for number, (frame, coefficients) in enumerate(zip(points, content.frames, strict=True)):
         with np.errstate(over="ignore", invalid="ignore"):
-            own[:] = face.evaluate(coefficients=coefficients)
-        if not np.isfinite(own).all():
+            frame[:] = face.evaluate(coefficients=coefficients)
+        if not np.isfinite(frame).all():
             what = "points too large for float32, expected smaller coefficients"
             raise InputError(f"{face.where} -> frame {number}", what)
         done()

@@ -54,11 +54,11 @@ def cached_points(cache: PointCache, path: Path) -> CachedPoints:
 def _held(cache: PointCache, path: Path) -> CachedPoints:
     """Points of a face, which its skin moves: as the skeleton at rest places them."""
     parts = open_face(path).parts()
-    own = {one.mesh.name: one for one in cache.meshes}
-    lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in own), None)
+    cached = {one.mesh.name: one for one in cache.meshes}
+    lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in cached), None)
     if lacking is not None:
         raise TopologyError(path, f"no mesh '{lacking}' in the point cache, expected those of the face")
-    meshes = [own[mesh.name] for mesh in parts.meshes]
+    meshes = [cached[mesh.name] for mesh in parts.meshes]
     rig, spaces = build(parts), mesh_spaces(parts)
     matrices = rig.skinning_matrices(rig.rest)
 

@@ -62,30 +62,30 @@ class CleanScan:
             raise error.under(scan.name) from None
 
     def _surface(self, scan: Scan) -> CleanedScan:
-        found = clean_surface(scan.points, scan.triangles, smallest=self.smallest)
+        cleaned = clean_surface(scan.points, scan.triangles, smallest=self.smallest)
         mended = replace(
             scan,
-            points=found.points,
-            triangles=found.triangles,
-            normals=point_normals(found.points, found.triangles),
-            colors=None if scan.colors is None else scan.colors[found.source],
+            points=cleaned.points,
+            triangles=cleaned.triangles,
+            normals=point_normals(cleaned.points, cleaned.triangles),
+            colors=None if scan.colors is None else scan.colors[cleaned.source],
         )
         report = CleanScanReport(
-            points=len(found.points),
-            triangles=len(found.triangles),
-            surface=found.report,
-            warnings=_warnings(found.report),
+            points=len(cleaned.points),
+            triangles=len(cleaned.triangles),
+            surface=cleaned.report,
+            warnings=_warnings(cleaned.report),
         )
-        return CleanedScan(scan=mended, border=found.border, component=found.component, report=report)
+        return CleanedScan(scan=mended, border=cleaned.border, component=cleaned.component, report=report)
 
     def _cloud(self, scan: Scan) -> CleanedScan:
         first, _ = merge_points(scan.points)
         points = scan.points[first]
-        found = cloud_normals(points, self.neighbours)
-        kept, normals, turned = ~found.lone, found.normals, False
+        cloud = cloud_normals(points, self.neighbours)
+        kept, normals, turned = ~cloud.lone, cloud.normals, False
         if scan.normals is not None:
             normals = scan.normals[first]
-            turned = bool(np.einsum("ni,ni->n", normals, found.normals).mean() < 0)
+            turned = bool(np.einsum("ni,ni->n", normals, cloud.normals).mean() < 0)
             normals = -normals if turned else normals
         mended = replace(
             scan,

@@ -108,7 +108,7 @@ class SetRegions:
     def _named(self, face: Face, chosen: tuple[Mesh, ...]) -> dict[str, str]:
         """Mesh -> region, of those that the legend names."""
         mapped = {mesh.name for mesh in chosen}
-        found: dict[str, str] = {}
+        named: dict[str, str] = {}
         for glob, region in self.legend.meshes.items():
             names = [mesh.name for mesh in face.meshes if fnmatchcase(mesh.name, glob)]
             if not names:
@@ -118,8 +118,8 @@ class SetRegions:
                 raise InputError(f"{self.legend.where} -> meshes", f"'{glob}' has the map, expected another mesh")
             for name in names:
                 if name not in mapped:
-                    found.setdefault(name, region)
-        return found
+                    named.setdefault(name, region)
+        return named
 
     def _mapped(self, face: Face, mesh: Mesh) -> tuple[Masks, MeshRegions]:
         """Masks of one mesh under the map, and what became of its points."""

@@ -66,12 +66,12 @@ class AuthorRegions(MapSampling, StageAction["RegionsReport"]):
         from facepipe.processors.regions import region_table
 
         lines = []
-        for one in report.meshes:
-            counts = ((one.outside, "outside the map"), (one.kept, "kept"))
-            facts = [f"{one.points} points", *(f"{count} {what}" for count, what in counts if count)]
-            if not one.covered:
-                facts += [f"all in {name}" for name, count in one.regions.items() if count.points]
-            facts += [f"removed: {', '.join(one.removed)}"] if one.removed and one.covered else []
-            lines.append(f"{out} -> {one.mesh}: {', '.join(facts)}")
-            lines += [region_table(one.regions)] if one.covered else []
+        for mesh in report.meshes:
+            counts = ((mesh.outside, "outside the map"), (mesh.kept, "kept"))
+            facts = [f"{mesh.points} points", *(f"{count} {what}" for count, what in counts if count)]
+            if not mesh.covered:
+                facts += [f"all in {name}" for name, count in mesh.regions.items() if count.points]
+            facts += [f"removed: {', '.join(mesh.removed)}"] if mesh.removed and mesh.covered else []
+            lines.append(f"{out} -> {mesh.mesh}: {', '.join(facts)}")
+            lines += [region_table(mesh.regions)] if mesh.covered else []
         return "\n".join(lines)

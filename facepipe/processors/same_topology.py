@@ -32,34 +32,34 @@ def in_order(base: FaceParts, base_name: str, other: FaceParts, name: str) -> Fa
 
     :raises TopologyError: a mesh that `other` lacks, or the first difference of one
     """
-    own = {mesh.name: mesh for mesh in other.meshes}
+    named = {mesh.name: mesh for mesh in other.meshes}
     for mesh in base.meshes:
-        if mesh.name not in own:
-            found = ", ".join(own) or "none"
+        if mesh.name not in named:
+            found = ", ".join(named) or "none"
             raise TopologyError(name, f"no mesh '{mesh.name}', expected the meshes of {base_name}; it has {found}")
-        check_same_faces(f"{name} -> {mesh.name}", own[mesh.name], mesh, base_name)
-    return replace(other, meshes=tuple(own[mesh.name] for mesh in base.meshes))
+        check_same_faces(f"{name} -> {mesh.name}", named[mesh.name], mesh, base_name)
+    return replace(other, meshes=tuple(named[mesh.name] for mesh in base.meshes))
 
 
 def check_same_faces(where: str, mesh: Mesh, base: Mesh, base_name: str) -> None:
     """:raises TopologyError: the first count or face in which `mesh` is not like `base`"""
-    for what, own, expected in (
+    for what, actual, expected in (
         ("points", len(mesh.points), len(base.points)),
         ("faces", len(mesh.face_vertex_counts), len(base.face_vertex_counts)),
     ):
-        if own != expected:
-            raise TopologyError(where, f"{own:,} {what}, expected {expected:,} as in {base_name}")
+        if actual != expected:
+            raise TopologyError(where, f"{actual:,} {what}, expected {expected:,} as in {base_name}")
     counts = np.flatnonzero(mesh.face_vertex_counts != base.face_vertex_counts)
     if len(counts):
         face = counts[0]
-        own, expected = int(mesh.face_vertex_counts[face]), int(base.face_vertex_counts[face])
-        raise TopologyError(where, f"face {face} has {own} corners, expected {expected} as in {base_name}")
+        actual, expected = int(mesh.face_vertex_counts[face]), int(base.face_vertex_counts[face])
+        raise TopologyError(where, f"face {face} has {actual} corners, expected {expected} as in {base_name}")
     corners = np.flatnonzero(mesh.face_vertex_indices != base.face_vertex_indices)
     if len(corners):
         corner = corners[0]
         face = int(np.searchsorted(np.cumsum(base.face_vertex_counts), corner, side="right"))
-        own, expected = int(mesh.face_vertex_indices[corner]), int(base.face_vertex_indices[corner])
-        raise TopologyError(where, f"face {face} uses point {own}, expected point {expected} as in {base_name}")
+        actual, expected = int(mesh.face_vertex_indices[corner]), int(base.face_vertex_indices[corner])
+        raise TopologyError(where, f"face {face} uses point {actual}, expected point {expected} as in {base_name}")
 
 
 def check_spaces(name: str, parts: FaceParts) -> None:

@@ -17,7 +17,7 @@ from facepipe import heads
 from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport
-from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.processors.skin.features import eyeballs_of
 from facepipe.processors.skin.surface import surface_of
 from facepipe.stage import Face
 

@@ -43,14 +43,13 @@ else:
 
 
 def _dump(weights: Weights | None) -> object:
-    from facepipe.processors.blend.weights import Weights
-    from facepipe.processors.blend.weights_json import weights_to_json
+    from facepipe.processors.blend.weights import Weights, weights_to_json
 
     return weights_to_json(weights or Weights())
 
 
 def _load(content: object, where: str) -> Weights:
-    from facepipe.processors.blend.weights_json import weights_from_json
+    from facepipe.processors.blend.weights import weights_from_json
 
     return weights_from_json(content, where)
 
@@ -86,8 +85,7 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
 
     @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
-        from facepipe.processors.blend.weights import Weights
-        from facepipe.processors.blend.weights_flags import weights_of
+        from facepipe.processors.blend.weights import Weights, weights_of
 
         if values.get("match") is not None:
             for flag in ("weights", "set", "default", "gains", "unlock"):
@@ -118,13 +116,13 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
             weights.shares(list(all_regions(faces[0].meshes)), len(faces))
         start = time.perf_counter()
         session = BlendSession(faces, self, live=False)
-        found = None if target is None else match(session, target, weights.locked)
-        weights = weights if found is None else found.weights
+        matched = None if target is None else match(session, target, weights.locked)
+        weights = weights if matched is None else matched.weights
         recipe = job.recipe(replace(self, weights=weights))
         with job.watch("blend", len(session.sculpts)) as bar:
             report = Blend(weights=weights, options=session.options)(face, session, recipe=recipe, done=bar.update)
-        warnings = tuple(dict.fromkeys((*(found.warnings if found else ()), *report.warnings)))
-        return replace(report, match=found, warnings=warnings, seconds=time.perf_counter() - start)
+        warnings = tuple(dict.fromkeys((*(matched.warnings if matched else ()), *report.warnings)))
+        return replace(report, match=matched, warnings=warnings, seconds=time.perf_counter() - start)
 
     def draw(self, face: Face, report: BlendReport, path: Path) -> None:
         """The picture of the seam residual."""
@@ -135,7 +133,7 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
         save_png(picture(face.parts(), None, PictureOptions(heatmap=heatmap)), path)
 
     def text(self, report: BlendReport, out: Path) -> str:
-        from facepipe.processors.blend.text import as_text, match_text
+        from facepipe.processors.blend.quality import as_text, match_text
 
         found = [] if report.match is None else [match_text(report.match, report.sources)]
         return "\n".join([*found, as_text(out, report)])

@@ -11,8 +11,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.names import select
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities
-from facepipe.processors.blend.mixing import mix
-from facepipe.processors.blend.network import Network
+from facepipe.processors.blend.graph import Graph, mix
 from facepipe.processors.blend.sculpts import Sculpt
 from facepipe.processors.blend.sources import Sources
 
@@ -49,15 +48,16 @@ class KeptParts:
             return np.zeros(0, dtype=bool)
         still = np.bincount(self.part, ~moving[self.points])
         chosen = np.asarray((still <= _AXIS * np.bincount(self.part))[self.part])
-        own, number = self.points[chosen], self.part[chosen]
-        if not len(own):
+        points, number = self.points[chosen], self.part[chosen]
+        if not len(points):
             return chosen
         rigid = np.ones(int(number.max()) + 1, dtype=bool)
         for start, sculpted in zip(self.neutrals[:, chosen], sculpt.offsets, strict=True):
             offsets = np.zeros((len(moving), 3))
             offsets[sculpt.points] = sculpted
-            off = fit_similarities(start, start + offsets[own], number).apply(start, number) - start - offsets[own]
-            left, whole = (np.bincount(number, (one**2).sum(axis=1)) for one in (off, offsets[own]))
+            motion = offsets[points]
+            off = fit_similarities(start, start + motion, number).apply(start, number) - start - motion
+            left, whole = (np.bincount(number, (vectors**2).sum(axis=1)) for vectors in (off, motion))
             rigid &= left <= _RIGID**2 * whole
         chosen[chosen] = rigid[number]
         return chosen
@@ -81,7 +81,7 @@ class KeptParts:
         offsets[points] = np.where(moving[points][:, None], fitted, 0.0)
 
 
-def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
+def kept_parts(sources: Sources, graph: Graph, globs: str) -> KeptParts:
     """The loose parts of the meshes whose names `globs` match.
 
     :raises InputError: a glob that matches no mesh
@@ -90,9 +90,9 @@ def kept_parts(sources: Sources, network: Network, globs: str) -> KeptParts:
     chosen = _default(names) if globs == "auto" else select(names, globs, "keep_shape")
     ranges = dict(zip(names, zip(sources.mesh_offsets[:-1], sources.mesh_offsets[1:], strict=True), strict=True))
     points = np.concatenate([np.zeros(0, np.int64), *(np.arange(*ranges[name]) for name in chosen)])
-    points = points[~network.main[points]]
+    points = points[~graph.main[points]]
     mesh = np.searchsorted(sources.mesh_offsets, points, side="right")
-    part = _merge_concentric(sources.points[0, points], network.component[points], mesh)
+    part = _merge_concentric(sources.points[0, points], graph.component[points], mesh)
     if not len(points):
         nothing = np.zeros((len(sources.points), 0, 3))
         return KeptParts(points, part, nothing, nothing)

@@ -39,14 +39,14 @@ class LidContact:
 
 def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidContact]:
     """The contact at every kept part that is round and belongs to a mesh named like an eye."""
-    found = {}
+    contacts = {}
     for name, part in _eye_parts(session):
         shell = _outer_shell(session, part)
         stands = [_surface(points, shell) for points in (*session.sources.points, solution.neutral.points)]
         surfaces = [surface for surface in stands if surface is not None]
         if len(surfaces) == len(stands):
-            found[name] = _Eye(session, solution, part, surfaces).contact()
-    return found
+            contacts[name] = _Eye(session, solution, part, surfaces).contact()
+    return contacts
 
 
 def _eye_parts(session: BlendSession) -> Iterator[tuple[str, IntArray]]:
@@ -66,9 +66,9 @@ def _outer_shell(session: BlendSession, part: IntArray) -> tuple[IntArray, IntAr
 
     Eyeballs are modelled as one shell around another; small components are irises, lenses and caps.
     """
-    net, points = session.network, session.sources.points[0]
-    triangles = net.triangles[_places(part, len(points))[net.triangles[:, 0]] >= 0]
-    component = net.component[part]
+    graph, points = session.graph, session.sources.points[0]
+    triangles = graph.triangles[_places(part, len(points))[graph.triangles[:, 0]] >= 0]
+    component = graph.component[part]
     areas = np.bincount(component, point_areas(points, triangles)[part])
     reach = np.zeros(len(areas))
     np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
@@ -78,12 +78,12 @@ def _outer_shell(session: BlendSession, part: IntArray) -> tuple[IntArray, IntAr
 
 
 def _surface(points: FloatArray, shell: tuple[IntArray, IntArray]) -> RadialSurface | None:
-    own = points[shell[0]]
+    shell_points = points[shell[0]]
     try:
-        ball = fit_ball(own, point_areas(own, shell[1]))  # a cornea is modelled more densely
+        ball = fit_ball(shell_points, point_areas(shell_points, shell[1]))  # a cornea is modelled more densely
     except FitError:
         return None
-    return RadialSurface(own, ball.centre) if ball.rms <= _ROUND * ball.radius else None
+    return RadialSurface(shell_points, ball.centre) if ball.rms <= _ROUND * ball.radius else None
 
 
 class _Eye:
@@ -94,7 +94,7 @@ class _Eye:
     ) -> None:
         self._solution, self._surfaces, self._mm = solution, surfaces, session.sources.mm_per_unit
         stands = (*session.sources.points, solution.neutral.points)
-        face = np.flatnonzero(session.network.main)
+        face = np.flatnonzero(session.graph.main)
         around = [
             ((points[face] - surface.centre) ** 2).sum(axis=1) < (_AROUND * surface.largest) ** 2
             for points, surface in zip(stands, surfaces, strict=True)

@@ -1,9 +1,10 @@
-"""How good a blend is: what the report says, in millimetres."""
+"""How good a blend is: the report, in millimetres, and as text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +12,17 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.reports import Report
+from facepipe.core.texts import table
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.flips import triangle_normals, turned_triangles
+from facepipe.processors.blend.graph import mix
 from facepipe.processors.blend.lids import LidContact, lid_contacts
-from facepipe.processors.blend.mixing import mix
 from facepipe.processors.blend.session import BlendSession, Solution
 
 if TYPE_CHECKING:
     from facepipe.processors.blend.matching import MatchReport
+
+_SHOWN = 4  # names of a list
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,39 +72,39 @@ class BlendReport(Report):
 
 def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, FloatArray]:
     """The report of a solution, and the seam residual (n,): RMS deviation of the edges at each point, mm."""
-    sources, net, neutral = session.sources, session.network, solution.neutral
-    lengths = _lengths(edge_vectors(neutral.points, net.edges) - neutral.wanted, sources.mm_per_unit)
-    region = np.argmax(net.masks[:, net.edges[:, 0]] + net.masks[:, net.edges[:, 1]], axis=0)
-    names = (*net.regions, "default")
-    normals = _triangle_mix(neutral.shares, sources.points, net.triangles)
+    sources, graph, neutral = session.sources, session.graph, solution.neutral
+    lengths = _lengths(edge_vectors(neutral.points, graph.edges) - neutral.wanted, sources.mm_per_unit)
+    region = np.argmax(graph.masks[:, graph.edges[:, 0]] + graph.masks[:, graph.edges[:, 1]], axis=0)
+    names = (*graph.regions, "default")
+    normals = _triangle_mix(neutral.shares, sources.points, graph.triangles)
     count = len(neutral.points)
     report = BlendReport(
         sources=sources.names,
         points=count,
-        loose_parts=len(np.unique(net.component)) - 1,
+        loose_parts=len(np.unique(graph.component)) - 1,
         kept_parts=len(np.unique(session.kept.part)),
         weights={name: tuple(map(float, row)) for name, row in zip(names, neutral.table, strict=True)},
         deviation=_deviation(lengths),
         regions={name: _deviation(lengths[region == i]) for i, name in enumerate(names) if (region == i).any()},
         shapes={sculpt.name: _shape(session, solution, number) for number, sculpt in enumerate(solution.sculpts)},
         lids=lid_contacts(session, solution),
-        flipped_triangles=int(turned_triangles(normals, neutral.points, net.triangles).sum()),
+        flipped_triangles=int(turned_triangles(normals, neutral.points, graph.triangles).sum()),
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
-        warnings=(*sources.warnings, *net.notes, *neutral.notes, *_warnings(session)),
+        warnings=(*sources.warnings, *graph.notes, *neutral.notes, *_warnings(session)),
     )
-    return report, _at_points(lengths, net.edges, count)
+    return report, _at_points(lengths, graph.edges, count)
 
 
 def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuality:
-    net, sculpt, mm = session.network, solution.sculpts[number], session.sources.mm_per_unit
+    graph, sculpt, mm = session.graph, solution.sculpts[number], session.sources.mm_per_unit
     neutral = solution.neutral
     edges, wanted = session.expression(number).asked(neutral)
     moving = np.zeros(len(neutral.points), dtype=bool)
     moving[sculpt.points] = True
     offsets = np.zeros(neutral.points.shape)
     offsets[sculpt.points] = solution.offsets[number]
-    ends = net.edges[edges]
+    ends = graph.edges[edges]
     lengths = _lengths(edge_vectors(offsets, ends) - wanted, mm)
     border = moving[ends[:, 0]] != moving[ends[:, 1]]
     return ShapeQuality(
@@ -117,7 +121,7 @@ def _flipped(
     session: BlendSession, solution: Solution, number: int, moving: npt.NDArray[np.bool_], offsets: FloatArray
 ) -> int:
     """Triangles that the shape turns over, beyond what it does in the sources."""
-    triangles = session.network.triangles
+    triangles = session.graph.triangles
     touched = triangles[moving[triangles].any(axis=1)]
     sculpt = solution.sculpts[number]
     sculpted = session.sources.points.copy()
@@ -135,7 +139,7 @@ def _warnings(session: BlendSession) -> list[str]:
     lines = []
     if len(session.sources.points) == 1:
         lines.append("one source: the result is that face")
-    short = _lengths(edge_vectors(session.sources.points, session.network.edges), 1.0)
+    short = _lengths(edge_vectors(session.sources.points, session.graph.edges), 1.0)
     count = int((short <= 0).any(axis=0).sum())
     if count:
         lines.append(f"{count} edges without length in some source: they stay as short as their blended vectors")
@@ -164,3 +168,67 @@ def _at_points(lengths: FloatArray, edges: IntArray, count: int) -> FloatArray:
     ends = edges.ravel()
     squares = np.bincount(ends, np.repeat(lengths**2, 2), minlength=count)
     return np.sqrt(squares / np.maximum(np.bincount(ends, minlength=count), 1))
+
+
+def as_text(out: Path, report: BlendReport) -> str:
+    """What was made, and how near it came to the edges that were asked for."""
+    lines = [
+        f"{out}: {len(report.sources)} source{'s' * (len(report.sources) != 1)}, {report.points:,} points, "
+        f"{len(report.shapes)} shapes and inbetweens in {report.seconds:.2f} s",
+        _deviations(report),
+        *_shapes(report),
+        f"flipped triangles: {report.flipped_triangles} in the neutral, "
+        f"{sum(shape.flipped_triangles for shape in report.shapes.values())} in shapes",
+        f"loose parts: {report.loose_parts}; parts that keep their shape: {report.kept_parts}",
+        *(_lids(name, contact) for name, contact in report.lids.items()),
+        *_names("shapes transferred", report.transferred),
+        *_names("shapes left out, as some source lacks them", report.skipped),
+    ]
+    return "\n".join(lines)
+
+
+def match_text(match: MatchReport, sources: Sequence[str]) -> str:
+    """The weights that were found, a region a line, and how near they come to the target."""
+    rows: list[list[object]] = [["found weights", *_short(sources)]]
+    for name, row in match.weights.regions.items():
+        lock = match.weights.locked.get(name)
+        rows.append([name, *(f"{one:.3f}" for one in row), *([f"locked to {lock}"] if lock else [])])
+    rows.append(["default", *(f"{one:.3f}" for one in match.weights.default or ())])
+    return f"{table(rows)}\nedges differ from the target's by {match.rms_mm:.4f} mm RMS, {match.max_mm:.4f} mm at most"
+
+
+def _short(paths: Sequence[str]) -> Sequence[str]:
+    """File names where they tell the paths apart."""
+    names = [Path(path).name for path in paths]
+    return names if len(set(names)) == len(names) else paths
+
+
+def _deviations(report: BlendReport) -> str:
+    rows: list[list[object]] = [["edges off what was asked for, mm", "edges", "RMS", "p95", "max"]]
+    for name, one in (*report.regions.items(), ("all", report.deviation)):
+        numbers = (f"{value:.4f}" for value in (one.rms_mm, one.p95_mm, one.max_mm))
+        rows.append([name, f"{one.edges:,}", *numbers])
+    return table(rows)
+
+
+def _shapes(report: BlendReport) -> list[str]:
+    if not report.shapes:
+        return []
+    name, worst = max(report.shapes.items(), key=lambda item: item[1].border_step_mm)
+    return [f"worst step at the border of a shape: {worst.border_step_mm:.4f} mm ({name})"]
+
+
+def _lids(name: str, contact: LidContact) -> str:
+    text = f"{name}: lids cut in by {_depth(contact.depth_mm, contact.sources_mm)}"
+    if contact.worst_shape is None:
+        return text
+    return f"{text}; at worst {_depth(contact.worst_depth_mm, contact.worst_sources_mm)} with {contact.worst_shape}"
+
+
+def _depth(depth: float, sources: Sequence[float]) -> str:
+    return f"{depth:.2f} mm (sources {', '.join(f'{one:.2f}' for one in sources)})"
+
+
+def _names(title: str, names: Sequence[str]) -> list[str]:
+    some = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+    return [f"{title}: {len(names)} ({some})"] if names else []

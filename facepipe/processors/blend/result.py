@@ -11,11 +11,9 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider, SliderNetwork
-from facepipe.processors.blend.animations import rebase_animations
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
+from facepipe.processors.blend.rigs import blend_skeletons, blend_skins, rebase_animations
 from facepipe.processors.blend.session import BlendSession, Solution
-from facepipe.processors.blend.skeletons import blend_skeletons
-from facepipe.processors.blend.skins import blend_skins
 from facepipe.processors.blend.sources import Sources
 from facepipe.rig import mesh_spaces
 from facepipe.rig.slider_network import kept as kept_outputs
@@ -54,35 +52,35 @@ def _skin(sources: Sources, shares: FloatArray, number: int) -> Skin | None:
 
 def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
     meshes = [parts.meshes[number] for parts in sources.parts]
-    base, own = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
+    base, span = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
     back = np.linalg.inv(mesh_spaces(sources.base)[number])
-    points = solution.neutral.points[own] @ back[:3, :3].T + back[:3, 3]
-    shares = solution.neutral.shares[own]
+    points = solution.neutral.points[span] @ back[:3, :3].T + back[:3, 3]
+    shares = solution.neutral.shares[span]
     return replace(
         base,
         points=points,
         normals=_normals(sources, shares, number, points),
         skin=_skin(sources, shares, number),
-        blendshapes=_blendshapes(meshes, points, solution, own, back[:3, :3]),
+        blendshapes=_blendshapes(meshes, points, solution, span, back[:3, :3]),
     )
 
 
 def _normals(sources: Sources, shares: FloatArray, number: int, points: FloatArray) -> FloatArray | None:
     """The normals of one mesh, per point or corner as the base has them; `points` (n, 3) are the blended ones."""
-    base, own = sources.base.meshes[number], slice(*sources.mesh_offsets[number : number + 2])
+    base, span = sources.base.meshes[number], slice(*sources.mesh_offsets[number : number + 2])
     if base.normals is None:
         return None
     triangles = point_triangles(base.face_vertex_counts, base.face_vertex_indices)
     back = np.linalg.inv(mesh_spaces(sources.base)[number])
-    surfaces = [point_normals(one[own] @ back[:3, :3].T + back[:3, 3], triangles) for one in sources.points]
+    surfaces = [point_normals(one[span] @ back[:3, :3].T + back[:3, 3], triangles) for one in sources.points]
     corners = base.face_vertex_indices
     rows = np.arange(len(points)) if len(base.normals) == len(points) else corners
     authored: list[FloatArray | None] = []
     for parts, to_base in zip(sources.parts, sources.to_base, strict=True):
-        found = _in_rows(parts.meshes[number].normals, corners, len(points), per_point=len(rows) == len(points))
+        given = _in_rows(parts.meshes[number].normals, corners, len(points), per_point=len(rows) == len(points))
         turn = back[:3, :3] @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
         side = np.sign(np.linalg.det(turn))
-        authored.append(None if found is None else side * (found @ np.linalg.inv(turn)))  # the inverse transpose
+        authored.append(None if given is None else side * (given @ np.linalg.inv(turn)))  # the inverse transpose
     surface = point_normals(points, triangles)
     return blend_normals(authored, np.stack(surfaces)[:, rows], surface[rows], shares[rows])
 
@@ -95,7 +93,7 @@ def _in_rows(normals: FloatArray | None, corners: IntArray, count: int, *, per_p
 
 
 def _blendshapes(
-    meshes: list[Mesh], points: FloatArray, solution: Solution, own: slice, linear: FloatArray
+    meshes: list[Mesh], points: FloatArray, solution: Solution, span: slice, linear: FloatArray
 ) -> tuple[Blendshape, ...]:
     """The shapes of one mesh, in the order of the base."""
     triangles = point_triangles(meshes[0].face_vertex_counts, meshes[0].face_vertex_indices)
@@ -103,8 +101,8 @@ def _blendshapes(
     still = _still(solution) & {shape.name for mesh in meshes for shape in mesh.blendshapes}
     collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
-        inside = slice(*np.searchsorted(sculpt.points, [own.start, own.stop]))
-        local = (sculpt.points[inside] - own.start, offsets[inside] @ linear.T)
+        inside = slice(*np.searchsorted(sculpt.points, [span.start, span.stop]))
+        local = (sculpt.points[inside] - span.start, offsets[inside] @ linear.T)
         collected.setdefault(sculpt.shape, {})[sculpt.weight, sculpt.inbetween] = local
     shapes = []
     for name, sculpts in collected.items():

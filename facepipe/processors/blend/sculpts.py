@@ -82,11 +82,11 @@ def _require(sources: Sources, lacking: dict[str, list[int]], missing: Missing) 
 
 def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | None]]:
     """Every weight that some source has a sculpt at, with its name in the first that has it; names are unique."""
-    found: dict[float, str] = {}
+    named: dict[float, str] = {}
     for one in _shapes(parts, shape):
         for inbetween in one.inbetweens:
-            found.setdefault(float(inbetween.weight), inbetween.name)
-    ordered = sorted(found.items())
+            named.setdefault(float(inbetween.weight), inbetween.name)
+    ordered = sorted(named.items())
     names = unique_identifiers(name for _, name in ordered)
     return [(1.0, None), *((weight, name) for (weight, _), name in zip(ordered, names, strict=True))]
 

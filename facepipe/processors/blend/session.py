@@ -7,16 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.declare import check_ranges
 from facepipe.geometry.differences import edge_vectors
-from facepipe.geometry.gradient_system import GradientSystem
+from facepipe.geometry.gradient_system import GradientSystem, MovingSystem
 from facepipe.geometry.grouping import group_sums
-from facepipe.processors.blend.anchors import anchor_named
-from facepipe.processors.blend.expressions import Expression
-from facepipe.processors.blend.kept_parts import kept_parts
-from facepipe.processors.blend.mixing import Shared, mean_of_ends, mix
-from facepipe.processors.blend.network import joint_worlds, network
+from facepipe.processors.blend.graph import Graph, Shared, anchor_named, build_graph, joint_worlds, mean_of_ends, mix
+from facepipe.processors.blend.kept_parts import KeptParts, kept_parts
 from facepipe.processors.blend.options import BlendOptions
 from facepipe.processors.blend.sculpts import Sculpt, pair_sculpts
 from facepipe.processors.blend.sources import stack
@@ -62,35 +59,35 @@ class BlendSession:
         self.faces = tuple(faces)
         self.sources = stack(faces)
         anchor = anchor_named(self.sources, self.options.anchor)
-        self.network = network(self.sources, self.options.edges, self.options.region_width_mm, anchor)
-        net = self.network
-        self.kept = kept_parts(self.sources, net, self.options.keep_shape)
-        paired = pair_sculpts(self.sources, net.triangles, self.options.missing, self.options.static_mm)
+        self.graph = build_graph(self.sources, self.options.edges, self.options.region_width_mm, anchor)
+        graph = self.graph
+        self.kept = kept_parts(self.sources, graph, self.options.keep_shape)
+        paired = pair_sculpts(self.sources, graph.triangles, self.options.missing, self.options.static_mm)
         self.sculpts, self.skipped, self.transferred = paired.sculpts, paired.skipped, paired.transferred
         self.system = GradientSystem(
-            net.edges, net.edge_weights, net.main, net.bridges, net.anchor, self.options.solver
+            graph.edges, graph.edge_weights, graph.main, graph.bridges, graph.anchor, self.options.solver
         )
         self.joint_worlds = joint_worlds(self.sources)
-        self.edge_vectors = edge_vectors(self.sources.points, net.edges)
-        followers, leaders = net.bridges.followers, net.bridges.leaders
+        self.edge_vectors = edge_vectors(self.sources.points, graph.edges)
+        followers, leaders = graph.bridges.followers, graph.bridges.leaders
         self.bridge_vectors = self.sources.points[:, followers] - self.sources.points[:, leaders]
-        self._edge_masks = mean_of_ends(net.masks.T, net.edges[:, 0], net.edges[:, 1])  # (e, regions + 1)
+        self._edge_masks = mean_of_ends(graph.masks.T, graph.edges[:, 0], graph.edges[:, 1])  # (e, regions + 1)
         held = self.options.expressions == "static"
-        self._expressions = [Expression(one, net, self.system, self.kept, hold_static=held) for one in self.sculpts]
+        self._expressions = [Expression(one, graph, self.system, self.kept, hold_static=held) for one in self.sculpts]
 
     def neutral(self, weights: Weights) -> Neutral:
         """The blended neutral: ``M^T W M x = M^T W D`` (the document's S605), then the parts that keep their shape.
 
         :raises InputError: weights that don't fit the sources or regions
         """
-        net = self.network
-        table, notes = weights.shares(net.regions, len(self.sources.points))
-        shares = net.point_shares(table)
+        graph = self.graph
+        table, notes = weights.shares(graph.regions, len(self.sources.points))
+        shares = graph.point_shares(table)
         along_edges = self._edge_masks @ table
-        along_bridges = mean_of_ends(shares, net.bridges.followers, net.bridges.leaders)
+        along_bridges = mean_of_ends(shares, graph.bridges.followers, graph.bridges.leaders)
         wanted = mix(along_edges, self.edge_vectors)
         bridged = mix(along_bridges, self.bridge_vectors)
-        points = self.system.solve(wanted, bridged, self.sources.points[0, net.anchor])
+        points = self.system.solve(wanted, bridged, self.sources.points[0, graph.anchor])
         points[self.kept.points] = self.kept.fit(points, shares)
         joint_shares, joints = self._joints(points, shares)
         return Neutral(
@@ -123,9 +120,100 @@ class BlendSession:
 
     def _joints(self, points: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Shares (j, K) and places (j, 3) of the joints: weighted means over their bridges."""
-        bridges, places = self.network.joint_bridges, self.joint_worlds[:, :, :3, 3]
+        bridges, places = self.graph.joint_bridges, self.joint_worlds[:, :, :3, 3]
         joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
         total = np.bincount(joint, bridges.weights, minlength=count)[:, None]
         own = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
         vectors = mix(0.5 * (own[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
         return own, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
+
+
+class Expression:
+    """A sculpt solved for any weights; what that takes is factored at the first solve, and kept until `release`.
+
+    An expression's edge vectors are the neutral's plus those of its offsets, and the solve is linear: so only the
+    offsets are solved for, and they vanish where nothing moves.
+
+    :param hold_static: points that move in no source are held at 0 inside the bi-Laplacian solve; otherwise, as in the
+        document (S605', S606'), all points are solved and static ones put back after it
+    """
+
+    def __init__(
+        self, sculpt: Sculpt, graph: Graph, system: GradientSystem, kept: KeptParts, *, hold_static: bool
+    ) -> None:
+        self.sculpt, self._graph, self._system, self._kept = sculpt, graph, system, kept
+        self._moving = np.zeros(len(graph.component), dtype=bool)
+        self._moving[sculpt.points] = True
+        self._hold_static = hold_static
+        self._rigid = kept.rigid_in(sculpt, self._moving)
+        self._prepared: _Prepared | None = None
+
+    def solve(self, shared: Shared) -> FloatArray:
+        """(u, 3) offsets of the sculpt's points."""
+        if self._prepared is None:
+            self._prepared = self._prepare()
+        prepared, graph, points = self._prepared, self._graph, self.sculpt.points
+        bridges = graph.bridges
+        along = shared.between(bridges.leaders[prepared.bridges], bridges.followers[prepared.bridges])
+        wanted = mix(shared.edge_shares[prepared.edges], prepared.edge_vectors)
+        bridged, anchored = mix(along, prepared.bridge_vectors), self._anchored(shared.shares)
+        offsets = np.zeros((len(self._moving), 3))
+        if prepared.held:
+            offsets[prepared.held.points] = prepared.held.solve(wanted, bridged, anchored)
+            if prepared.held.pinned:
+                offsets[graph.anchor] = anchored
+        else:
+            everywhere = np.zeros((len(graph.edges), 3))
+            everywhere[prepared.edges] = wanted
+            offsets[points] = self._system.solve(everywhere, bridged, anchored)[points]
+        self._kept.fit_moved(shared.points, offsets, self._rigid, self._moving)
+        return offsets[points]
+
+    def release(self) -> None:
+        """Give the memory of the factor back; the next solve factors again."""
+        self._prepared = None
+
+    def asked(self, shared: Shared) -> tuple[IntArray, FloatArray]:
+        """Edges (q,) at moving points, and the blended vectors (q, 3) of the offsets that are asked of them."""
+        touching = np.flatnonzero(self._moving[self._graph.edges].any(axis=1))
+        ends = self._graph.edges[touching]
+        return touching, mix(shared.edge_shares[touching], self._vectors(ends[:, 0], ends[:, 1]))
+
+    def _prepare(self) -> _Prepared:
+        graph, bridges = self._graph, self._graph.bridges
+        held = self._system.moving(self._moving) if self._hold_static else None
+        edges = held.edges if held else np.flatnonzero(self._moving[graph.edges].any(axis=1))
+        across = held.bridges if held else np.arange(len(bridges.followers))
+        ends = graph.edges[edges]
+        return _Prepared(
+            held=held,
+            edges=edges,
+            bridges=across,
+            edge_vectors=self._vectors(ends[:, 0], ends[:, 1]),
+            bridge_vectors=self._vectors(bridges.leaders[across], bridges.followers[across]),
+        )
+
+    def _anchored(self, shares: FloatArray) -> FloatArray:
+        anchor = self._graph.anchor
+        if not self._moving[anchor]:
+            return np.zeros(3)
+        own = self.sculpt.offsets[:, np.searchsorted(self.sculpt.points, anchor)]
+        return np.asarray(shares[anchor] @ own)
+
+    def _vectors(self, start: IntArray, end: IntArray) -> FloatArray:
+        """(K, q, 3) vectors of the sources' offsets from points to points."""
+        place = np.full(len(self._moving), len(self.sculpt.points))  # static points: a row of zeros at the end
+        place[self.sculpt.points] = np.arange(len(self.sculpt.points))
+        padded = np.concatenate([self.sculpt.offsets, np.zeros((len(self.sculpt.offsets), 1, 3))], axis=1)
+        return np.asarray(padded[:, place[end]] - padded[:, place[start]])
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """The factor of one sculpt, and its right-hand sides before they are mixed."""
+
+    held: MovingSystem | None  # None: the neutral's own system is solved
+    edges: IntArray  # (q,)
+    bridges: IntArray  # (b,)
+    edge_vectors: FloatArray  # (K, q, 3) of offsets
+    bridge_vectors: FloatArray  # (K, b, 3)

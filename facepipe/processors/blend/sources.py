@@ -1,4 +1,4 @@
-"""The faces to blend, stacked as arrays in the space of the first one."""
+"""The faces to blend, stacked as arrays in the space of the first one, with the cards of hairs that it wears."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.parts import FaceParts
-from facepipe.processors.blend.cards import with_cards
-from facepipe.processors.same_topology import check_spaces, in_order, world_to_world
-from facepipe.rig import build, set_face
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, TextureInput
+from facepipe.processors.same_topology import check_same_faces, check_spaces, in_order, world_to_world
+from facepipe.rig import build, mesh_spaces, set_face
 from facepipe.stage import Face
 
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
@@ -100,10 +101,10 @@ def _placements(names: Sequence[str], points: Sequence[FloatArray]) -> list[str]
     """
     lines = []
     sizes = [float(np.sqrt(((one - one.mean(axis=0)) ** 2).sum(axis=1).mean())) for one in points]
-    for name, own, size in zip(names, points, sizes, strict=True):
+    for name, placed, size in zip(names, points, sizes, strict=True):
         if not 0 < size < np.inf or not 1 / _SIZES < size / sizes[0] < _SIZES:
             raise InputError(name, f"{size:g} units across, expected a face of the size of {names[0]} ({sizes[0]:g})")
-        fitted = fit_similarity(points[0], own)
+        fitted = fit_similarity(points[0], placed)
         angle = np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1)))
         if angle > _TURNED:
             lines.append(f"{name}: turned by {angle:.0f} degrees against {names[0]}; its edges are taken as they are")
@@ -155,3 +156,88 @@ def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_n
     for joint in joints:
         if joint not in base:
             raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
+
+
+def with_cards(base: FaceParts, other: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
+    """`other` with the cards that `base` wears and it does not, on its own skin; and what these are called.
+
+    A point of a card keeps its place on the largest mesh of the face, and its distance from there.
+
+    :param to_base: (4, 4) from the other's bind space to that of the base, which have the same joints
+    """
+    missing = [mesh for mesh in base.meshes if _is_cards(mesh, base) and not _has(other, mesh)]
+    named = {mesh.name: mesh for mesh in other.meshes}
+    faces = [mesh for mesh in base.meshes if not _is_cards(mesh, base) and _has(other, mesh)]
+    if not missing or not faces:
+        return other, ()
+    skin = max(faces, key=lambda mesh: len(mesh.points))
+    back = np.linalg.inv(to_base)
+    joints = np.array([other.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
+    worn = {}
+    for mesh in missing:
+        space = back @ _space(base, mesh)
+        points = _carried(_bound(base, mesh), _bound(base, skin), _bound(other, named[skin.name]), skin, back)
+        worn[mesh.name] = _placed(mesh, other, points, space[:3, :3], joints)
+    kept = [mesh for mesh in other.meshes if mesh.name not in worn]
+    return replace(other, meshes=(*kept, *worn.values())), tuple(worn)
+
+
+def _is_cards(mesh: Mesh, parts: FaceParts) -> bool:
+    """Whether pictures cut it out, as they do hairs."""
+    cut = {one.name for one in parts.materials if isinstance(one.opacity, TextureInput)}
+    used = {one.material for one in mesh.material_faces} | ({mesh.material} if mesh.material else set())
+    return bool(used) and used <= cut
+
+
+def _has(parts: FaceParts, mesh: Mesh) -> bool:
+    """Whether a face has a mesh of that name and topology."""
+    twin = next((one for one in parts.meshes if one.name == mesh.name), None)
+    if twin is None:
+        return False
+    try:
+        check_same_faces(mesh.name, twin, mesh, parts.name)
+    except TopologyError:
+        return False
+    return True
+
+
+def _space(parts: FaceParts, mesh: Mesh) -> FloatArray:
+    return next(space for one, space in zip(parts.meshes, mesh_spaces(parts), strict=True) if one is mesh)
+
+
+def _bound(parts: FaceParts, mesh: Mesh) -> FloatArray:
+    """(n, 3) points in bind space."""
+    space = _space(parts, mesh)
+    return np.asarray(mesh.points, np.float64) @ space[:3, :3].T + space[:3, 3]
+
+
+def _carried(points: FloatArray, surface: FloatArray, other: FloatArray, mesh: Mesh, back: FloatArray) -> FloatArray:
+    """The points (m, 3) as far from the places that they are nearest to, now on the other surface."""
+    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    nearest = closest_places(points, surface, triangles)
+    shares = place_shares(nearest, surface, triangles)
+    places = np.einsum("mk,mkc->mc", shares, other[triangles[nearest.triangles]])
+    return np.asarray(places + (points - nearest.places) @ back[:3, :3].T)
+
+
+def _placed(mesh: Mesh, other: FaceParts, points: FloatArray, turn: FloatArray, joints: IntArray) -> Mesh:
+    """The mesh with points in bind space, on the joints of another skeleton."""
+    skin = mesh.skin and replace(
+        mesh.skin, joint_indices=joints[mesh.skin.joint_indices], geom_bind_transform=np.eye(4)
+    )
+    return replace(
+        mesh,
+        points=points,
+        transform=other.skeleton.transform,
+        skin=skin,
+        normals=None,
+        blendshapes=tuple(_turned(shape, turn) for shape in mesh.blendshapes),
+    )
+
+
+def _turned(shape: Blendshape, turn: FloatArray) -> Blendshape:
+    def one(inbetween: Inbetween) -> Inbetween:
+        return replace(inbetween, offsets=inbetween.offsets @ turn.T, normal_offsets=None)
+
+    inbetweens = tuple(map(one, shape.inbetweens))
+    return replace(shape, offsets=shape.offsets @ turn.T, normal_offsets=None, inbetweens=inbetweens)

@@ -1,19 +1,31 @@
-"""Who gives how much where: weights per region and source."""
+"""Who gives how much where: weights per region and source, as JSON of users and recipes, and on the command line.
+
+``{"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 0.5], "locked": {"mouth": 2}}``, each key
+optional; or flat, the regions beside the other keys: ``{"eyes": [0.8, 0.2], "default": [0.5, 0.5]}``.
+"""
 
 from __future__ import annotations
 
+import argparse
+import math
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
+from facepipe.core.reading import read_json_object
 
 _NO_REGIONS = "none: the first source has no regions"
+_MOST_BYTES = 1 << 20
+_KEYS = ("regions", "default", "gains", "locked")
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 
 class Shares(NamedTuple):
@@ -86,3 +98,133 @@ def _one_hot(name: str, number: int, sources: int) -> FloatArray:
     if not (isinstance(number, int) and 1 <= number <= sources):
         raise InputError(f"lock -> {name}", f"source {number}, expected a number from 1 to {sources}")
     return np.asarray(np.eye(sources)[number - 1])
+
+
+def read_weights(path: Path) -> Weights:
+    """The weights of a JSON file; names and counts are checked against the faces later.
+
+    :raises InputError: not such JSON
+    """
+    return weights_from_json(read_json_object(path, _MOST_BYTES), str(path))
+
+
+def weights_to_json(weights: Weights) -> dict[str, Any]:
+    """The weights as `weights_from_json` reads them."""
+    return {
+        "regions": {name: [float(one) for one in weights.regions[name]] for name in sorted(weights.regions)},
+        "default": None if weights.default is None else [float(one) for one in weights.default],
+        "gains": None if weights.gains is None else [float(one) for one in weights.gains],
+        "locked": {name: int(weights.locked[name]) for name in sorted(weights.locked)},
+    }
+
+
+def weights_from_json(content: object, where: str) -> Weights:
+    """The weights of parsed JSON.
+
+    :raises InputError: another structure, or values of other types
+    """
+    content = _mapping(content, where)
+    nested = isinstance(content.get("regions"), Mapping)
+    others = {key: value for key, value in content.items() if key not in (_KEYS if nested else _KEYS[1:])}
+    if nested and others:
+        raise InputError(f"{where} -> {next(iter(others))[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
+    regions = _mapping(content["regions"], f"{where} -> regions") if nested else others
+    locked = _mapping(content.get("locked") or {}, f"{where} -> locked")
+    return Weights(
+        regions={name: _numbers(row, f"{where} -> {name[:60]}") for name, row in regions.items()},
+        default=_optional(content.get("default"), f"{where} -> default"),
+        gains=_optional(content.get("gains"), f"{where} -> gains"),
+        locked={name: _source(number, f"{where} -> locked -> {name[:60]}") for name, number in locked.items()},
+    )
+
+
+def _mapping(value: object, where: str) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise InputError(where, f"{str(value)[:40]}, expected a JSON object")
+    return value
+
+
+def _optional(value: object, where: str) -> tuple[float, ...] | None:
+    return None if value is None else _numbers(value, where)
+
+
+def _numbers(value: object, where: str) -> tuple[float, ...]:
+    good = isinstance(value, list | tuple) and value
+    if not good or any(type(one) not in (int, float) or abs(one) > 1e300 for one in value):  # type: ignore[attr-defined]
+        raise InputError(where, f"{str(value)[:40]}, expected a list of numbers, one per source")
+    return tuple(float(one) for one in value)  # type: ignore[attr-defined]
+
+
+def _source(value: object, where: str) -> int:
+    if type(value) is not int or not 1 <= value <= 1_000_000:
+        raise InputError(where, f"{str(value)[:40]}, expected the number of a source, from 1")
+    return value
+
+
+def weights_of(arguments: argparse.Namespace, kept: Weights) -> Weights:
+    """The recipe's weights, over them those of the file, over them those of flags.
+
+    :raises InputError: words that are no weights, a region or lock given twice, or weights for what is locked
+    """
+    file = read_weights(arguments.weights) if arguments.weights else Weights()
+    for name in arguments.unlock:
+        if name not in kept.locked and name not in file.locked:
+            raise InputError(f"--unlock {name}", "is not locked")
+    flags = Weights(
+        regions=_once("--set", map(_named, arguments.set)),
+        default=None
+        if arguments.default is None
+        else _flag_numbers(arguments.default, f"--default {arguments.default}"),
+        gains=None if arguments.gains is None else _flag_numbers(arguments.gains, f"--gains {arguments.gains}"),
+        locked=_once("--lock", map(_lock, arguments.lock)),
+    )
+    return _over(_over(kept, file, arguments.unlock), flags, arguments.unlock)
+
+
+def _over(weights: Weights, changes: Weights, unlocked: Sequence[str]) -> Weights:
+    """`weights` with those that `changes` has."""
+    locked = {name: number for name, number in weights.locked.items() if name not in unlocked}
+    for name in changes.regions:
+        if name in locked:
+            what = f"is locked to source {locked[name]}, expected no weights for it (or --unlock {name})"
+            raise InputError(f"weights -> {name}", what)
+    return replace(
+        weights,
+        regions={**weights.regions, **changes.regions},
+        default=weights.default if changes.default is None else changes.default,
+        gains=weights.gains if changes.gains is None else changes.gains,
+        locked={**locked, **changes.locked},
+    )
+
+
+def _once(flag: str, pairs: Iterable[tuple[Key, Value]]) -> dict[Key, Value]:
+    given: dict[Key, Value] = {}
+    for key, value in pairs:
+        if key in given:
+            raise InputError(f"{flag} {key}=...", "given twice, expected it once")
+        given[key] = value
+    return given
+
+
+def _named(word: str) -> tuple[str, tuple[float, ...]]:
+    name, equals, text = word.rpartition("=")
+    if not equals or not name:
+        raise InputError(f"--set {word}", "expected REGION=W,W,... with one number per source")
+    return name, _flag_numbers(text, f"--set {word}")
+
+
+def _flag_numbers(text: str, where: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(one) for one in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise InputError(where, "expected finite numbers with a comma between, one per source")
+    return values
+
+
+def _lock(word: str) -> tuple[str, int]:
+    name, equals, number = word.rpartition("=")
+    if not (equals and name and number.isascii() and number.isdecimal() and len(number) < 7):
+        raise InputError(f"--lock {word}", "expected REGION=N, N the number of a source from 1")
+    return name, int(number)

@@ -29,7 +29,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import fits_joint, unmatched
 from facepipe.core.reading import read_json_object
 from facepipe.parts import BoneLimits
-from facepipe.processors.bone_limits import check_limits
+from facepipe.processors.apply_bones import check_limits
 from facepipe.processors.fit_bones.checks import LEAST_SCALE
 from facepipe.rig import CHANNELS, rest_coefficients
 

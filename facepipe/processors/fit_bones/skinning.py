@@ -114,11 +114,11 @@ class Tree:
         count, f = len(pose.skinning), len(free)
         blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
         shared = pairs[3::4, 3::4] != 0  # sums of products of weights
-        own = np.nonzero(shared)
-        moved = pose.skinning[own[0]] @ blocks[own] @ pose.skinning[own[1]].transpose(0, 2, 1)
+        sharing = np.nonzero(shared)
+        moved = pose.skinning[sharing[0]] @ blocks[sharing] @ pose.skinning[sharing[1]].transpose(0, 2, 1)
         below = self.below[free]
         everything = np.zeros((count, count, 16))
-        everything[own] = moved.reshape(-1, 16)
+        everything[sharing] = moved.reshape(-1, 16)
         if self.flat:
             first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
             return first, second, everything[free[first], free[second]].reshape(-1, 4, 4)

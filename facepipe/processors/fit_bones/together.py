@@ -117,14 +117,14 @@ class _Objective:
 
     def at(self, rows: IntArray, x: FloatArray) -> _States:
         """The states there."""
-        shared, own = self._shared, self._shared.variables.expanded(x, self._start)
-        pose = shared.tree.pose(own)
+        shared, coefficients = self._shared, self._shared.variables.expanded(x, self._start)
+        pose = shared.tree.pose(coefficients)
         way, goal = stacked(pose.skinning - self._at_rest), self._moments.goal[rows]
         slope = self._moments.applied(way) - goal
         objective = self._far[rows] + 0.5 * (way * (slope - goal)).sum(axis=(1, 2))
         gradient = shared.tree.gradient(pose, slope.reshape(len(rows), -1, 4, 3))
         if shared.pull is not None:
-            strain = own - self._rest
+            strain = coefficients - self._rest
             objective += 0.5 * (shared.pull * strain**2).sum(axis=(1, 2))
             gradient += shared.pull * strain
         return _States(rows, x, objective, shared.variables.gradient(gradient))

@@ -133,11 +133,11 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
         if other < joint:
             continue  # the other way round
         flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", rig.joints[other])
-        own = slice(9 * other, 9 * other + 9)
+        followers = slice(9 * other, 9 * other + 9)
         if other == joint:
-            still[own] = flips < 0
+            still[followers] = flips < 0
         else:
-            leaders[own], signs[own] = 9 * joint + np.arange(9), flips
+            leaders[followers], signs[followers] = 9 * joint + np.arange(9), flips
     if (leaders == np.arange(9 * count)).all():
         raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
     return Symmetry(rig.joints, leaders, signs, still, tuple(single))
@@ -152,14 +152,14 @@ def _partners(rig: Rig) -> list[int | None]:
     names = [joint.rpartition("/")[2] for joint in rig.joints]
     for number, name in enumerate(names):
         named.setdefault(name, []).append(number)
-    found: list[int | None] = []
+    partners: list[int | None] = []
     for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
         others = mirrored_names(name)
-        wanted = found[above] if above >= 0 else -1
+        wanted = partners[above] if above >= 0 else -1
         options = next((named[other] for other in others if other in named), [])
         below = [one for one in options if rig.parents[one] == wanted] or options
-        found.append(number if not others else below[0] if len(below) == 1 else None)
-    return [other if other is not None and found[other] == own else None for own, other in enumerate(found)]
+        partners.append(number if not others else below[0] if len(below) == 1 else None)
+    return [other if other is not None and partners[other] == own else None for own, other in enumerate(partners)]
 
 
 def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:

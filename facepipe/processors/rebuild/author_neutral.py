@@ -12,8 +12,8 @@ from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import FaceParts, Mesh, Recipe
-from facepipe.processors.blend.animations import rebase_animations
 from facepipe.processors.blend.normals import blend_normals
+from facepipe.processors.blend.rigs import rebase_animations
 from facepipe.processors.database.whole_faces import to_millimetres
 from facepipe.processors.rebuild.carried_joints import carried_skeleton
 from facepipe.processors.rebuild.neutral_shapes import STILL_MM, mesh_shapes

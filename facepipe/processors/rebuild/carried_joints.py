@@ -8,7 +8,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
 from facepipe.parts import FaceParts, Skeleton
-from facepipe.processors.blend.skeletons import blend_skeletons
+from facepipe.processors.blend.rigs import blend_skeletons
 from facepipe.rig import build
 
 _STILL = 1e-9  # of the face's size: rounding

@@ -15,7 +15,7 @@ from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.visibility import seen_from_outside
 from facepipe.parts import FaceParts
 from facepipe.processors.database.whole_faces import Topology, whole_points
-from facepipe.processors.skin.slits import slits_of
+from facepipe.processors.skin.features import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 
 _LIP = 0.35  # of a slit's width: so far from its rims, points are told as of the upper or lower lip or lid

@@ -13,13 +13,10 @@ from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.same_topology import in_order
-from facepipe.processors.skin.correspondence import main_places
-from facepipe.processors.skin.eyeballs import Eyeball, eyeballs_of
-from facepipe.processors.skin.matched_parts import matched_parts
+from facepipe.processors.skin.correspondence import main_places, matched_parts
+from facepipe.processors.skin.features import Eyeball, eyeballs_of, slits_of
 from facepipe.processors.skin.report import TransferReport
-from facepipe.processors.skin.skeletons import with_binds
-from facepipe.processors.skin.skinning import Skinning
-from facepipe.processors.skin.slits import slits_of
+from facepipe.processors.skin.skinning import Skinning, with_binds
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.rig import build
 
@@ -53,9 +50,9 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     warp = _warp(surface, other, pairs)
     if twin is None:
         weights, warnings = _weights(source, other.group, where)
-        found, origin, away = _by_place(surface, other, warp, weights, pairs, smoothing)
+        result, origin, away = _by_place(surface, other, warp, weights, pairs, smoothing)
     else:
-        found, warnings = _weights(twin, surface.group, where)
+        result, warnings = _weights(twin, surface.group, where)
         origin = {name: (name,) for name in sorted(surface.mesh_names)}
         away = np.linalg.norm(warp.apply(_points_of(other, surface)) - surface.points, axis=1)[surface.inside]
     landmarks = np.linalg.norm(warp.apply(other.points[other.landmarks]) - surface.points[surface.landmarks], axis=1)
@@ -69,7 +66,7 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     )
     warnings = (*warnings, *_shape_warnings(surface, other, warp))
     return Skinning(
-        skeleton=_skeleton(parts, source, warp), weights=normalised(found), transfer=report, warnings=warnings
+        skeleton=_skeleton(parts, source, warp), weights=normalised(result), transfer=report, warnings=warnings
     )
 
 
@@ -97,12 +94,12 @@ def _by_place(
     """Weights (m, j), which meshes gave them to which, and how far the main part is from the other's (i,) mm."""
     warped = warp.apply(other.points)
     places = main_places(surface, slits_of(surface), other, slits_of(other), warped)
-    found, origin = matched_parts(surface, other, warped, weights, pairs)
+    result, origin = matched_parts(surface, other, warped, weights, pairs)
     lengths = np.clip(places.distances / _TRUSTED, _SHARP, _LONGEST) * max(smoothing, _SHARP)
     inside = surface.inside
     local = surface.part_triangles(inside, even=True)
-    found[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
-    return found, origin, places.distances
+    result[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
+    return result, origin, places.distances
 
 
 def _summary(away: FloatArray) -> dict[str, float]:

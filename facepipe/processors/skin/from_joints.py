@@ -1,4 +1,4 @@
-"""Weights from where joints are: what is nearest along the surface, spread like heat, never across lips or lids."""
+"""Skeleton and weights from where joints are: the nearest along the surface, spread like heat, never across lips."""
 
 from __future__ import annotations
 
@@ -12,20 +12,89 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.polygons import components
-from facepipe.processors.skin.joints_file import JointSpec
-from facepipe.processors.skin.slits import LOWER, UPPER, Slit, smoothstep
-from facepipe.processors.skin.surface import Surface
+from facepipe.parts import FaceParts, all_regions
+from facepipe.processors.skin.features import LOWER, UPPER, Slit, eyeballs_of, slits_of, smoothstep
+from facepipe.processors.skin.joints_file import JointSet, JointSpec
+from facepipe.processors.skin.loose_parts import following, hold, hold_parts, in_eyeballs, joints_in
+from facepipe.processors.skin.options import SkinOptions
+from facepipe.processors.skin.skinning import Skinning, skeleton_of
+from facepipe.processors.skin.surface import Surface, size_of
 
 _REACH = 1.5  # a joint in the depth touches the points up to so many times as far as the nearest
 _AS_NEAR = 1.1  # patches up to so many times as far as the nearest one are as near
 _POWER = 12  # shares of the nearest joints fall with this power of their distances: ties are shared, no more
-_BLUR = 0.15  # of a slit's width: band beside a corner over which a lip or lid joint fades out
+_BLUR = 0.15  # of a slit's width: band beside a corner over which joints and regions of a lip or lid fade out
 _BESIDE = 0.5  # a joint is of a lip or lid up to so many widths of the slit from its rim
 _RIVALS = 16  # joints, the nearest, that share a point
 _FULL = 0.25  # of its radius: up to there a joint has its full weight
+_LEAST = 1e-6  # mm: a radius below counts as this
+_FARTHEST = 20.0  # sizes of the face that a joint may be away from it
+_AROUND = 0.5  # sizes of the face that joints usually lie around its box at most
+_TOGETHER = 0.05  # of the face's size: joints nearer to each other lie in a heap
+_HEAP = 3  # joints, from which on that is a sign
 
 
-def joint_weights(
+def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: SkinOptions) -> Skinning:
+    """Skeleton and weights from joint positions."""
+    scale = joints.scale(parts.meters_per_unit)
+    positions = np.array([joint.position for joint in joints.joints]) * scale
+    millimetres = positions * parts.meters_per_unit * 1000.0
+    _check_near(surface, joints, millimetres)
+    slits = slits_of(surface)
+    eyeballs = eyeballs_of(surface)
+    apart = [joint.surface is True or bool(joint.regions) for joint in joints.joints]  # of the face for sure
+    turned = joints_in(eyeballs, millimetres, np.array(apart))
+    held = in_eyeballs(eyeballs, millimetres)
+    moves = np.array([_moves(joint, one) for joint, one in zip(joints.joints, held, strict=True)])
+    if not moves.any():
+        raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs, or `surface`")
+    chosen = [joint for joint, one in zip(joints.joints, moves, strict=True) if one]
+    to_mm = scale * parts.meters_per_unit * 1000.0
+    radii = np.array([np.inf if joint.radius is None else max(joint.radius * to_mm, _LEAST) for joint in chosen])
+    masks = [_mask(parts, surface, slits, joint, joints.where) for joint in chosen]
+    own = _joint_weights(surface, chosen, millimetres[moves], radii, masks, slits, options.sharpness)
+    weights = np.zeros((len(surface.points), len(moves)))
+    weights[:, moves] = following(surface, own)
+    for number, joint in turned.items():
+        hold(weights, eyeballs[number].points, joint)
+    paths = tuple(joint.path for joint in joints.joints)
+    mouth = next((slit for slit in slits if slit.name == "mouth"), None)
+    hold_parts(surface, weights, joints.parts, paths, mouth)
+    rotations = np.array([joint.rotation for joint in joints.joints])
+    warning = "no multipie68 landmarks: joints beside lips and lids may move the other one round the corner"
+    warnings = (*_joint_warnings(surface, joints, millimetres), *(() if slits else (warning,)))
+    return Skinning(
+        skeleton=skeleton_of(parts.skeleton, paths, positions, rotations),
+        weights=weights,
+        warnings=warnings,
+    )
+
+
+def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
+    return joint.surface if joint.surface is not None else bool(joint.regions) or not in_eyeball
+
+
+def _mask(
+    parts: FaceParts, surface: Surface, slits: tuple[Slit, ...], joint: JointSpec, where: str
+) -> FloatArray | None:
+    """(m,) how much of each point the regions of a joint hold."""
+    if not joint.regions:
+        return None
+    first = np.unique(surface.group, return_index=True)[1]
+    known: dict[str, FloatArray] = {
+        name: np.asarray(mask, np.float64)[first] for name, mask in all_regions(parts.meshes).items()
+    }
+    for slit in slits:
+        for side, sign in (("upper", UPPER), ("lower", LOWER)):
+            known.setdefault(f"{slit.name}_{side}", slit.share(sign, _BLUR))
+    for name in joint.regions:
+        if name not in known:
+            some = ", ".join(known) or "none, it has neither regions nor landmarks"
+            raise InputError(f"{where} -> {joint.path} -> regions", f"no '{name[:60]}', expected some of {some}")
+    return np.asarray(np.clip(np.sum([known[name] for name in joint.regions], axis=0), 0.0, 1.0))
+
+
+def _joint_weights(
     surface: Surface,
     joints: Sequence[JointSpec],
     positions: FloatArray,
@@ -70,17 +139,17 @@ def _shares(distances: FloatArray, allowed: FloatArray) -> FloatArray:
     chosen = np.argpartition(away, width - 1, axis=1)[:, :width] if width < away.shape[1] else None
     pick = (lambda table: table) if chosen is None else (lambda table: np.take_along_axis(table, chosen, axis=1))
     near, may = pick(away), pick(allowed)
-    found = may.copy()
+    near_shares = may.copy()
     for rival in range(width):
         with np.errstate(over="ignore", invalid="ignore"):
             nearer = 1.0 / (1.0 + (near[:, rival, None] / near) ** _POWER)  # how much the rival comes first
         nearer[:, rival] = 0.0
-        found *= 1.0 - may[:, rival, None] * np.where(np.isfinite(nearer), nearer, 0.0)
-    found = normalised(found)
+        near_shares *= 1.0 - may[:, rival, None] * np.where(np.isfinite(nearer), nearer, 0.0)
+    near_shares = normalised(near_shares)
     if chosen is None:
-        return found
+        return near_shares
     shares = np.zeros_like(distances)
-    np.put_along_axis(shares, chosen, found, axis=1)
+    np.put_along_axis(shares, chosen, near_shares, axis=1)
     return shares
 
 
@@ -131,3 +200,30 @@ def _sides(surface: Surface, positions: FloatArray, slits: Sequence[Slit]) -> Fl
             of_one = beside & (sign * side > _BLUR)
             shares[:, of_one] *= slit.share(sign, _BLUR)[:, None]
     return shares
+
+
+def _check_near(surface: Surface, joints: JointSet, positions: FloatArray) -> None:
+    """:raises InputError: a joint (of positions (j, 3), mm) that is nowhere near the face"""
+    points = surface.points[surface.inside]
+    middle, size = points.mean(axis=0), size_of(points)
+    for joint, position in zip(joints.joints, positions, strict=True):
+        away = float(np.linalg.norm(position - middle))
+        if away > _FARTHEST * size:
+            what = f"{away:.4g} mm from the face, expected at most {_FARTHEST * size:.4g} (positions are in the unit"
+            raise InputError(f"{joints.where} -> {joint.path[:80]}", f"{what} '{joints.unit}')")
+
+
+def _joint_warnings(surface: Surface, joints: JointSet, positions: FloatArray) -> tuple[str, ...]:
+    """Most joints (of positions (j, 3), mm) outside the face, or all in a heap."""
+    points = surface.points[surface.inside]
+    size, count = size_of(points), len(positions)
+    unit = f"mm (positions are in the unit '{joints.unit}')"
+    off = np.maximum(points.min(axis=0) - positions, positions - points.max(axis=0)).clip(0.0)
+    away = np.linalg.norm(off, axis=1)
+    outside = int((away > _AROUND * size).sum())
+    if 2 * outside > count:
+        return (f"{joints.where}: {outside} of {count} joints lie outside the face, up to {away.max():.4g} {unit}",)
+    spread = size_of(positions)
+    if count >= _HEAP and spread < _TOGETHER * size:
+        return (f"{joints.where}: all {count} joints lie within {spread:.4g} {unit}, the face in {size:.4g} mm",)
+    return ()

@@ -167,12 +167,12 @@ def _numbers(where: str, values: Any, count: int) -> tuple[float, ...]:
 def _parts(where: str, content: object) -> dict[str, tuple[str, str]]:
     if not isinstance(content, dict):
         raise InputError(where, "expected an object of mesh names and joints")
-    found: dict[str, tuple[str, str]] = {}
+    parts: dict[str, tuple[str, str]] = {}
     for glob, value in content.items():
         if isinstance(value, str):
-            found[glob] = (value, value)
+            parts[glob] = (value, value)
         elif isinstance(value, dict) and sorted(value) == ["lower", "upper"]:
-            found[glob] = (str(value["upper"]), str(value["lower"]))
+            parts[glob] = (str(value["upper"]), str(value["lower"]))
         else:
             raise InputError(f"{where} -> {_shown(glob)}", 'expected a joint, or {"upper": joint, "lower": joint}')
-    return found
+    return parts

@@ -11,8 +11,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.heat_weights import heat_weights, normalised
-from facepipe.processors.skin.eyeballs import Eyeball
-from facepipe.processors.skin.slits import Slit
+from facepipe.processors.skin.features import Eyeball, Slit
 from facepipe.processors.skin.surface import Surface
 
 _NEAREST = 1.0  # mm: parts that touch the face are smoothed over this length, others over their distance from it
@@ -42,13 +41,13 @@ def joints_in(eyeballs: Sequence[Eyeball], positions: FloatArray, apart: BoolArr
 
     :param apart: (j,) joints that turn an eyeball only where no other one does, such as those of lids
     """
-    found = {}
+    turning = {}
     for number, inside in enumerate(_inside(eyeballs, positions)):
         if inside.any():
             own = inside & ~apart if (inside & ~apart).any() else inside
             away = np.linalg.norm(positions - eyeballs[number].centre, axis=1)
-            found[number] = int(np.where(own, away, np.inf).argmin())
-    return found
+            turning[number] = int(np.where(own, away, np.inf).argmin())
+    return turning
 
 
 def in_eyeballs(eyeballs: Sequence[Eyeball], positions: FloatArray) -> BoolArray:
@@ -110,11 +109,11 @@ def _upper(surface: Surface, points: IntArray, mouth: Slit) -> FloatArray:
     component = surface.component[points]
     large = np.zeros(len(points), bool)
     for number in np.unique(component):
-        own = component == number
-        if np.ptp(surface.points[points[own]], axis=0).max() <= _SMALL * mouth.width:
-            upper[own] = float(side[own].mean() > 0)
+        inside = component == number
+        if np.ptp(surface.points[points[inside]], axis=0).max() <= _SMALL * mouth.width:
+            upper[inside] = float(side[inside].mean() > 0)
         else:
-            large |= own
+            large |= inside
     if large.any():
         local = surface.part_triangles(points[large], even=True)
         lengths = np.full(int(large.sum()), _BLEND)

@@ -44,10 +44,10 @@ def optimised(
     start = np.take_along_axis(weights, candidates, axis=1)
     start = normalised(np.where(start >= _FAINT, start, 0.0))
     settings = DecompositionOptions(most=options.influences, iterations=options.iterations, evenness=options.evenness)
-    found = decompose(surface.points, shapes, surface.edges, candidates, start, settings, step)
+    fitted = decompose(surface.points, shapes, surface.edges, candidates, start, settings, step)
     refined = np.zeros_like(weights)
-    np.put_along_axis(refined, candidates, found.weights, axis=1)
-    before, after = found.before[:, moved], found.after[:, moved]
+    np.put_along_axis(refined, candidates, fitted.weights, axis=1)
+    before, after = fitted.before[:, moved], fitted.after[:, moved]
     return refined, FitReport(
         shapes=len(shapes),
         points=int(moved.sum()),
@@ -63,7 +63,7 @@ def _shapes(parts: FaceParts, surface: Surface) -> FloatArray:
     rig = build(parts)
     first = np.unique(surface.group, return_index=True)[1]
     linear = np.asarray(parts.skeleton.transform, np.float64)[:3, :3] * parts.meters_per_unit * 1000.0
-    found = np.empty((len(rig.shapes), len(first), 3))
+    posed = np.empty((len(rig.shapes), len(first), 3))
     for number, weights in enumerate(np.eye(len(rig.shapes))):
-        found[number] = surface.points + (rig.morph(weights) - rig.points)[first] @ linear.T
-    return found
+        posed[number] = surface.points + (rig.morph(weights) - rig.points)[first] @ linear.T
+    return posed

@@ -11,25 +11,17 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.heat_weights import fewest
-from facepipe.parts import FaceParts, Recipe, all_regions
-from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.parts import FaceParts, Recipe
 from facepipe.processors.skin.from_face import from_face
-from facepipe.processors.skin.from_joints import joint_weights
-from facepipe.processors.skin.joints_file import JointSet, JointSpec
-from facepipe.processors.skin.loose_parts import following, hold, hold_parts, in_eyeballs, joints_in
+from facepipe.processors.skin.from_joints import from_joints
+from facepipe.processors.skin.joints_file import JointSet
 from facepipe.processors.skin.optimise import optimised
 from facepipe.processors.skin.options import SkinOptions
-from facepipe.processors.skin.placement import check_near, joint_warnings, size_warnings
 from facepipe.processors.skin.report import FitReport, SkinReport, steps
-from facepipe.processors.skin.skeletons import skeleton_of
 from facepipe.processors.skin.skinning import Skinning, arranged, check_joints, skinned
-from facepipe.processors.skin.slits import LOWER, UPPER, Slit, slits_of
-from facepipe.processors.skin.surface import Surface, surface_of
+from facepipe.processors.skin.surface import Surface, size_warnings, surface_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-
-_LEAST = 1e-6  # mm: a radius below counts as this
-_BLUR = 0.15  # of a slit's width, at the border between its two sides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,66 +82,6 @@ class SkinFace:
             return from_joints(parts, surface, self.joints, self.options)
         assert self.source is not None
         return from_face(parts, surface, self.source.parts(), self.source.where, self.options.smoothing)
-
-
-def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: SkinOptions) -> Skinning:
-    """Skeleton and weights from joint positions."""
-    scale = joints.scale(parts.meters_per_unit)
-    positions = np.array([joint.position for joint in joints.joints]) * scale
-    millimetres = positions * parts.meters_per_unit * 1000.0
-    check_near(surface, joints, millimetres)
-    slits = slits_of(surface)
-    eyeballs = eyeballs_of(surface)
-    apart = [joint.surface is True or bool(joint.regions) for joint in joints.joints]  # of the face for sure
-    turned = joints_in(eyeballs, millimetres, np.array(apart))
-    held = in_eyeballs(eyeballs, millimetres)
-    moves = np.array([_moves(joint, one) for joint, one in zip(joints.joints, held, strict=True)])
-    if not moves.any():
-        raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs, or `surface`")
-    chosen = [joint for joint, one in zip(joints.joints, moves, strict=True) if one]
-    to_mm = scale * parts.meters_per_unit * 1000.0
-    radii = np.array([np.inf if joint.radius is None else max(joint.radius * to_mm, _LEAST) for joint in chosen])
-    masks = [_mask(parts, surface, slits, joint, joints.where) for joint in chosen]
-    own = joint_weights(surface, chosen, millimetres[moves], radii, masks, slits, options.sharpness)
-    weights = np.zeros((len(surface.points), len(moves)))
-    weights[:, moves] = following(surface, own)
-    for number, joint in turned.items():
-        hold(weights, eyeballs[number].points, joint)
-    paths = tuple(joint.path for joint in joints.joints)
-    mouth = next((slit for slit in slits if slit.name == "mouth"), None)
-    hold_parts(surface, weights, joints.parts, paths, mouth)
-    rotations = np.array([joint.rotation for joint in joints.joints])
-    warning = "no multipie68 landmarks: joints beside lips and lids may move the other one round the corner"
-    warnings = (*joint_warnings(surface, joints, millimetres), *(() if slits else (warning,)))
-    return Skinning(
-        skeleton=skeleton_of(parts.skeleton, paths, positions, rotations),
-        weights=weights,
-        warnings=warnings,
-    )
-
-
-def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
-    return joint.surface if joint.surface is not None else bool(joint.regions) or not in_eyeball
-
-
-def _mask(
-    parts: FaceParts, surface: Surface, slits: tuple[Slit, ...], joint: JointSpec, where: str
-) -> FloatArray | None:
-    """(m,) how much of each point the regions of a joint hold."""
-    if not joint.regions:
-        return None
-    first = np.unique(surface.group, return_index=True)[1]
-    known: dict[str, FloatArray] = {
-        name: np.asarray(mask, np.float64)[first] for name, mask in all_regions(parts.meshes).items()
-    }
-    for slit in slits:
-        for side, sign in (("upper", UPPER), ("lower", LOWER)):
-            known.setdefault(f"{slit.name}_{side}", slit.share(sign, _BLUR))
-    for name in joint.regions:
-        if name not in known:
-            some = ", ".join(known) or "none, it has neither regions nor landmarks"
-            raise InputError(f"{where} -> {joint.path} -> regions", f"no '{name[:60]}', expected some of {some}")
-    return np.asarray(np.clip(np.sum([known[name] for name in joint.regions], axis=0), 0.0, 1.0))
 
 
 def _report(surface: Surface, made: Skinning, weights: FloatArray) -> SkinReport:

@@ -15,7 +15,7 @@ from facepipe.processors.skin.report import TransferReport
 from facepipe.processors.skin.surface import Surface
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.build_rig import mesh_spaces
-from facepipe.rig.trs import decompose
+from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.stage.differences import same
 
 
@@ -81,3 +81,33 @@ def _carried(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:
         raise TopologyError(f"{old.name} -> restTransforms", "singular, expected invertible ones") from None
     trs = decompose(new.rest_transforms[rows] @ undone @ local)
     return replace(animation, translations=trs.translation, rotations=trs.rotation, scales=trs.scale)
+
+
+def skeleton_of(old: Skeleton, paths: tuple[str, ...], positions: FloatArray, rotations: FloatArray) -> Skeleton:
+    """The skeleton `old` with other joints.
+
+    :param positions: (j, 3) in the world, stage units
+    :param rotations: (j, 4) quaternions x y z w relative to the parent's axes; roots: to the skeleton's
+    """
+    plain = Skeleton(joints=paths)
+    to_skeleton = np.linalg.inv(np.asarray(old.transform, np.float64))
+    bind = np.tile(np.eye(4), (len(paths), 1, 1))
+    turns = rotation_matrices(rotations)
+    for i, parent in enumerate(plain.parents):
+        bind[i, :3, :3] = turns[i] if parent < 0 else bind[parent, :3, :3] @ turns[i]
+    bind[:, :3, 3] = positions @ to_skeleton[:3, :3].T + to_skeleton[:3, 3]
+    return with_binds(old, paths, bind)
+
+
+def with_binds(old: Skeleton, paths: tuple[str, ...], bind: FloatArray) -> Skeleton:
+    """The skeleton `old` with other joints of bind transforms (j, 4, 4) in skeleton space, at rest as bound.
+
+    Joints of the paths that are there keep their names.
+    """
+    plain, known = Skeleton(joints=paths), dict(zip(old.joints, old.names, strict=True))
+    names = [known.get(path, leaf) for path, leaf in zip(paths, plain.names, strict=True)]
+    parents = plain.parents
+    inverse = np.linalg.inv(bind)
+    rest = np.array([bind[i] if p < 0 else inverse[p] @ bind[i] for i, p in enumerate(parents)]).reshape(-1, 4, 4)
+    made = Skeleton(name=old.name, joints=paths, bind_transforms=bind, rest_transforms=rest, transform=old.transform)
+    return made.called(names)

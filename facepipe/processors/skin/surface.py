@@ -18,6 +18,9 @@ from facepipe.rig.build_rig import mesh_spaces
 
 LANDMARKS = "multipie68"
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
+_EYES = (30.0, 300.0)  # mm from the outer corner of one eye to that of the other
+_ACROSS = (20.0, 10000.0)  # mm, of a face without landmarks
+_CORNERS = (36, 45)  # of multipie68
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,10 +89,10 @@ def surface_of(parts: FaceParts, where: str) -> Surface:
         triangles.append(point_triangles(counts, indices) + start)
         polygons = cells(counts, indices)
         faces.append(np.where(polygons >= 0, polygons + start, -1))
-        own, uses = edges(counts, indices)
-        pairs.append(own + start)
+        ends, uses = edges(counts, indices)
+        pairs.append(ends + start)
         at_border = np.zeros(len(mesh.points), bool)
-        at_border[own[uses == 1].ravel()] = True
+        at_border[ends[uses == 1].ravel()] = True
         border.append(at_border)
         mesh_number.append(np.full(len(mesh.points), number))
         start += len(mesh.points)
@@ -144,3 +147,20 @@ def _landmarks(parts: FaceParts, group: IntArray) -> IntArray | None:
             return np.asarray(group[np.asarray(found.indices, np.int64) + start])
         start += len(mesh.points)
     return None
+
+
+def size_warnings(surface: Surface) -> tuple[str, ...]:
+    """A face whose size hints at the wrong metersPerUnit; lengths such as the radius of an eyeball count on it."""
+    if surface.landmarks is None:
+        across, (low, high), what = size_of(surface.points[surface.inside]), _ACROSS, "across"
+    else:
+        across = float(np.linalg.norm(np.subtract(*surface.points[surface.landmarks[list(_CORNERS)]])))
+        (low, high), what = _EYES, "from eye to eye"
+    if low <= across <= high:
+        return ()
+    return (f"the face is {across:.4g} mm {what}, expected {low:g} to {high:g}: its metersPerUnit may be wrong",)
+
+
+def size_of(points: FloatArray) -> float:
+    """Length of the diagonal of the box around (n, 3) points."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))

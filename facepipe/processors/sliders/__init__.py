@@ -5,15 +5,18 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.sliders.author_network import AuthorNetwork, AuthorNetworkReport
-    from facepipe.processors.sliders.author_sliders import AuthorSliders, AuthorSlidersReport
+    from facepipe.processors.sliders.author_sliders import (
+        AuthorNetwork,
+        AuthorNetworkReport,
+        AuthorSliders,
+        AuthorSlidersReport,
+    )
     from facepipe.processors.sliders.distil import DistilReport, DistilSliders
     from facepipe.processors.sliders.from_shapes import SlidersFromShapes
-    from facepipe.processors.sliders.rules import Drive, SliderRule
     from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
     from facepipe.processors.sliders.shape_options import ShapeSliderOptions
     from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
-    from facepipe.processors.sliders.slider_table import SliderTable
+    from facepipe.processors.sliders.slider_table import Drive, SliderRule, SliderTable
     from facepipe.processors.sliders.sliders_action import SlidersOfFace
     from facepipe.processors.sliders.tables import read_table
 else:

@@ -1,18 +1,18 @@
-"""Authors the sliders of a table on a face."""
+"""Authors sliders on a face: those of a table, and a learned network beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
-from facepipe.parts import BoneLimits, Recipe, Slider
-from facepipe.processors.bone_limits import check_limits
-from facepipe.processors.sliders.author_network import fitting_network
+from facepipe.parts import BoneLimits, Recipe, Slider, SliderNetwork
+from facepipe.processors.apply_bones import check_limits
 from facepipe.processors.sliders.slider_table import SliderTable
 from facepipe.rig import CHANNELS, slide
 from facepipe.rig.sliders import sliders_fault
@@ -34,6 +34,13 @@ class AuthorSlidersReport(Report):
     shapes: int = 0
     beyond_limits: tuple[str, ...] = ()  # "slider -> joint:channel" where one slider can leave the face's limits
     authored: tuple[str, ...] = ()
+
+    def text(self, out: Path) -> str:
+        """For people."""
+        kept = f", {len(self.replaced)} of them replaced" if self.replaced else ""
+        dropped = f", {len(self.dropped)} dropped" if self.dropped else ""
+        over = f"over {self.channels} channels and {self.shapes} shapes"
+        return f"{out}: {len(self.sliders)} sliders{kept}, {over}{dropped}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +66,11 @@ class AuthorSliders:
             check_property_name(rule.where, "slider", rule.name, tokens.SLIDER_API)
         parts = face.parts()
         new = self.table.resolve(parts.skeleton.joints, face.shapes, parts.meters_per_unit)
-        own = {one.name: one for one in parts.sliders}
+        known = {one.name: one for one in parts.sliders}
         names = {one.name for one in new}
-        valued, unset = _with_values(new, own)
+        valued, unset = _with_values(new, known)
         others = () if self.drop else tuple(one for one in parts.sliders if one.name not in names)
-        merged = mutual((*others, *valued))
+        merged = _mutual((*others, *valued))
         self._check_mirrors(merged)
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
         network, lost = fitting_network(parts.slider_network, merged)
@@ -71,8 +78,8 @@ class AuthorSliders:
         authored = author_changes(face, changed)
         return AuthorSlidersReport(
             sliders=tuple(one.name for one in new),
-            replaced=tuple(name for name in own if name in names),
-            dropped=tuple(name for name in own if name not in names and self.drop),
+            replaced=tuple(name for name in known if name in names),
+            dropped=tuple(name for name in known if name not in names and self.drop),
             channels=len({entry[:2] for one in new for entry in one.channels}),
             shapes=len({entry[0] for one in new for entry in one.shapes}),
             beyond_limits=beyond,
@@ -87,7 +94,7 @@ class AuthorSliders:
             raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
 
 
-def mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
+def _mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
     """The sliders, a mirror that is named on one side only named on the other too."""
     named = {one.mirror: one.name for one in sliders if one.mirror is not None}
     return tuple(replace(one, mirror=one.mirror or named.get(one.name)) for one in sliders)
@@ -101,24 +108,24 @@ def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: Bon
     if limits is None:
         return ()
     check_limits(joints, limits)
-    found = []
+    reaching = []
     start, _ = slide(sliders, joints, {one.name: one.default for one in sliders})
     for slider in sliders:
-        low, own, high = (
+        low, middle, high = (
             slide((slider,), joints, {slider.name: value})[0]
             for value in (slider.minimum, slider.default, slider.maximum)
         )
-        ends = [(start - own + end).astype(np.float32) for end in (low, high)]
+        ends = [(start - middle + end).astype(np.float32) for end in (low, high)]
         beyond = np.any([(one < limits.lower) | (one > limits.upper) for one in ends], axis=0)
-        found += [f"{slider.name} -> {joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond)]
-    return tuple(found)
+        reaching += [f"{slider.name} -> {joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond)]
+    return tuple(reaching)
 
 
-def _with_values(new: Sequence[Slider], own: Mapping[str, Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
+def _with_values(new: Sequence[Slider], known: Mapping[str, Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
     """Sliders with the values that the face gave them, and a line for each that is out of the new range."""
     lines, valued = [], []
     for slider in new:
-        before = own.get(slider.name)
+        before = known.get(slider.name)
         value = None if before is None else before.value
         if value is not None and not slider.minimum <= value <= slider.maximum:
             lines.append(f"slider {slider.name}: value {value:g} is out of its new range, now the default")
@@ -140,3 +147,63 @@ def _beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorNetworkReport(Report):
+    """What was authored."""
+
+    sliders: tuple[str, ...]  # that go in
+    channels: int  # that are added to
+    shapes: int
+    layers: tuple[int, ...]  # numbers that go into the first, and that come out of each
+    replaced: bool  # the face had another network
+    authored: tuple[str, ...] = ()
+
+    def text(self, out: Path) -> str:
+        """For people."""
+        layers, replaced = " -> ".join(map(str, self.layers)), ", in place of another" if self.replaced else ""
+        return f"{out}: a network {layers}{replaced}, over {self.channels} channels and {self.shapes} shapes"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorNetwork:
+    """A learned network on a face, which adds to what its sliders do; one that it has is replaced."""
+
+    network: SliderNetwork
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> AuthorNetworkReport:
+        """Author it.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: a damaged network, or one of sliders, joints, channels or shapes that the face has not
+        """
+        parts, network = face.parts(), self.network
+        try:
+            slide(parts.sliders, parts.skeleton.joints, network=network)
+            face.rig().weight_vector(dict.fromkeys(network.shapes, 0.0))
+        except InputError as error:
+            raise error.under(face.where) from None
+        changed = replace(parts, slider_network=network, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        return AuthorNetworkReport(
+            sliders=network.sliders,
+            channels=len(network.channels),
+            shapes=len(network.shapes),
+            layers=(len(network.sliders), *(len(bias) for bias in network.biases)),
+            replaced=parts.slider_network is not None,
+            authored=authored,
+        )
+
+
+def fitting_network(
+    network: SliderNetwork | None, sliders: Sequence[Slider]
+) -> tuple[SliderNetwork | None, tuple[str, ...]]:
+    """The network of a face that gets other `sliders`, and a warning where it can't stay: one of its own is gone."""
+    if network is None:
+        return None, ()
+    known = {one.name for one in sliders}
+    gone = [name for name in network.sliders if name not in known]
+    if not gone:
+        return network, ()
+    return None, (f"the learned network of the sliders is dropped: it needs '{gone[0]}'",)

@@ -23,9 +23,7 @@ from pathlib import Path
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.parts import Curve
-from facepipe.processors.sliders.bias import Bias
-from facepipe.processors.sliders.rules import Drive, SliderRule, check_number
-from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
+from facepipe.processors.sliders.slider_table import MOST_BYTES, Bias, Drive, SliderRule, SliderTable, check_number
 
 _LIST = ("slider", "target", "gain")
 _SETTINGS = ("group", "min", "max", "default", "mirror")
@@ -57,10 +55,10 @@ def _list(path: Path, rows: Sequence[Row]) -> SliderTable:
         name, target = _needed(where, row, "slider"), _needed(where, row, "target")
         curve = _curve(where, row["curve"]) if "curve" in row else None
         gain = _number(where, "gain", _needed(where, row, "gain"))
-        own = drives.setdefault(name, [])
-        if target in {one.target for one in own}:
+        driven = drives.setdefault(name, [])
+        if target in {one.target for one in driven}:
             raise InputError(where, f"target '{target[:60]}' of slider '{name[:60]}' twice, expected each once")
-        own.append(Drive(target=target, gain=gain, curve=curve, where=f"{where} -> {name[:60]}"))
+        driven.append(Drive(target=target, gain=gain, curve=curve, where=f"{where} -> {name[:60]}"))
         _merge(where, settings.setdefault(name, {}), row)
         places.setdefault(name, where)
     rules = [_rule(f"{places[name]} -> {name[:60]}", name, settings[name], drives[name]) for name in drives]

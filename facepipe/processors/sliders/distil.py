@@ -129,23 +129,23 @@ def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: Sl
     """Errors of learned `sliders` with their `network` against those of a face, on vectors held out from training."""
     random = np.random.default_rng((seed, 1))
     columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
-    found: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
+    errors: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
     for _ in range(VECTORS):
         values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
         exact, exact_weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
         learnt, weights = slide(sliders, rig.joints, values, network)
         off: FloatArray = np.abs(learnt - exact)
         for joint, channel in columns:
-            found[CHANNELS[channel][0]].append(off[joint, channel])
-        found["shape"] += [abs(weights.get(name, 0.0) - exact_weights.get(name, 0.0)) for name in network.shapes]
+            errors[CHANNELS[channel][0]].append(off[joint, channel])
+        errors["shape"] += [abs(weights.get(name, 0.0) - exact_weights.get(name, 0.0)) for name in network.shapes]
         if len(rig.points):
             moved = rig.evaluate(weights, coefficients=learnt) - rig.evaluate(exact_weights, coefficients=exact)
-            found["point"].append(np.linalg.norm(moved, axis=1) * parts.meters_per_unit * 1000.0)
+            errors["point"].append(np.linalg.norm(moved, axis=1) * parts.meters_per_unit * 1000.0)
     kinds = {"translation": "t", "rotation": "r", "scale": "s"}
     return Errors(
-        points_mm=_spread(found["point"]),
-        coefficients={name: one for name, key in kinds.items() if (one := _spread(found[key])) is not None},
-        shape_weights=_spread(found["shape"]),
+        points_mm=_spread(errors["point"]),
+        coefficients={name: one for name, key in kinds.items() if (one := _spread(errors[key])) is not None},
+        shape_weights=_spread(errors["shape"]),
     )
 
 
@@ -173,11 +173,11 @@ def _driven(rig: Rig, parts: FaceParts, bent: tuple[Slider, ...]) -> list[Any]:
     for target in rig.targets:
         name = rig.shapes[target.shape]
         reach[name] = max(reach[name], float(np.linalg.norm(target.offsets, axis=1).max(initial=0.0)) * mm)
-    found = []
+    driven = []
     for joint, channel in sorted(channels):
         if joint not in rig.joints or channel not in CHANNELS:
             raise InputError("sliders", f"no joint '{joint}' with a channel '{channel}'")
         effect = float(effects[rig.joints.index(joint), CHANNELS.index(channel)])
         least = mm if channel.startswith("t") else LEVER_MM
-        found.append(Driven(channel=(joint, channel), shape=None, mm=effect or least))
-    return found + [Driven(channel=None, shape=shape, mm=reach.get(shape) or LEVER_MM) for shape in sorted(shapes)]
+        driven.append(Driven(channel=(joint, channel), shape=None, mm=effect or least))
+    return driven + [Driven(channel=None, shape=shape, mm=reach.get(shape) or LEVER_MM) for shape in sorted(shapes)]

@@ -15,13 +15,11 @@ from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, FaceParts, Recipe, Slider
 from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.processors.fit_bones.limits import LimitRules
-from facepipe.processors.sliders.author_network import fitting_network
-from facepipe.processors.sliders.author_sliders import sliders_beyond
+from facepipe.processors.sliders.author_sliders import fitting_network, sliders_beyond
 from facepipe.processors.sliders.made_slider import RESIDUAL, Made, SliderMaker
-from facepipe.processors.sliders.shape_fits import ShapeFits
+from facepipe.processors.sliders.shape_fits import ShapeFits, fit_poses
 from facepipe.processors.sliders.shape_names import parse_pairs, shape_sliders
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions
-from facepipe.processors.sliders.shape_poses import fit_poses
 from facepipe.processors.sliders.shape_report import ShapeSlidersReport, by_group
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage import Face
@@ -57,14 +55,14 @@ class SlidersFromShapes(ShapeSliderOptions):
 
         :raises InputError: a pattern that matches no shape, or a face without shapes
         """
-        names = set(face.shapes)
-        own = tuple(name for name in face.shapes if not (name.endswith(RESIDUAL) and name[: -len(RESIDUAL)] in names))
-        if not own:
+        residuals = {name + RESIDUAL for name in face.shapes}
+        candidates = tuple(name for name in face.shapes if name not in residuals)
+        if not candidates:
             raise InputError(face.where, "has no blendshapes, expected some to make sliders of")
-        found = select(own, self.shapes, "from-shapes")
-        if not found:
+        selected = select(candidates, self.shapes, "from-shapes")
+        if not selected:
             raise InputError("option from-shapes", "no pattern, expected some of the face's shapes, or *")
-        return found
+        return selected
 
     @one_thread()
     def __call__(
@@ -129,14 +127,14 @@ def _within(slider: Slider, value: float | None) -> float | None:
 
 def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
     """The face with the residual shapes of its sliders, which replace those of the same names."""
-    own: list[list[Blendshape]] = [
+    added: list[list[Blendshape]] = [
         [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
         for number in range(len(parts.meshes))
     ]
-    names = {shape.name for shapes in own for shape in shapes}
+    names = {shape.name for shapes in added for shape in shapes}
     meshes = tuple(
         replace(mesh, blendshapes=(*(one for one in mesh.blendshapes if one.name not in names), *shapes))
-        for mesh, shapes in zip(parts.meshes, own, strict=True)
+        for mesh, shapes in zip(parts.meshes, added, strict=True)
     )
     return replace(parts, meshes=meshes)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,8 +13,7 @@ from facepipe.core.names import identifier, unknown
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Recipe, Slider
 from facepipe.payload import PayloadContent
-from facepipe.processors.apply_bones import limit_warnings
-from facepipe.processors.bone_limits import beyond_limits
+from facepipe.processors.apply_bones import beyond_limits, limit_warnings
 from facepipe.rig import slide
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
@@ -30,6 +30,11 @@ class SetSlidersReport(Report):
     shapes: int  # that are on
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the pose is beyond the face's limits
     authored: tuple[str, ...] = ()
+
+    def text(self, out: Path) -> str:
+        """For people."""
+        values = ", ".join(f"{name} {value:g}" for name, value in self.values.items()) or "all at their defaults"
+        return f"{out}: {values}: {self.joints} joints off rest, {self.shapes} shapes on"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,12 +146,12 @@ def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, fl
 
 
 def _with(where: str, animations: Sequence[Animation], new: Animation) -> tuple[Animation, ...]:
-    own = next((one for one in animations if one.name == new.name), None)
-    if own is None:
+    before = next((one for one in animations if one.name == new.name), None)
+    if before is None:
         return (*animations, new)
-    if own.times is not None:
+    if before.times is not None:
         raise InputError(where, f"has a clip '{new.name}' already, expected another name")
-    return tuple(new if one is own else one for one in animations)
+    return tuple(new if one is before else one for one in animations)
 
 
 def _beyond(face: Face, sliders: Sequence[Slider]) -> tuple[str, ...]:

@@ -2,22 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.processors.fit_bones.bone_fit import BoneFit
 from facepipe.processors.fit_bones.options import STRICTER
+from facepipe.processors.fit_bones.variables import Symmetry
 from facepipe.processors.sliders.effects import channel_effects
-from facepipe.processors.sliders.mirrored import MirroredJoints
+from facepipe.processors.sliders.shape_names import ShapeSlider
 from facepipe.processors.sliders.shape_options import ShapeSliderOptions
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 
 _TOGETHER = 32  # poses at a time
 _SAME = 0.02  # of the reach: what a symmetric pose may lose
+
+
+class MirroredJoints:
+    """Where the coefficients of m joints go when a pose is mirrored, and their signs there."""
+
+    def __init__(self, symmetry: Symmetry) -> None:
+        self.joints = symmetry.joints
+        count = len(symmetry.leaders)
+        follower = np.flatnonzero(symmetry.leaders != np.arange(count))
+        leader = symmetry.leaders[follower]
+        self._from, self._signs = np.arange(count), np.where(symmetry.still, -1.0, 1.0)
+        self._from[follower], self._from[leader] = leader, follower
+        self._signs[follower] = self._signs[leader] = symmetry.signs[follower]
+        self._single = np.repeat([joint in symmetry.single for joint in symmetry.joints], 9)
+
+    def coefficients(self, values: FloatArray) -> FloatArray:
+        """(m, 9) of the mirrored pose; joints without a partner must be at rest."""
+        return np.asarray((self._signs * values.ravel()[self._from]).reshape(values.shape))
+
+    def tied(self, kept: BoolArray) -> BoolArray:
+        """(m, 9) channels that are kept, or whose mirror images are."""
+        return np.asarray((kept.ravel() | kept.ravel()[self._from]).reshape(kept.shape))
+
+    def limits(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 9) limits within which a pose's mirror image is too; joints without a partner rest.
+
+        :raises InputError: limits of two sides that have nothing in common
+        """
+        low, high, turned = lower.ravel(), upper.ravel(), self._signs < 0
+        other = (
+            np.where(turned, -high[self._from], low[self._from]),
+            np.where(turned, -low[self._from], high[self._from]),
+        )
+        rest = rest_coefficients(len(self.joints)).ravel()
+        low = np.where(self._single, rest, np.maximum(low, other[0]))
+        high = np.where(self._single, rest, np.minimum(high, other[1]))
+        if (low > high).any():
+            joint, channel = divmod(int(np.argmax(low > high)), 9)
+            what = "limits whose mirror images have nothing in common with them, expected some that both sides can have"
+            raise InputError(f"limits -> {self.joints[joint]} -> {CHANNELS[channel]}", what)
+        return low.reshape(lower.shape), high.reshape(upper.shape)
 
 
 @dataclass(frozen=True)
@@ -86,28 +128,28 @@ class ShapeFits:
         loss = self.reach(free.points, target) - self.reach(symmetric.points, target)
         return symmetric if loss <= _SAME else free
 
-    def _finished(self, target: FloatArray, found: _Found, done: Callable[[], object]) -> ShapePose:
+    def _finished(self, target: FloatArray, pose: _Found, done: Callable[[], object]) -> ShapePose:
         """The pose with the channels alone that do something, as float32."""
         if self.options.least_effect > 0:
-            found = self._fewer(target, found)
-        gains = self._gains(found.coefficients)
+            pose = self._fewer(target, pose)
+        gains = self._gains(pose.coefficients)
         done()
-        return ShapePose(gains, self.rig.evaluate(coefficients=self.rest + gains), found.symmetric)
+        return ShapePose(gains, self.rig.evaluate(coefficients=self.rest + gains), pose.symmetric)
 
-    def _fewer(self, target: FloatArray, found: _Found) -> _Found:
+    def _fewer(self, target: FloatArray, pose: _Found) -> _Found:
         """The pose of those channels that move points, fitted again."""
-        largest = float(np.linalg.norm(found.points - self.points, axis=1).max(initial=0.0))
-        moved = np.abs(found.coefficients - self.rest) * self._effects
+        largest = float(np.linalg.norm(pose.points - self.points, axis=1).max(initial=0.0))
+        moved = np.abs(pose.coefficients - self.rest) * self._effects
         kept = (moved > 0) & (moved >= max(self.options.least_effect * largest, self._threshold))
-        if found.symmetric and self.mirror is not None:
+        if pose.symmetric and self.mirror is not None:
             kept = self.mirror.tied(kept)
         if not kept.any() or kept.all():
-            return found if kept.any() else _Found(self.rest, self.points, found.symmetric)
-        own = self._symmetric if found.symmetric else self._free
+            return pose if kept.any() else _Found(self.rest, self.points, pose.symmetric)
+        own = self._symmetric if pose.symmetric else self._free
         assert own is not None
         within = np.where(kept, own.lower, self.rest), np.where(kept, own.upper, self.rest)
-        session = self._session(*within, symmetric=found.symmetric)
-        (fewer,) = self._together(session, [target], np.where(kept, found.coefficients, self.rest))
+        session = self._session(*within, symmetric=pose.symmetric)
+        (fewer,) = self._together(session, [target], np.where(kept, pose.coefficients, self.rest))
         return fewer
 
     def _gains(self, coefficients: FloatArray) -> FloatArray:
@@ -121,14 +163,14 @@ class ShapeFits:
     def _together(
         self, session: BoneFit, targets: Sequence[FloatArray], start: FloatArray | None = None
     ) -> list[_Found]:
-        found = []
+        poses = []
         for first in range(0, len(targets), _TOGETHER):
             try:
-                found += session.fit_all(targets[first : first + _TOGETHER], start)
+                poses += session.fit_all(targets[first : first + _TOGETHER], start)
             except np.linalg.LinAlgError:
                 what = "the scale of a joint fell to 0, expected limits that keep it away from there"
                 raise FitError(self.rig.name, what) from None
-        return [_Found(one.coefficients, one.points, session.symmetry is not None) for one in found]
+        return [_Found(one.coefficients, one.points, session.symmetry is not None) for one in poses]
 
     def _session(self, lower: FloatArray, upper: FloatArray, *, symmetric: bool = False) -> BoneFit:
         return BoneFit(
@@ -156,3 +198,37 @@ class ShapeFits:
             return None, (f"each side is fitted alone: {error}",)
         assert symmetry is not None
         return MirroredJoints(symmetry), ()
+
+
+def fit_poses(
+    fits: ShapeFits,
+    sliders: Sequence[ShapeSlider],
+    targets: Mapping[str, FloatArray],
+    done: Callable[[], object] = lambda: None,
+) -> dict[str, ShapePose]:
+    """Shape -> its pose; of a slider and its mirror the first is fitted, and the other is its mirror image.
+
+    :param targets: shape -> (n, 3) points
+    :param done: called after every shape
+    """
+    twins = _twins(sliders) if fits.mirror is not None else {}
+    sides = [shape for shape in targets if shape in twins]
+    middle = [shape for shape in targets if shape not in twins and shape not in twins.values()]
+    poses = dict(zip(middle, fits.middle([targets[shape] for shape in middle], done), strict=True))
+    poses |= zip(sides, fits.side([targets[shape] for shape in sides], done), strict=True)
+    for shape in sides:
+        poses[twins[shape]] = fits.mirrored(poses[shape])
+        done()
+    return poses
+
+
+def _twins(sliders: Sequence[ShapeSlider]) -> dict[str, str]:
+    """Shape of the first slider of a pair -> that of its mirror."""
+    by_name = {one.name: one for one in sliders}
+    twins: dict[str, str] = {}
+    for slider in sliders:
+        if slider.mirror is not None and slider.ends[0][1] not in twins.values():
+            twins |= {
+                shape: other for (_, shape), (_, other) in zip(slider.ends, by_name[slider.mirror].ends, strict=True)
+            }
+    return twins

@@ -97,11 +97,11 @@ def _ends(shapes: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[tuple
         low = named.get((side, stem, lows.get(end, "")))
         if low is not None:
             upper[low] = shape
-    highs, found = {high: low for low, high in upper.items()}, {}
+    highs, ends = {high: low for low, high in upper.items()}, {}
     for shape in shapes:
         low = highs.get(shape, shape)
-        found[low] = ((-1.0, low), (1.0, upper[low])) if low in upper else ((1.0, low),)
-    return list(found.values())
+        ends[low] = ((-1.0, low), (1.0, upper[low])) if low in upper else ((1.0, low),)
+    return list(ends.values())
 
 
 def _words(shape: str, pairs: Sequence[tuple[str, str]]) -> _Words:

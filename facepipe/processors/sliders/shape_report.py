@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
+from facepipe.core.texts import table
+
+_HEAD = ("distance, mm", "by", "joints", "channels", "reach", "RMS", "max", "RMS left", "max left")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +69,33 @@ class ShapeSlidersReport(Report):
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
 
+    def text(self, out: Path) -> str:
+        """A table for people, the sliders of each group below it."""
+        sliders = {**self.sliders, **self.left_out}
+        rows: list[Sequence[object]] = [_HEAD]
+        for group, reach in self.groups.items():
+            numbers = (f"{reach.reach:.2f}", f"{reach.rms_mm:.2f}", "", f"{reach.left_rms_mm:.2f}")
+            rows.append((group or "(no group)", "", "", "", *numbers))
+            rows += [_row(name, slider) for name, slider in sliders.items() if slider.group == group]
+        return f"{out}: {self._count()} in {self.seconds:.1f} s\n{table(rows)}"
+
+    def _count(self) -> str:
+        shapes = sum(len(slider.ends) for slider in (*self.sliders.values(), *self.left_out.values()))
+        parts = [f"{len(self.sliders)} sliders of {shapes} shapes"]
+        for what, names in (("left out", self.left_out), ("replaced", self.replaced), ("dropped", self.dropped)):
+            parts += [f"{len(names)} {what}"] if names else []
+        return ", ".join(parts)
+
+
+def _row(name: str, slider: MadeSlider) -> tuple[object, ...]:
+    rms, left = (
+        math.sqrt(sum(value**2 for value in values) / len(slider.ends))
+        for values in ([end.rms_mm for end in slider.ends], [end.left_rms_mm for end in slider.ends])
+    )
+    largest, last = max(end.max_mm for end in slider.ends), max(end.left_max_mm for end in slider.ends)
+    numbers = (f"{slider.reach:.2f}", f"{rms:.2f}", f"{largest:.1f}", f"{left:.2f}", f"{last:.1f}")
+    return (f"  {name}", slider.by or "left out", slider.joints, slider.channels, *numbers)
+
 
 def end_report(shape: str, motion: FloatArray, left: FloatArray, end: FloatArray, residual_points: int) -> EndReport:
     """Of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves."""
@@ -89,19 +121,17 @@ def reach_of(motions: Sequence[float], left: Sequence[float]) -> float:
 def by_group(sliders: Sequence[MadeSlider]) -> dict[str, GroupReach]:
     """Group -> its sliders, in the order of their first ones."""
     groups: dict[str, list[MadeSlider]] = {}
-    for one in sliders:
-        groups.setdefault(one.group, []).append(one)
-    found = {}
-    for name, own in groups.items():
-        motions, left = (np.array([getattr(end, key) for one in own for end in one.ends]) for key in _ROOTS)
-        found[name] = GroupReach(
-            sliders=len(own),
-            left_out=sum(not one.by for one in own),
+    for slider in sliders:
+        groups.setdefault(slider.group, []).append(slider)
+    reaches = {}
+    for name, members in groups.items():
+        ends = [end for slider in members for end in slider.ends]
+        motions, left = np.array([end.rms_mm for end in ends]), np.array([end.left_rms_mm for end in ends])
+        reaches[name] = GroupReach(
+            sliders=len(members),
+            left_out=sum(not slider.by for slider in members),
             rms_mm=float(np.sqrt((motions**2).mean())),
             left_rms_mm=float(np.sqrt((left**2).mean())),
             reach=reach_of(motions.tolist(), left.tolist()),
         )
-    return found
-
-
-_ROOTS = ("rms_mm", "left_rms_mm")
+    return reaches

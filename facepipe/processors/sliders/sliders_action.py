@@ -122,7 +122,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
 
     def _learn(self, face: Face, job: Job) -> Report:
         from facepipe.importers.slider_network import read_network
-        from facepipe.processors.sliders.author_network import AuthorNetwork
+        from facepipe.processors.sliders.author_sliders import AuthorNetwork
 
         assert self.network is not None
         if self.network.suffix.lower() != ".npz":
@@ -160,7 +160,5 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
             report.left_out if self.shapes is not None else (self.values or self.reset) and report.beyond_limits
         )
 
-    def text(self, report: Report, out: Path) -> str:
-        from facepipe.processors.sliders.text import as_text
-
-        return as_text(out, report)
+    def text(self, report: Any, out: Path) -> str:
+        return str(report.text(out))

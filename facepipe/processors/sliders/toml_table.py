@@ -19,8 +19,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_toml
 from facepipe.parts import Curve
-from facepipe.processors.sliders.rules import Drive, SliderRule
-from facepipe.processors.sliders.slider_table import MOST_BYTES, SliderTable
+from facepipe.processors.sliders.slider_table import MOST_BYTES, Drive, SliderRule, SliderTable
 
 _KEYS = ("slider", "units")
 _SLIDER_KEYS = ("group", "range", "default", "mirror", "channels", "shapes")
@@ -62,10 +61,10 @@ def _rule(where: str, name: str, content: object) -> SliderRule:
 
 
 def _drives(where: str, content: dict[str, Any], key: str) -> tuple[Drive, ...]:
-    found = content.get(key, {})
-    if not isinstance(found, dict):
-        raise InputError(f"{where} -> {key}", f"{_shown(found)}, expected a table of gains or curves")
-    return tuple(_drive(f"{where} -> {key} -> {target[:60]}", target, value) for target, value in found.items())
+    drives = content.get(key, {})
+    if not isinstance(drives, dict):
+        raise InputError(f"{where} -> {key}", f"{_shown(drives)}, expected a table of gains or curves")
+    return tuple(_drive(f"{where} -> {key} -> {target[:60]}", target, value) for target, value in drives.items())
 
 
 def _drive(where: str, target: str, value: object) -> Drive:
@@ -94,10 +93,10 @@ def _is_knot(value: object) -> bool:
 
 
 def _text(where: str, content: dict[str, Any], key: str, otherwise: str) -> str:
-    found = content.get(key, otherwise)
-    if not isinstance(found, str):
-        raise InputError(f"{where} -> {key}", f"{_shown(found)}, expected a text")
-    return found
+    text = content.get(key, otherwise)
+    if not isinstance(text, str):
+        raise InputError(f"{where} -> {key}", f"{_shown(text)}, expected a text")
+    return text
 
 
 def _check_keys(where: str, content: dict[str, Any], known: tuple[str, ...]) -> None:

@@ -22,8 +22,8 @@ from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.blend import Blend, BlendFaces, Weights
 from facepipe.processors.blend.lids import LidContact
-from facepipe.processors.blend.text import as_text
-from facepipe.processors.blend.weights_json import weights_to_json
+from facepipe.processors.blend.quality import as_text
+from facepipe.processors.blend.weights import weights_to_json
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")

@@ -66,7 +66,7 @@ class Dense:
         self.head = np.arange(36)
         self.loose = np.arange(36, self.count)
         self.edges = np.array(sorted(pairs))
-        bridges = blend.network.bridges
+        bridges = blend.graph.bridges
         self.bridges = np.stack([bridges.leaders, bridges.followers], axis=1)
         self.bridge_weights = bridges.weights
         for leader, follower in self.bridges:
@@ -92,7 +92,7 @@ class Dense:
 
         :param moving: (n,) instead solve the bi-Laplacian of both with 0 at all other points
         """
-        found, anchor = np.zeros((self.count, 3)), self.blend.network.anchor
+        found, anchor = np.zeros((self.count, 3)), self.blend.graph.anchor
         own = self.edges[self.edges[:, 0] < 36]
         M, D = self.rows(own)[:, :36], self.wanted(values, own)
         if moving is None:
@@ -123,10 +123,10 @@ class Dense:
 def test_the_whole_blend_agrees_with_a_dense_reference(solver: str, expressions: str) -> None:
     blend, solution = solve(solver, expressions)
     dense = Dense(blend)
-    np.testing.assert_array_equal(np.unique(np.sort(blend.network.edges, axis=1), axis=0), dense.edges)
+    np.testing.assert_array_equal(np.unique(np.sort(blend.graph.edges, axis=1), axis=0), dense.edges)
     points = blend.sources.points
     same(solution.neutral.points, dense.solve(points, points[0, 2]), 1e-9)
-    assert blend.network.anchor == 2
+    assert blend.graph.anchor == 2
     partly = 0
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
         full, moving = np.zeros(points.shape), np.zeros(dense.count, bool)

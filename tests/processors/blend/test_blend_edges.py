@@ -134,8 +134,8 @@ def test_the_anchor_is_guessed_on_the_mesh_with_landmarks_and_said() -> None:
     base = tiny_face(0)
     hair = replace_mesh(grid_mesh("Hair", 12, 2.0))
     solved = session(with_meshes(base, hair, replace_mesh(base.meshes[0], anchor=None)))
-    assert solved.network.main[len(hair.points) :].all()
-    assert not solved.network.main[: len(hair.points)].any()
+    assert solved.graph.main[len(hair.points) :].all()
+    assert not solved.graph.main[: len(hair.points)].any()
     report, _ = measure(solved, solved.solve(Weights()))
     assert any("no anchor authored, taken from the open border: Head:" in line for line in report.warnings)
 
@@ -145,12 +145,12 @@ def test_smoothing_reaches_loose_meshes_through_the_face() -> None:
     columns = base.meshes[0].points[:, 0]
     regions = {"left": (columns < 0).astype(np.float32), "right": (columns >= 0).astype(np.float32)}
     own = with_meshes(base, replace_mesh(base.meshes[0], regions=regions), replace_mesh(base.meshes[1], regions={}))
-    network = session(own, region_width_mm=30.0).network
-    assert ((network.masks > 0.01) & (network.masks < 0.99)).any()
-    bridges = network.bridges
-    np.testing.assert_allclose(network.masks[:, bridges.followers], network.masks[:, bridges.leaders], atol=1e-12)
+    graph = session(own, region_width_mm=30.0).graph
+    assert ((graph.masks > 0.01) & (graph.masks < 0.99)).any()
+    bridges = graph.bridges
+    np.testing.assert_allclose(graph.masks[:, bridges.followers], graph.masks[:, bridges.leaders], atol=1e-12)
     lonely = with_meshes(base, replace_mesh(base.meshes[0], regions={"left": regions["left"]}), own.meshes[1])
-    plain, smooth = (session(lonely, region_width_mm=width).network.masks for width in (0.0, 30.0))
+    plain, smooth = (session(lonely, region_width_mm=width).graph.masks for width in (0.0, 30.0))
     assert np.abs(plain - smooth).max() > 0.1, "the border of an only region is one with the rest"
 
 
@@ -158,18 +158,18 @@ def test_masks_that_do_not_sum_to_one_are_said_and_negative_ones_named() -> None
     base = tiny_face(0)
     head = base.meshes[0]
 
-    def network(mask: np.ndarray) -> BlendSession:
+    def face(mask: np.ndarray) -> BlendSession:
         return session(
             with_meshes(base, replace_mesh(head, regions={"mouth": mask.astype(np.float32)}), base.meshes[1])
         )
 
     count = len(head.points)
-    assert any("sum to more than 1" in note for note in network(np.full(count, 2.0)).network.notes)
-    assert any("sum to less than 1" in note for note in network(np.full(count, 0.5)).network.notes)
+    assert any("sum to more than 1" in note for note in face(np.full(count, 2.0)).graph.notes)
+    assert any("sum to less than 1" in note for note in face(np.full(count, 0.5)).graph.notes)
     low = np.full(count, 0.5)
     low[7] = -0.1
     with pytest.raises(InputError, match=r"region mouth -> Head:7: mask -0\.1, expected 0 or more"):
-        network(low)
+        face(low)
     with pytest.raises(InputError, match="a region of that name"):
         session(with_meshes(base, replace_mesh(head, regions={"default": np.ones(count, np.float32)}), base.meshes[1]))
 

@@ -106,7 +106,7 @@ def still_border(parts: FaceParts) -> tuple[int, int]:
 
 def border_steps_mm(blend: BlendSession, solution: Solution) -> dict[str, float]:
     """The largest error of an offset difference along an edge between a static and a moving point, shape by shape."""
-    edges, count = blend.network.edges, len(solution.neutral.points)
+    edges, count = blend.graph.edges, len(solution.neutral.points)
     shares = solution.neutral.shares[edges].mean(axis=1)
     steps = {}
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):

@@ -65,7 +65,7 @@ def test_joints_move_with_the_weighted_mean(kind: str, weights: tuple[float, ...
     joints = weighted(np.array(weights), np.stack([places(face.skeleton) for face in blend.faces]))
     points = weighted(np.array(weights), blend.sources.points)
     free = np.setdiff1d(np.arange(len(points)), blend.kept.points)
-    bridges = blend.network.joint_bridges
+    bridges = blend.graph.joint_bridges
     following = np.isin(np.arange(len(joints)), bridges.followers[np.isin(bridges.leaders, blend.kept.points)])
     moved_by = places(result.skeleton) - joints
     off = np.concatenate([moved_by[~following], (build(result.parts()).points - points)[free]])

@@ -42,7 +42,7 @@ def eye() -> np.ndarray:
 
 def nearest(points: np.ndarray) -> int:
     """The point of the face that lies nearest to the eyeball."""
-    face = np.flatnonzero(solved()[0].network.main)
+    face = np.flatnonzero(solved()[0].graph.main)
     return int(face[np.linalg.norm(points[face] - fit_ball(points[eye()]).centre, axis=1).argmin()])
 
 
@@ -112,7 +112,7 @@ def test_an_eyeball_that_moves_into_its_lids_is_measured_where_it_is() -> None:
     points = solution.neutral.points.copy()
     points[solution.sculpts[number].points] += solution.offsets[number]
     moved = fit_ball(points[eye()])
-    to_face = np.linalg.norm(points[blend.network.main] - moved.centre - forward, axis=1)
+    to_face = np.linalg.norm(points[blend.graph.main] - moved.centre - forward, axis=1)
     expected = (moved.radius - to_face).max() * blend.sources.mm_per_unit
     assert expected > 2.0
     assert found.worst_shape == LOOK

@@ -13,13 +13,13 @@ from facepipe.stage import Face
 
 
 def found_table(blend: BlendSession, weights: Weights) -> np.ndarray:
-    return weights.shares(blend.network.regions, len(blend.faces)).table
+    return weights.shares(blend.graph.regions, len(blend.faces)).table
 
 
 def regions_that_count(blend: BlendSession) -> np.ndarray:
     """Rows of regions that some point outside the kept parts is in."""
     free = np.setdiff1d(np.arange(blend.sources.points.shape[1]), blend.kept.points)
-    return np.asarray(blend.network.masks[:, free].max(axis=1) > 0)
+    return np.asarray(blend.graph.masks[:, free].max(axis=1) > 0)
 
 
 @kinds()

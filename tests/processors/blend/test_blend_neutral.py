@@ -60,9 +60,9 @@ def test_global_weights_give_the_weighted_mean_up_to_one_translation(
     off = found - expected
     free = np.setdiff1d(np.arange(len(off)), blend.kept.points)
     about = 1e-6 * head_height(blend)
-    assert len(np.unique(blend.network.component[free])) > 1, "loose parts count too"
+    assert len(np.unique(blend.graph.component[free])) > 1, "loose parts count too"
     steady(np.concatenate([off[free], means_of(blend, found) - means_of(blend, expected)]), about)
-    anchor = blend.network.anchor
+    anchor = blend.graph.anchor
     np.testing.assert_array_equal(found[anchor], blend.sources.points[0, anchor])
 
 
@@ -109,7 +109,7 @@ def test_regions_of_misaligned_sources_keep_their_edges(kind: str, name: str) ->
     it is that of the edges whose weights vary.
     """
     blend = session(kind, 2, "misaligned neutral")
-    neutral, edges = blend.neutral(by_region(name)), blend.network.edges
+    neutral, edges = blend.neutral(by_region(name)), blend.graph.edges
     averaged = weighted(neutral.shares, blend.sources.points)
     own, other = (
         np.linalg.norm(edge_vectors(points, edges) - neutral.wanted, axis=1) for points in (neutral.points, averaged)

@@ -25,7 +25,7 @@ from facepipe.declare import from_json, to_json
 from facepipe.parts import Recipe
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights, blend_recipe
-from facepipe.processors.blend.weights_json import weights_from_json, weights_to_json
+from facepipe.processors.blend.weights import weights_from_json, weights_to_json
 from facepipe.stage import save_parts
 
 # --- recipes

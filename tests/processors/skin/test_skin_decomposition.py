@@ -15,7 +15,7 @@ from facepipe.geometry.polygons import edges
 from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
 from facepipe.parts import FaceParts
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions
-from facepipe.processors.skin.skin_face import from_joints
+from facepipe.processors.skin.from_joints import from_joints
 from facepipe.processors.skin.surface import surface_of
 from facepipe.stage import Face
 

@@ -22,7 +22,7 @@ from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError
 from facepipe.geometry.warp import fit_warp, nearest_rotations
 from facepipe.processors.skin import SkinFace, SkinOptions, SkinReport
-from facepipe.processors.skin.eyeballs import eyeballs_of
+from facepipe.processors.skin.features import eyeballs_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts

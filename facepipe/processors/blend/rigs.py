@@ -1,0 +1,262 @@
+"""Skeletons and skins of several sources blended, and animations carried over to other rest transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import TopologyError
+from facepipe.parts import Animation, Skeleton, Skin
+from facepipe.rig.animation import local_transforms
+from facepipe.rig.trs import decompose, rotation_matrices
+
+_GAP = 1e-9  # eigenvalues closer than this (of weights that sum to 1): no rotation is nearest to all sources
+_SINGULAR = 1e-9  # of the product of the column lengths
+
+
+def blend_skeletons(
+    skeletons: Sequence[Skeleton], bind_worlds: FloatArray, positions: FloatArray, weights: FloatArray
+) -> Skeleton:
+    """The base's skeleton with blended bind and rest transforms.
+
+    Bind transforms: orientations by the weighted chordal mean, what is left of each source's linear part (scale, and
+    shear where there is some) by the weighted mean, positions as given. Rest transforms: what takes a source's joint
+    from bind to rest, relative to its parent, is blended in the same way and applied to the new bind transforms; so
+    the rest is the new bind pose where it was in every source, and sources that agree are given back. For roots it
+    is taken relative to the space that they stand in: the place of the body joint that a face hangs under is kept.
+
+    :param skeletons: of K sources, the base first
+    :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's joint order and bind space
+    :param positions: (j, 3) new places of the joints in the base's bind space
+    :param weights: (j, K) shares, each row summing to 1
+    :raises TopologyError: a source that lacks a joint of the base, or a singular transform
+    """
+    base = skeletons[0]
+    if not base.joints:
+        return base
+    places = [_places(skeleton, base, number) for number, skeleton in enumerate(skeletons)]
+    binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
+    rests = np.stack([_worlds(one)[at] for one, at in zip(skeletons, places, strict=True)])
+    moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
+    units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
+    linear = blend_linear(_float64(bind_worlds)[..., :3, :3] / units[..., None], weights)
+    bind = _transforms(linear, positions)
+    relative = _relative(binds, rests, base)
+    relative[..., :3, 3] *= units
+    roots = base.parents < 0
+    relative[:, roots] = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
+    translation = np.einsum("jk,kjc->jc", weights, relative[..., :3, 3])
+    change = _transforms(blend_linear(relative[..., :3, :3], weights), translation)
+    local = _local(bind, base)
+    rest = np.where(roots[:, None, None], change @ bind, local @ change)
+    _inverse(bind, base)  # a skin needs it
+    return replace(base, bind_transforms=bind, rest_transforms=rest)
+
+
+def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
+    """(j, 3, 3) blends of K linear maps (K, j, 3, 3) under shares (j, K): mean rotation times mean stretch.
+
+    The rotation is the weighted chordal mean, the largest eigenvector of ``sum_k a_k q_k q_k^T``, which knows no signs
+    of quaternions (Markley et al., Averaging Quaternions, 2007); where two are as good, that of the source with the
+    largest share. The stretch ``R_k^T A_k`` of a source is its scale, and its shear where there is some.
+    """
+    rotations = decompose(_affine(matrices)).rotation
+    outer = np.einsum("jk,kja,kjb->jab", weights, rotations, rotations)
+    values, vectors = np.linalg.eigh(outer)
+    mean = vectors[..., -1]
+    tied = values[:, -1] - values[:, -2] < _GAP
+    heaviest = rotations[np.argmax(weights, axis=1), np.arange(len(weights))]
+    mean = np.where(tied[:, None], heaviest, mean)
+    stretches = np.swapaxes(rotation_matrices(rotations), -1, -2) @ matrices
+    return np.asarray(rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches))
+
+
+def _relative(binds: FloatArray, rests: FloatArray, base: Skeleton) -> FloatArray:
+    """(K, j, 4, 4) what takes each joint from bind to rest in its own axes, both relative to the joint's parent."""
+    return np.stack(
+        [_inverse(_local(bind, base), base) @ _local(rest, base) for bind, rest in zip(binds, rests, strict=True)]
+    )
+
+
+def _local(worlds: FloatArray, base: Skeleton) -> FloatArray:
+    """(j, 4, 4) transforms relative to the parent joint; those of roots as they are."""
+    parents = base.parents
+    above = np.where((parents < 0)[:, None, None], np.eye(4), _inverse(worlds, base)[parents])
+    return np.asarray(above @ worlds)
+
+
+def _worlds(skeleton: Skeleton) -> FloatArray:
+    """(j, 4, 4) rest transforms in skeleton space."""
+    worlds = _float64(skeleton.rest_transforms).copy()
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            worlds[joint] = worlds[parent] @ worlds[joint]
+    return worlds
+
+
+def _places(skeleton: Skeleton, base: Skeleton, number: int) -> IntArray:
+    numbers = {joint: i for i, joint in enumerate(skeleton.joints)}
+    missing = next((joint for joint in base.joints if joint not in numbers), None)
+    if missing is not None:
+        raise TopologyError(
+            f"source {number + 1} -> {skeleton.name}", f"no joint '{missing}', expected it as in the first"
+        )
+    return np.array([numbers[joint] for joint in base.joints], dtype=np.int64)
+
+
+def _inverse(matrices: FloatArray, base: Skeleton) -> FloatArray:
+    """Inverses of (..., j, 4, 4) affine matrices.
+
+    :raises TopologyError: a singular one
+    """
+    linear = matrices[..., :3, :3]
+    size = np.linalg.norm(linear, axis=-2).prod(axis=-1)
+    singular = ~(np.abs(np.linalg.det(linear)) > _SINGULAR * size)
+    if singular.any():
+        joint = base.joints[int(np.argmax(singular.reshape(-1, len(base.joints)).any(axis=0)))]
+        raise TopologyError(f"{base.name} -> {joint}", "singular transform, or mirrored in some sources only")
+    return np.asarray(np.linalg.inv(matrices))
+
+
+def _transforms(linear: FloatArray, translations: FloatArray) -> FloatArray:
+    matrices = _affine(linear)
+    matrices[..., :3, 3] = translations
+    return matrices
+
+
+def _affine(linear: FloatArray) -> FloatArray:
+    matrices = np.zeros((*linear.shape[:-2], 4, 4))
+    matrices[..., :3, :3] = linear
+    matrices[..., 3, 3] = 1.0
+    return matrices
+
+
+def _float64(array: FloatArray) -> FloatArray:
+    return np.asarray(array, dtype=np.float64)
+
+
+def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: Sequence[IntArray]) -> Skin | None:
+    """The skin ``sum_k a_k W_k`` of every point, normalised: as many influences as the widest source, largest first.
+
+    Where the blend has more influences than that, the smallest are left out. Points where all sources agree (in
+    float32) keep the base's weights as they are; where all points do, the result is the base's very skin. A source
+    without skin, or without influences at a point, leaves its share to the others. geomBindTransform stays the base's.
+
+    :param skins: of K sources, the base first; None where the base has none
+    :param weights: (n, K) shares, each row summing to 1
+    :param joint_maps: of every source, (j,) numbers of its joints in the base
+    """
+    base = skins[0]
+    if base is None:
+        return None
+    given = [(k, skin) for k, skin in enumerate(skins) if skin is not None]
+    merged = [_merged(joint_maps[k][skin.joint_indices], _stored(skin)) for k, skin in given]
+    width = max(skin.joint_indices.shape[1] for _, skin in given)
+    agreed = _agreed([_sorted(*one, width) for one in merged])
+    if agreed.all():
+        return base
+    joints = np.concatenate([numbers for numbers, _ in merged], axis=1)
+    parts = [weights[:, k : k + 1] * part for (k, _), (_, part) in zip(given, merged, strict=True)]
+    shares = np.concatenate(parts, axis=1)
+    indices, blended = _sorted(*_merged(joints, shares), width)
+    total = blended.sum(axis=1, keepdims=True)
+    blended = blended / np.where(total > 0, total, 1.0)
+    indices[agreed], blended[agreed] = (one[agreed] for one in _sorted(*merged[0], width))
+    return replace(base, joint_indices=indices, joint_weights=blended)
+
+
+def _stored(skin: Skin) -> FloatArray:
+    """Weights as files hold them, for sums in double precision."""
+    return np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64))
+
+
+def _merged(joints: IntArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The same influences with every joint once a point, in ascending order of joints; the rest has weight 0."""
+    order = np.argsort(joints, axis=1, kind="stable")
+    joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
+    first = np.ones(joints.shape, dtype=bool)
+    first[:, 1:] = joints[:, 1:] != joints[:, :-1]
+    run = np.cumsum(first) - 1  # number of the first entry that an entry adds to
+    merged = np.zeros(joints.shape)
+    merged[first] = np.bincount(run, weights.ravel(), minlength=int(first.sum()))
+    return joints, merged
+
+
+def _sorted(joints: IntArray, weights: FloatArray, width: int) -> tuple[IntArray, FloatArray]:
+    """(n, width) largest influences first, the lower joint first among equals; those without weight are of joint 0."""
+    if joints.shape[1] < width:
+        more = ((0, 0), (0, width - joints.shape[1]))
+        joints, weights = np.pad(joints, more), np.pad(weights, more)
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :width]
+    joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
+    return np.where(weights > 0, joints, 0).astype(np.int32), weights
+
+
+def _agreed(sources: Sequence[tuple[IntArray, FloatArray]]) -> npt.NDArray[np.bool_]:
+    """(n,) whether all have the same influences, in float32."""
+    joints, weights = sources[0]
+    same = np.ones(len(joints), dtype=bool)
+    for other_joints, other_weights in sources[1:]:
+        same &= (joints == other_joints).all(axis=1)
+        same &= (weights.astype(np.float32) == other_weights.astype(np.float32)).all(axis=1)
+    return same
+
+
+def rebase_animations(animations: Sequence[Animation], old: Skeleton, new: Skeleton) -> tuple[Animation, ...]:
+    """The same motion relative to rest: ``local_new = rest_new inverse(rest_old) local_old``.
+
+    Bone coefficients are relative to rest and stay. Values of joints whose rest is the same (in float32) stay too, as
+    do animations without joint transforms. Shear, which comes of unequal scales at rest, is lost as SkelAnimation can't
+    hold it.
+
+    :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
+    :raises TopologyError: a singular rest transform
+    """
+    rests = [np.asarray(one.rest_transforms, dtype=np.float64) for one in (old, new)]
+    moved = (rests[0].astype(np.float32) != rests[1].astype(np.float32)).any(axis=(1, 2))
+    joints = {joint for joint, one in zip(old.joints, moved, strict=True) if one}
+    return tuple(_rebased(one, old, new) if joints & set(one.joints) else one for one in animations)
+
+
+def _rebased(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:
+    given = (animation.translations, animation.rotations, animation.scales)
+    if all(part is None for part in given):
+        return animation
+    place = {joint: i for i, joint in enumerate(old.joints)}
+    before = local_transforms(old, replace(animation, coefficients=None))
+    used = [place[joint] for joint in animation.joints]
+    rest_old, rest_new = (np.asarray(one.rest_transforms, dtype=np.float64)[used] for one in (old, new))
+    after = decompose(rest_new @ _inverse_rests(rest_old, animation) @ before)
+    was = decompose(before)
+    kept = (rest_old.astype(np.float32) == rest_new.astype(np.float32)).all(axis=(1, 2))
+    values = [one if part is None else np.asarray(part) for part, one in zip(given, was[:3], strict=True)]
+    return replace(
+        animation,
+        translations=_where(kept, values[0], after.translation),
+        rotations=_where(kept, values[1], _continuous(after.rotation, values[1])),
+        scales=_where(kept, values[2], after.scale),
+    )
+
+
+def _where(kept: BoolArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    return np.where(kept[None, :, None], before, after)
+
+
+def _continuous(rotations: FloatArray, before: FloatArray) -> FloatArray:
+    """(T, j, 4) quaternions with signs that flip where those before do: samples are interpolated as they stand."""
+    flips = np.ones(rotations.shape[:2])
+    for one in (rotations, np.asarray(before, dtype=np.float64)):
+        flips[1:] *= np.where(np.einsum("tjc,tjc->tj", one[1:], one[:-1]) < 0, -1.0, 1.0)
+    return np.asarray(rotations * np.cumprod(flips, axis=0)[..., None])
+
+
+def _inverse_rests(rests: FloatArray, animation: Animation) -> FloatArray:
+    singular = ~(np.abs(np.linalg.det(rests[:, :3, :3])) > 0)
+    if singular.any():
+        joint = animation.joints[int(np.argmax(singular))]
+        raise TopologyError(f"{animation.name} -> {joint}", "singular rest transform, expected an invertible one")
+    return np.asarray(np.linalg.inv(rests))
