@@ -62,7 +62,7 @@ class ApplyBones:
         if content.times is not None:
             content = replace(content, times=on_frames(face, content.times))
         added = _animations(content, self.name)
-        taken = sorted({one.name for one in parts.animations} & {one.name for one in added})
+        taken = sorted({animation.name for animation in parts.animations} & {one.name for one in added})
         if taken:
             raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
         changed = replace(

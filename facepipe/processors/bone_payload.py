@@ -38,7 +38,7 @@ class PayloadReport(Report):
 def write_payload(path: str | os.PathLike[str], content: PayloadContent, rig: Rig) -> PayloadReport:
     """Write bone coefficients of a rig, atomically.
 
-    :param rig: tells what rounding does to the points
+    :param rig: its points show what rounding does
     :raises InputError: another suffix, content that is not the rig's or can't be stored, or a folder that can't be
         written
     """

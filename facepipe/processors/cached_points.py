@@ -27,24 +27,24 @@ class CachedPoints:
 
 
 def cached_points(cache: PointCache, path: Path) -> CachedPoints:
-    """Of a face whose points are authored without time too, the skeleton at rest places them; else each mesh itself.
+    """The points of a cache; the skeleton at rest places those of a face that has points without time too.
 
     :param path: of the stage
     :raises InputError, SchemaError: a face that can't be read
     :raises TopologyError: a mesh of the face that the cache lacks
     """
-    untimed = all(one.untimed is not None for one in cache.meshes)
+    untimed = all(mesh.untimed is not None for mesh in cache.meshes)
     if cache.has_face and untimed:
         return _held(cache, path)
 
     def sample(number: int) -> FloatArray:
-        return _joined([_moved(one.points[number], one.worlds[number]) for one in cache.meshes])
+        return _joined([_moved(cached.points[number], cached.worlds[number]) for cached in cache.meshes])
 
     def still() -> FloatArray:
-        return _joined([_moved(one.untimed, one.untimed_world) for one in cache.meshes if one.untimed is not None])
+        return _joined([_moved(mesh.untimed, mesh.untimed_world) for mesh in cache.meshes if mesh.untimed is not None])
 
     return CachedPoints(
-        meshes=tuple(one.mesh for one in cache.meshes),
+        meshes=tuple(cached.mesh for cached in cache.meshes),
         count=max(1, len(cache.codes)),
         sample=sample,
         untimed=still if untimed else None,
@@ -54,23 +54,23 @@ def cached_points(cache: PointCache, path: Path) -> CachedPoints:
 def _held(cache: PointCache, path: Path) -> CachedPoints:
     """Points of a face, which its skin moves: as the skeleton at rest places them."""
     parts = open_face(path).parts()
-    cached = {one.mesh.name: one for one in cache.meshes}
-    lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in cached), None)
+    named = {cached.mesh.name: cached for cached in cache.meshes}
+    lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in named), None)
     if lacking is not None:
         raise TopologyError(path, f"no mesh '{lacking}' in the point cache, expected those of the face")
-    meshes = [cached[mesh.name] for mesh in parts.meshes]
+    meshes = [named[mesh.name] for mesh in parts.meshes]
     rig, spaces = build(parts), mesh_spaces(parts)
     matrices = rig.skinning_matrices(rig.rest)
 
-    def placed(of: Callable[[CachedMesh], FloatArray | None]) -> FloatArray:
-        bound = [_moved(of(one), space) for one, space in zip(meshes, spaces, strict=True)]
+    def placed(points_of: Callable[[CachedMesh], FloatArray | None]) -> FloatArray:
+        bound = [_moved(points_of(mesh), space) for mesh, space in zip(meshes, spaces, strict=True)]
         return rig.skin(_joined(bound), matrices)
 
     return CachedPoints(
-        meshes=tuple(one.mesh for one in meshes),
+        meshes=tuple(cached.mesh for cached in meshes),
         count=max(1, len(cache.codes)),
-        sample=lambda number: placed(lambda one: one.points[number]),
-        untimed=lambda: placed(lambda one: one.untimed),
+        sample=lambda number: placed(lambda mesh: mesh.points[number]),
+        untimed=lambda: placed(lambda mesh: mesh.untimed),
     )
 
 

@@ -48,7 +48,7 @@ class CleanScan:
     """
 
     smallest: float = option(0.01, "pieces with less of the largest one's area are dropped", 0.0, 1.0)
-    neighbours: int = option(16, "points that tell the tangent plane at a point of a cloud", 3, 100)
+    neighbours: int = option(16, "points, the nearest, that give the tangent plane at a point of a cloud", 3, 100)
 
     def __call__(self, scan: Scan) -> CleanedScan:
         """Mend `scan`.

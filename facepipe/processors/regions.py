@@ -243,7 +243,7 @@ def _subsets(masks: Masks) -> dict[str, IntArray]:
 
 
 def _uv_of(where: str, mesh: Mesh, name: str | None) -> UvSet:
-    named = {one.name: one for one in mesh.uv_sets}
+    named = {uv_set.name: uv_set for uv_set in mesh.uv_sets}
     if not named:
         raise InputError(where, "no UV set, expected one that the map was painted over")
     if name is not None and name not in named:

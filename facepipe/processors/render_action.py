@@ -81,7 +81,7 @@ class Render(Posed, FileAction[Report]):
         coefficients = coefficients_of(self.bones, face.skeleton.joints, face.skeleton.names)
         if not self.sliders:
             return face.evaluate(weights, coefficients=coefficients, pose=self.pose or "set")
-        sliders = named(self.sliders, [one.name for one in face.sliders], "--slider", "slider")
+        sliders = named(self.sliders, [slider.name for slider in face.sliders], "--slider", "slider")
         return face.evaluate(weights, coefficients=coefficients, sliders=sliders)
 
     def _heatmap(self, face: Face, points: FloatArray) -> HeatMap | None:

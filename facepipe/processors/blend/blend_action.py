@@ -135,8 +135,8 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     def text(self, report: BlendReport, out: Path) -> str:
         from facepipe.processors.blend.quality import as_text, match_text
 
-        found = [] if report.match is None else [match_text(report.match, report.sources)]
-        return "\n".join([*found, as_text(out, report)])
+        matched = [] if report.match is None else [match_text(report.match, report.sources)]
+        return "\n".join([*matched, as_text(out, report)])
 
 
 def blend_recipe(

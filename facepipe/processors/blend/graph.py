@@ -94,8 +94,8 @@ def _topology(sources: Sources) -> tuple[IntArray, IntArray]:
     corners = [
         point_triangles(m.face_vertex_counts, m.face_vertex_indices) + at for m, at in zip(meshes, starts, strict=True)
     ]
-    found = np.concatenate(pairs)
-    return found[found[:, 0] != found[:, 1]], np.concatenate(corners)
+    edge_points = np.concatenate(pairs)
+    return edge_points[edge_points[:, 0] != edge_points[:, 1]], np.concatenate(corners)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,8 +38,8 @@ class KeptParts:
         if not len(self.points):
             return np.zeros((0, 3))
         counts = np.bincount(self.part)
-        own = group_sums(self.part, shares[self.points], len(counts)) / counts[:, None]
-        shape = mix(own[self.part], self.shapes)
+        part_shares = group_sums(self.part, shares[self.points], len(counts)) / counts[:, None]
+        shape = mix(part_shares[self.part], self.shapes)
         return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
 
     def rigid_in(self, sculpt: Sculpt, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -97,7 +97,7 @@ def kept_parts(sources: Sources, graph: Graph, globs: str) -> KeptParts:
         nothing = np.zeros((len(sources.points), 0, 3))
         return KeptParts(points, part, nothing, nothing)
     base = sources.points[0, points]
-    aligned = [fit_similarities(own[points], base, part).apply(own[points], part) for own in sources.points]
+    aligned = [fit_similarities(source[points], base, part).apply(source[points], part) for source in sources.points]
     return KeptParts(points, part, sources.points[:, points], np.stack(aligned))
 
 

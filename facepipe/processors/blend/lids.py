@@ -24,7 +24,7 @@ _AROUND = 2.0  # radii from an eyeball's centre within which the face is looked 
 class LidContact:
     """Depths of points of the face in one eyeball (0 outside), each beside that of the same point in every source.
 
-    Sockets reach into the eyeballs of many faces as they come: what tells is the point that goes furthest beyond the
+    Sockets reach into the eyeballs of many faces as they come: what counts is the point that goes furthest beyond the
     deepest that it does in a source. Where none goes beyond, it is the deepest.
     """
 

@@ -27,14 +27,14 @@ def blend_normals(
     :param surface: (m, 3) unit normals of the blended surface
     :param weights: (m, K) shares of every row
     """
-    if all(one is None for one in normals):
+    if all(authored is None for authored in normals):
         return None
     blended = np.array(surface, dtype=np.float64)
-    for k, one in enumerate(normals):
-        if one is not None:
-            own = np.asarray(one, dtype=np.float64)
-            authored = np.linalg.norm(own, axis=1) > 0
-            blended += np.where(authored, weights[:, k], 0.0)[:, None] * (unit_vectors(own) - surfaces[k])
+    for k, authored in enumerate(normals):
+        if authored is not None:
+            vectors = np.asarray(authored, dtype=np.float64)
+            share = np.where(np.linalg.norm(vectors, axis=1) > 0, weights[:, k], 0.0)
+            blended += share[:, None] * (unit_vectors(vectors) - surfaces[k])
     flat = np.linalg.norm(blended, axis=1) <= _DEGENERATE
     blended[flat] = surface[flat]
     return unit_vectors(blended)

@@ -198,7 +198,7 @@ def match_text(match: MatchReport, sources: Sequence[str]) -> str:
 
 
 def _short(paths: Sequence[str]) -> Sequence[str]:
-    """File names where they tell the paths apart."""
+    """File names where all differ, else the paths."""
     names = [Path(path).name for path in paths]
     return names if len(set(names)) == len(names) else paths
 

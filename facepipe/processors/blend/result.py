@@ -40,7 +40,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
         animations=tuple(
             _without_tracks(one, gone) for one in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
-        sliders=tuple(_without_shapes(one, gone) for one in base.sliders),
+        sliders=tuple(_without_shapes(slider, gone) for slider in base.sliders),
         slider_network=_network_without(base.slider_network, gone),
         photos=(),  # they show the person of one source
     )
@@ -151,9 +151,9 @@ def _shape(
         return normal_offsets(points, moved, triangles, indices)
 
     inbetweens = tuple(
-        Inbetween(name=own, weight=weight, offsets=offsets, normal_offsets=normals(offsets))
-        for (weight, own), offsets in sculpts.items()
-        if own is not None
+        Inbetween(name=inbetween, weight=weight, offsets=offsets, normal_offsets=normals(offsets))
+        for (weight, inbetween), offsets in sculpts.items()
+        if inbetween is not None
     )
     whole = sculpts[1.0, None]
     return Blendshape(

@@ -219,7 +219,9 @@ def rebase_animations(animations: Sequence[Animation], old: Skeleton, new: Skele
     rests = [np.asarray(one.rest_transforms, dtype=np.float64) for one in (old, new)]
     moved = (rests[0].astype(np.float32) != rests[1].astype(np.float32)).any(axis=(1, 2))
     joints = {joint for joint, one in zip(old.joints, moved, strict=True) if one}
-    return tuple(_rebased(one, old, new) if joints & set(one.joints) else one for one in animations)
+    return tuple(
+        _rebased(animation, old, new) if joints & set(animation.joints) else animation for animation in animations
+    )
 
 
 def _rebased(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:

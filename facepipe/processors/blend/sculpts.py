@@ -110,9 +110,9 @@ def _stacked(sources: Sources, shape: str, weight: float) -> FloatArray:
 
 def _at(shape: Blendshape, weight: float) -> FloatArray:
     """(k, 3) offsets of the shape set to `weight`."""
-    own = {float(one.weight): one.offsets for one in shape.inbetweens} | {1.0: shape.offsets}
-    activations = curves(tuple(float(one.weight) for one in shape.inbetweens))
-    parts = [float(curve(weight)) * np.asarray(own[at], dtype=np.float64) for at, curve in activations.items()]
+    offsets = {float(inbetween.weight): inbetween.offsets for inbetween in shape.inbetweens} | {1.0: shape.offsets}
+    activations = curves(tuple(float(inbetween.weight) for inbetween in shape.inbetweens))
+    parts = [float(curve(weight)) * np.asarray(offsets[at], dtype=np.float64) for at, curve in activations.items()]
     return np.asarray(sum(parts))
 
 

@@ -73,7 +73,9 @@ class BlendSession:
         self.bridge_vectors = self.sources.points[:, followers] - self.sources.points[:, leaders]
         self._edge_masks = mean_of_ends(graph.masks.T, graph.edges[:, 0], graph.edges[:, 1])  # (e, regions + 1)
         held = self.options.expressions == "static"
-        self._expressions = [Expression(one, graph, self.system, self.kept, hold_static=held) for one in self.sculpts]
+        self._expressions = [
+            Expression(sculpt, graph, self.system, self.kept, hold_static=held) for sculpt in self.sculpts
+        ]
 
     def neutral(self, weights: Weights) -> Neutral:
         """The blended neutral: ``M^T W M x = M^T W D`` (the document's S605), then the parts that keep their shape.
@@ -123,9 +125,9 @@ class BlendSession:
         bridges, places = self.graph.joint_bridges, self.joint_worlds[:, :, :3, 3]
         joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
         total = np.bincount(joint, bridges.weights, minlength=count)[:, None]
-        own = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
-        vectors = mix(0.5 * (own[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
-        return own, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
+        joint_shares = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
+        vectors = mix(0.5 * (joint_shares[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
+        return joint_shares, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
 
 
 class Expression:
@@ -197,8 +199,8 @@ class Expression:
         anchor = self._graph.anchor
         if not self._moving[anchor]:
             return np.zeros(3)
-        own = self.sculpt.offsets[:, np.searchsorted(self.sculpt.points, anchor)]
-        return np.asarray(shares[anchor] @ own)
+        offsets = self.sculpt.offsets[:, np.searchsorted(self.sculpt.points, anchor)]
+        return np.asarray(shares[anchor] @ offsets)
 
     def _vectors(self, start: IntArray, end: IntArray) -> FloatArray:
         """(K, q, 3) vectors of the sources' offsets from points to points."""

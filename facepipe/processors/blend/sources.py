@@ -68,7 +68,7 @@ def stack(faces: Sequence[Face]) -> Sources:
         if worn:
             warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
         parts.append(in_order(base, names[0], other, name))
-        extra = [mesh.name for mesh in other.meshes if mesh.name not in {one.name for one in base.meshes}]
+        extra = [mesh.name for mesh in other.meshes if mesh.name not in {mesh.name for mesh in base.meshes}]
         if extra:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
     for name, one in zip(names, parts, strict=True):
@@ -117,12 +117,12 @@ def _losses(names: Sequence[str], parts: Sequence[FaceParts]) -> list[str]:
     """What later sources have and the first lacks: it is not on the result."""
     base, lines = parts[0], []
     regions = {region for mesh in base.meshes for region in mesh.regions}
-    sliders, clips = {one.name for one in base.sliders}, {one.name for one in base.animations}
+    sliders, clips = {slider.name for slider in base.sliders}, {animation.name for animation in base.animations}
     for name, other in zip(names[1:], parts[1:], strict=True):
-        own = [
+        lost = [
             *(f"region {one}" for one in sorted({one for mesh in other.meshes for one in mesh.regions} - regions)),
-            *(f"slider {one.name}" for one in other.sliders if one.name not in sliders),
-            *(f"clip {one.name}" for one in other.animations if one.name not in clips),
+            *(f"slider {slider.name}" for slider in other.sliders if slider.name not in sliders),
+            *(f"clip {animation.name}" for animation in other.animations if animation.name not in clips),
             *(f"skin of {a.name}" for a, b in zip(other.meshes, base.meshes, strict=True) if a.skin and not b.skin),
             *(
                 f"landmarks {scheme}"
@@ -131,9 +131,9 @@ def _losses(names: Sequence[str], parts: Sequence[FaceParts]) -> list[str]:
                 if scheme not in b.landmarks
             ),
         ]
-        if own:
-            more = f" and {len(own) - 4} more" if len(own) > 4 else ""
-            lines.append(f"{name}: {', '.join(own[:4])}{more}: {names[0]} lacks them, and so does the result")
+        if lost:
+            more = f" and {len(lost) - 4} more" if len(lost) > 4 else ""
+            lines.append(f"{name}: {', '.join(lost[:4])}{more}: {names[0]} lacks them, and so does the result")
     return lines
 
 
@@ -184,8 +184,8 @@ def with_cards(base: FaceParts, other: FaceParts, to_base: FloatArray) -> tuple[
 
 def _is_cards(mesh: Mesh, parts: FaceParts) -> bool:
     """Whether pictures cut it out, as they do hairs."""
-    cut = {one.name for one in parts.materials if isinstance(one.opacity, TextureInput)}
-    used = {one.material for one in mesh.material_faces} | ({mesh.material} if mesh.material else set())
+    cut = {material.name for material in parts.materials if isinstance(material.opacity, TextureInput)}
+    used = {faces.material for faces in mesh.material_faces} | ({mesh.material} if mesh.material else set())
     return bool(used) and used <= cut
 
 

@@ -72,8 +72,8 @@ class Weights:
 def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> FloatArray:
     where = f"weights -> {name}"
     if not isinstance(values, list | tuple | np.ndarray) or len(values) != sources:
-        found = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
-        raise InputError(where, f"{found}, expected {sources}, one per source")
+        given = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
+        raise InputError(where, f"{given}, expected {sources}, one per source")
     for number, value in enumerate(values, 1):
         if not (isinstance(value, int | float | np.number) and 0 <= value <= sys.float_info.max):
             raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected a number of 0 or more")

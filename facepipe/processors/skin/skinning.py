@@ -63,7 +63,7 @@ def skinned(parts: FaceParts, surface: Surface, skeleton: Skeleton, weights: Flo
         skin = Skin(joint_indices=indices, joint_weights=values, geom_bind_transform=space)
         meshes.append(replace(mesh, skin=skin))
         start += len(mesh.points)
-    animations = tuple(_carried(one, parts.skeleton, skeleton) for one in parts.animations)
+    animations = tuple(_carried(animation, parts.skeleton, skeleton) for animation in parts.animations)
     return replace(parts, meshes=tuple(meshes), skeleton=skeleton, animations=animations)
 
 

@@ -129,7 +129,7 @@ def _sewn(
         edges=pairs,
         group=group,
         mesh=mesh[first],
-        mesh_names=tuple(one.name for one in parts.meshes),
+        mesh_names=tuple(mesh.name for mesh in parts.meshes),
         component=component,
         main=int(np.bincount(counted, minlength=1).argmax()),
         landmarks=landmarks,

@@ -66,10 +66,10 @@ class AuthorSliders:
             check_property_name(rule.where, "slider", rule.name, tokens.SLIDER_API)
         parts = face.parts()
         new = self.table.resolve(parts.skeleton.joints, face.shapes, parts.meters_per_unit)
-        known = {one.name: one for one in parts.sliders}
-        names = {one.name for one in new}
+        known = {slider.name: slider for slider in parts.sliders}
+        names = {slider.name for slider in new}
         valued, unset = _with_values(new, known)
-        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in names)
+        others = () if self.drop else tuple(slider for slider in parts.sliders if slider.name not in names)
         merged = _mutual((*others, *valued))
         self._check_mirrors(merged)
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
@@ -77,11 +77,11 @@ class AuthorSliders:
         changed = replace(parts, sliders=merged, slider_network=network, recipe=recipe or parts.recipe)
         authored = author_changes(face, changed)
         return AuthorSlidersReport(
-            sliders=tuple(one.name for one in new),
+            sliders=tuple(slider.name for slider in new),
             replaced=tuple(name for name in known if name in names),
             dropped=tuple(name for name in known if name not in names and self.drop),
-            channels=len({entry[:2] for one in new for entry in one.channels}),
-            shapes=len({entry[0] for one in new for entry in one.shapes}),
+            channels=len({entry[:2] for slider in new for entry in slider.channels}),
+            shapes=len({entry[0] for slider in new for entry in slider.shapes}),
             beyond_limits=beyond,
             authored=authored,
             warnings=(*unset, *lost, *_idle(new), *_beyond_lines(beyond)),
@@ -96,8 +96,8 @@ class AuthorSliders:
 
 def _mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
     """The sliders, a mirror that is named on one side only named on the other too."""
-    named = {one.mirror: one.name for one in sliders if one.mirror is not None}
-    return tuple(replace(one, mirror=one.mirror or named.get(one.name)) for one in sliders)
+    named = {slider.mirror: slider.name for slider in sliders if slider.mirror is not None}
+    return tuple(replace(slider, mirror=slider.mirror or named.get(slider.name)) for slider in sliders)
 
 
 def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: BoneLimits | None) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: Bon
         return ()
     check_limits(joints, limits)
     reaching = []
-    start, _ = slide(sliders, joints, {one.name: one.default for one in sliders})
+    start, _ = slide(sliders, joints, {slider.name: slider.default for slider in sliders})
     for slider in sliders:
         low, middle, high = (
             slide((slider,), joints, {slider.name: value})[0]
@@ -135,7 +135,7 @@ def _with_values(new: Sequence[Slider], known: Mapping[str, Slider]) -> tuple[tu
 
 
 def _idle(sliders: Sequence[Slider]) -> tuple[str, ...]:
-    idle = [one.name for one in sliders if not one.channels and not one.shapes]
+    idle = [slider.name for slider in sliders if not slider.channels and not slider.shapes]
     return (f"{len(idle)} sliders drive nothing: {_some(idle)}",) if idle else ()
 
 
@@ -202,7 +202,7 @@ def fitting_network(
     """The network of a face that gets other `sliders`, and a warning where it can't stay: one of its own is gone."""
     if network is None:
         return None, ()
-    known = {one.name for one in sliders}
+    known = {slider.name for slider in sliders}
     gone = [name for name in network.sliders if name not in known]
     if not gone:
         return network, ()

@@ -99,8 +99,8 @@ def _rule(where: str, name: str, settings: Mapping[str, str], drives: Sequence[D
         maximum=number("max", 1.0),
         default=number("default", 0.0) if "default" in settings else None,
         mirror=settings.get("mirror"),
-        channels=tuple(one for one in drives if ":" in one.target),
-        shapes=tuple(one for one in drives if ":" not in one.target),
+        channels=tuple(drive for drive in drives if ":" in drive.target),
+        shapes=tuple(drive for drive in drives if ":" not in drive.target),
         where=where,
     )
 

@@ -82,8 +82,8 @@ class DistilSliders(DistilOptions):
         sliders, network, steps = distil(parts.sliders, parts.slider_network, rig.joints, rig.shapes, driven, learner)
         errors = measure(rig, parts, sliders, network, self.seed)
         report = self._report(steps, network, errors, self._warnings(errors))
-        told = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
-        return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": told})), report
+        figures = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
+        return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": figures})), report
 
     def _check(self, parts: FaceParts) -> None:
         check_ranges(self)
@@ -131,7 +131,7 @@ def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: Sl
     columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
     errors: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
     for _ in range(VECTORS):
-        values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
+        values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
         exact, exact_weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
         learnt, weights = slide(sliders, rig.joints, values, network)
         off: FloatArray = np.abs(learnt - exact)

@@ -108,16 +108,16 @@ class SlidersFromShapes(ShapeSliderOptions):
         wanted = shape_sliders(tuple(targets), parse_pairs(self.pairs))
         poses = fit_poses(fits, wanted, targets, done)
         maker = SliderMaker(parts, fits, self, poses, targets, parts.meters_per_unit * 1000.0)
-        by_name = {one.name: one for one in wanted}
-        return [maker.make(one, by_name.get(one.mirror or "")) for one in wanted]
+        by_name = {slider.name: slider for slider in wanted}
+        return [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
 
 
 def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts:
     """The face with new sliders, which keep the values of those that they replace, beside the others."""
-    values = {one.name: one.value for one in parts.sliders}
-    valued = [replace(one, value=_within(one, values.get(one.name))) for one in new]
-    names = {one.name for one in new}
-    others = () if drop else tuple(one for one in parts.sliders if one.name not in names)
+    values = {slider.name: slider.value for slider in parts.sliders}
+    valued = [replace(slider, value=_within(slider, values.get(slider.name))) for slider in new]
+    names = {slider.name for slider in new}
+    others = () if drop else tuple(slider for slider in parts.sliders if slider.name not in names)
     return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
 
 
@@ -133,7 +133,7 @@ def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
     ]
     names = {shape.name for shapes in added for shape in shapes}
     meshes = tuple(
-        replace(mesh, blendshapes=(*(one for one in mesh.blendshapes if one.name not in names), *shapes))
+        replace(mesh, blendshapes=(*(shape for shape in mesh.blendshapes if shape.name not in names), *shapes))
         for mesh, shapes in zip(parts.meshes, added, strict=True)
     )
     return replace(parts, meshes=meshes)
@@ -143,7 +143,7 @@ def _report(
     parts: FaceParts, made: Sequence[Made], new: Sequence[Slider], kept: Sequence[Slider]
 ) -> ShapeSlidersReport:
     """What is known of the sliders that were made, and of those that the face had."""
-    names, after = {one.name for one in new}, {one.name for one in kept}
+    names, after = {slider.name for slider in new}, {slider.name for slider in kept}
     beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
     left_out = {one.name: one.report for one in made if one.slider is None}
     lost = sum(residual.lost for one in made for residual in one.residuals)
@@ -158,8 +158,8 @@ def _report(
         sliders={one.name: one.report for one in made if one.slider is not None},
         left_out=left_out,
         groups=by_group([one.report for one in made]),
-        replaced=tuple(one.name for one in parts.sliders if one.name in names),
-        dropped=tuple(one.name for one in parts.sliders if one.name not in after),
+        replaced=tuple(slider.name for slider in parts.sliders if slider.name in names),
+        dropped=tuple(slider.name for slider in parts.sliders if slider.name not in after),
         beyond_limits=beyond,
         warnings=tuple(lines),
     )

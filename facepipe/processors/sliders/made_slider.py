@@ -76,7 +76,7 @@ class SliderMaker:
 
     def reach(self, *sliders: ShapeSlider) -> float:
         """How much of the motion of sliders' shapes bones make."""
-        shapes = sorted(shape for one in sliders for _, shape in one.ends)  # as of the mirror, to the last digit
+        shapes = sorted(shape for slider in sliders for _, shape in slider.ends)  # as of the mirror, to the last digit
         motions = [np.linalg.norm(self.targets[shape] - self.fits.points) for shape in shapes]
         left = [np.linalg.norm(self.targets[shape] - self.poses[shape].points) for shape in shapes]
         return reach_of([float(one) for one in motions], [float(one) for one in left])

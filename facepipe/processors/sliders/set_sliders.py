@@ -77,7 +77,7 @@ class SetSliders:
         parts = face.parts()
         values = self._all_values(face.where, parts.sliders)
         _check_values(face.where, parts.sliders, values)
-        sliders = tuple(self._set(one, values) for one in parts.sliders)
+        sliders = tuple(self._set(slider, values) for slider in parts.sliders)
         try:
             animation = pose(parts, sliders, self.name)
             face.rig().weight_vector(dict(zip(animation.shapes, _weights(animation), strict=True)))
@@ -99,7 +99,7 @@ class SetSliders:
     def _all_values(self, where: str, sliders: Sequence[Slider]) -> dict[str, float]:
         if not self.mirror:
             return dict(self.values)
-        twins = {one.name: one.mirror for one in sliders if one.mirror is not None}
+        twins = {slider.name: slider.mirror for slider in sliders if slider.mirror is not None}
         mirrored = {twins[name]: value for name, value in self.values.items() if name in twins}
         if not mirrored:
             raise InputError(where, f"none of {', '.join(self.values)} has a mirror, expected one of a symmetric pair")
@@ -119,7 +119,7 @@ def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
         raise InputError("sliders", "none, expected some (`facepipe sliders FACE --from TABLE` authors them)")
     network = parts.slider_network
     coefficients, weights = slide(sliders, parts.skeleton.joints, network=network)
-    driven = {joint for one in sliders for joint, _, _ in one.channels}
+    driven = {joint for slider in sliders for joint, _, _ in slider.channels}
     driven |= set() if network is None else {joint for joint, _ in network.channels}
     joints = [i for i, joint in enumerate(parts.skeleton.joints) if joint in driven]
     return Animation(
@@ -136,7 +136,7 @@ def _weights(animation: Animation) -> list[float]:
 
 
 def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, float]) -> None:
-    known = {one.name: one for one in sliders}
+    known = {slider.name: slider for slider in sliders}
     for name, value in values.items():
         if name not in known:
             raise InputError(where, unknown(name, known, "slider"))
@@ -146,12 +146,12 @@ def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, fl
 
 
 def _with(where: str, animations: Sequence[Animation], new: Animation) -> tuple[Animation, ...]:
-    before = next((one for one in animations if one.name == new.name), None)
+    before = next((animation for animation in animations if animation.name == new.name), None)
     if before is None:
         return (*animations, new)
     if before.times is not None:
         raise InputError(where, f"has a clip '{new.name}' already, expected another name")
-    return tuple(new if one is before else one for one in animations)
+    return tuple(new if animation is before else animation for animation in animations)
 
 
 def _beyond(face: Face, sliders: Sequence[Slider]) -> tuple[str, ...]:

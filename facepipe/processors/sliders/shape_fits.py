@@ -224,7 +224,7 @@ def fit_poses(
 
 def _twins(sliders: Sequence[ShapeSlider]) -> dict[str, str]:
     """Shape of the first slider of a pair -> that of its mirror."""
-    by_name = {one.name: one for one in sliders}
+    by_name = {slider.name: slider for slider in sliders}
     twins: dict[str, str] = {}
     for slider in sliders:
         if slider.mirror is not None and slider.ends[0][1] not in twins.values():

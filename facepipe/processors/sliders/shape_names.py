@@ -129,12 +129,13 @@ def _group(words: _Words) -> str:
 
 def _with_mirrors(sliders: Sequence[ShapeSlider]) -> tuple[ShapeSlider, ...]:
     """Mirrors are the sliders whose shapes are called as those of the other side, end by end."""
-    shapes = {shape for one in sliders for _, shape in one.ends}
-    places = {one.ends: one.name for one in sliders}
+    shapes = {shape for slider in sliders for _, shape in slider.ends}
+    places = {slider.ends: slider.name for slider in sliders}
     others = {
-        one.name: places.get(tuple((value, _other(shape, shapes)) for value, shape in one.ends)) for one in sliders
+        slider.name: places.get(tuple((value, _other(shape, shapes)) for value, shape in slider.ends))
+        for slider in sliders
     }
-    return tuple(replace(one, mirror=_mutual(one.name, others)) for one in sliders)
+    return tuple(replace(slider, mirror=_mutual(slider.name, others)) for slider in sliders)
 
 
 def _mutual(name: str, others: Mapping[str, str | None]) -> str | None:

@@ -127,9 +127,9 @@ def channel_targets(where: str, target: str, joints: Sequence[str]) -> list[tupl
     channels = [one for one in CHANNELS if channel in (one, one[0])]
     if not channels or not pattern:
         raise InputError(where, f"'{target[:60]}', expected JOINT:CHANNEL, channels {' '.join(CHANNELS)}, or t r s")
-    matching = [one for one in joints if fits_joint(pattern, one)]
+    matching = [joint for joint in joints if fits_joint(pattern, joint)]
     if not matching:
-        leaves = [one.rpartition("/")[2] for one in joints]
+        leaves = [joint.rpartition("/")[2] for joint in joints]
         raise InputError(where, f"'{pattern[:60]}' {unmatched(pattern, leaves, 'joints')}")
     return [(joint, one) for joint in matching for one in channels]
 

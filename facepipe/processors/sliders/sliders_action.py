@@ -5,8 +5,8 @@ slider of the other side. Sliders of the same names are replaced; with --replace
 
 --from-shapes makes sliders that move the bones as the face's blendshapes move it, all or those of PATTERNS
 (names, comma between). Two that differ in the last word alone (nose_hump_decr, nose_hump_incr) are the ends of a slider
-from -1 to 1, others go from 0 to 1; shapes of the left and the right get mirrored poses. What bones reach is told, in
-millimetres. Exit code 1: done, but sliders were left out whose bones reach less than --least-reach.
+from -1 to 1, others go from 0 to 1; shapes of the left and the right get mirrored poses. The report gives what bones
+reach, in millimetres. Exit code 1: done, but sliders were left out whose bones reach less than --least-reach.
 
 --from-network puts a learned network beside the sliders: from the values of some it adds to bone coefficients and shape
 weights. The .npz file holds sliders, outputs (joint:channel or shape:NAME), layer0.weight, layer0.bias and so on.
@@ -89,7 +89,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
 
     @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
-        for name in (*(one.name for one in dataclasses.fields(ShapeSliderOptions)), "limits"):
+        for name in (*(field.name for field in dataclasses.fields(ShapeSliderOptions)), "limits"):
             if hasattr(arguments, name) and values.get("shapes") is None:
                 flag = f"--{name.replace('_', '-')}"
                 raise InputError(flag, "given without --from-shapes, expected both or neither")
@@ -151,7 +151,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         from facepipe.core.names import named
         from facepipe.processors.sliders.set_sliders import SetSliders
 
-        values = named(self.values, [one.name for one in face.sliders], "--set", "slider")
+        values = named(self.values, [slider.name for slider in face.sliders], "--set", "slider")
         settings = SetSliders(values=values, mirror=self.mirror, reset=self.reset, name=self.name)
         return settings(face, recipe=job.recipe(replace(self, values=values)))
 
