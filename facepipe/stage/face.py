@@ -107,7 +107,8 @@ class Face:
     def meshes(self) -> tuple[Mesh, ...]:
         """The meshes in stage order, names unique.
 
-        :raises SchemaError, TopologyError: a mesh that doesn't follow the stage convention
+        :raises SchemaError: a mesh that doesn't follow the stage convention
+        :raises TopologyError: one whose arrays don't fit each other
         """
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
         own = told_apart(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])

@@ -1,4 +1,4 @@
-"""The README's tour, run line by line as it stands; its table and the project's facts."""
+"""README and tour, run line by line as they stand; the table of commands and the project's facts."""
 
 from __future__ import annotations
 
@@ -22,27 +22,38 @@ from facepipe.processors.blend import BlendFaces
 
 SHARED = REPOSITORY.parent / "shared"
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+TOUR, COMMANDS, BLEND, BONES = (
+    (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("tour", "commands", "blend", "bones")
+)
 
 
-BLEND, BONES = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("blend.md", "bones.md"))
-
-
-@pytest.mark.slow
-def test_the_tour_runs(tmp_path: Path) -> None:
-    """Every console line in order, then the Python of README, blend.md and bones.md, with nothing beside the folder."""
-    folder = tmp_path / "project"
+def run_lines(folder: Path, *pages: str) -> set[str]:
+    """The files that every console line of the first page, in order, and then the Python of all pages make."""
     folder.mkdir()
-    lines = [line for block in blocks(README, "console") for line in block.splitlines()]
-    assert len(lines) > 12
+    lines = [line for block in blocks(pages[0], "console") for line in block.splitlines()]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
-    pages = [block for page in (README, BLEND, BONES) for block in blocks(page, "python")]
-    commands += [[sys.executable, "-c", block] for block in pages]
+    commands += [[sys.executable, "-c", block] for page in pages for block in blocks(page, "python")]
     for command in commands:
         done = subprocess.run(command, cwd=folder, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{command[-1]}: {done.stdout}{done.stderr}"
         assert "Traceback" not in done.stderr
-    made = {one.name for one in folder.iterdir()}
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.slow
+def test_the_readme_runs(tmp_path: Path) -> None:
+    pytest.importorskip("wasmtime")
+    made = run_lines(tmp_path / "project", README)
+    assert {"smile.fpb", "person.png", "levels.usda", "child.glb", "child.onnx", "points.npz", "mixed.glb"} <= made
+
+
+@pytest.mark.slow
+def test_the_tour_runs(tmp_path: Path) -> None:
+    """Every console line in order, then the Python of tour.md, blend.md and bones.md."""
+    assert len("".join(blocks(TOUR, "console")).splitlines()) > 12
+    folder = tmp_path / "project"
+    made = run_lines(folder, TOUR, BLEND, BONES)
     assert {
         "head.usda",
         "head.glb",
@@ -61,7 +72,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
+def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     """Its lines as they stand, on a real photo, with landmarks by the project's own network."""
     pytest.importorskip("torch")
     photo = SHARED / "data" / "photos" / "astronaut.png"
@@ -69,7 +80,7 @@ def test_the_photo_fit_of_the_readme_runs(tmp_path: Path) -> None:
         pytest.skip("the shared data is not beside the project")
     shutil.copy(photo, tmp_path / "portrait.jpg")
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    (lines,) = (block.splitlines() for block in blocks(README, "sh") if "fit-photo" in block)
+    (lines,) = (block.splitlines() for block in blocks(TOUR, "sh") if "fit-photo" in block)
     for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
         done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
@@ -93,9 +104,13 @@ def test_the_demo_makes_everything(tmp_path: Path) -> None:
 
 def test_the_table_lists_every_command() -> None:
     """But for small ones that docs/actions.md has."""
-    listed = re.findall(r"^\| `facepipe ([\w-]+)", README, re.MULTILINE)
+    listed = re.findall(r"^\| `facepipe ([\w-]+)", COMMANDS, re.MULTILINE)
     assert commands_of().keys() - plain_actions() <= {*listed} <= {*commands_of()}
     assert len({*listed}) == len(listed)
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.split()) < 900
 
 
 def test_pictures_and_links_of_the_readme_are_there() -> None:

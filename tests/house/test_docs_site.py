@@ -1,0 +1,50 @@
+"""The documentation's site: every public name has an entry in the reference, every page a place in the navigation."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import facepipe_gltf
+import facepipe_onnx
+import pytest
+from places import REPOSITORY
+
+import facepipe
+from facepipe.api import names
+
+DOCS = REPOSITORY / "docs"
+SITE = (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8")
+PYTHON = sorted(DOCS.glob("python*.md"))
+ENTRIES = {entry for page in PYTHON for entry in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE)}
+
+
+@pytest.mark.parametrize("package", [facepipe, facepipe_gltf, facepipe_onnx])
+def test_every_public_name_has_an_entry(package: ModuleType) -> None:
+    assert {f"{package.__name__}.{name}" for name in package.__all__} <= ENTRIES
+
+
+def test_every_action_has_a_section_with_its_function() -> None:
+    text = (DOCS / "actions.md").read_text(encoding="utf-8")
+    assert {*names()} == {*re.findall(r"In Python: `facepipe\.(\w+)\(", text)}
+
+
+@pytest.mark.parametrize("entry", sorted(ENTRIES))
+def test_what_has_an_entry_is_there_and_described(entry: str) -> None:
+    module, _, name = entry.rpartition(".")
+    thing: Any = getattr(importlib.import_module(module), name)
+    assert thing.__doc__, "no docstring"
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    listed = re.findall(r"([\w-]+\.md)$", SITE, re.MULTILINE)
+    outside = re.findall(r'^    "[\w/]+\.md": "(\w+\.md)",$', (DOCS / "site_hooks.py").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted([*outside, *(page.name for page in DOCS.glob("*.md"))])
+
+
+def test_continuous_integration_builds_it_strictly() -> None:
+    script = Path(REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
+    assert re.search(r"mkdocs. build .*--strict", script)
