@@ -44,6 +44,7 @@ COMMANDS = {
     "cook": "bring faces up to date with what they are made of",
     "blender-addon": "build the add-on for Blender",
     "schema-path": "print the folder of the USD schemas",
+    "completion": "print a script that completes commands, flags and choices in a shell",
 }
 
 

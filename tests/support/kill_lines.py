@@ -348,7 +348,7 @@ LINES: dict[str, Line] = {
     "save usdz": Call(call=_save("out.usdz"), uses=_HEAD, outputs=("out.usdz",)),
 }
 LONG = {"demo", "fit-photo", "neural-rig train", "neural-rig train plot", "rebuild", "refine-neutral", "train-photo"}
-READERS = {"inspect", "validate", "view", "schema-path"}  # commands that write nothing
+READERS = {"completion", "inspect", "validate", "view", "schema-path"}  # commands that write nothing
 
 
 def make_material(folder: Path) -> None:

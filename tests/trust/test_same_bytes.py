@@ -20,6 +20,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 WRITER = SUPPORT / "every_writer.py"
 # these write text to stdout, or what others write, or take minutes
 OTHERS = {
+    "completion",
     "demo",
     "batch",
     "inspect",

@@ -1,0 +1,220 @@
+"""Print a script that completes commands, flags, choices and files of facepipe in a shell.
+
+It is made of what this installation declares, plug-ins included: print it again after an update.
+
+examples:
+  eval "$(facepipe completion bash)"                                     # in ~/.bashrc
+  facepipe completion zsh > ~/.zfunc/_facepipe                           # in a folder of $fpath
+  facepipe completion fish > ~/.config/fish/completions/facepipe.fish
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal, NamedTuple
+
+from facepipe.cli.parser import Parser
+from facepipe.core.errors import InputError
+
+
+class Flag(NamedTuple):
+    """A flag, or the first word that stands alone (no names)."""
+
+    names: tuple[str, ...]
+    help: str
+    choices: tuple[str, ...]  # its values, where they are few
+    value: Literal["nothing", "word", "file"]  # what follows it; a word is no file
+
+
+class Line(NamedTuple):
+    """A command, or an action of one, and what it takes."""
+
+    verb: str
+    summary: str
+    flags: tuple[Flag, ...]
+
+
+def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
+    """Add the arguments."""
+    parser.add_argument("shell", choices=tuple(_SCRIPTS), metavar="SHELL", help=" ".join(_SCRIPTS))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the script."""
+    print(_SCRIPTS[arguments.shell](list(_lines())))
+    return 0
+
+
+def _lines() -> Iterator[Line]:
+    """Every command, and every action of those that have some; of plug-ins that can't be used only the names."""
+    from facepipe.cli import command_module, commands_of
+    from facepipe.cli.action_line import ActionGroup
+
+    for verb, summary in commands_of().items():
+        parser = Parser(prog=verb)
+        try:
+            module: Any = command_module(verb)
+            module.configure(parser, ["--help"])
+        except InputError:
+            yield Line(verb, summary, ())
+            continue
+        yield Line(verb, summary, _flags(parser))
+        if isinstance(module, ActionGroup):
+            yield from _actions(module)
+
+
+def _actions(group: Any) -> Iterator[Line]:
+    from facepipe.actions import summaries
+
+    for verb, summary in summaries(f"{group.name} ").items():
+        parser, action = Parser(prog=group.name), verb.partition(" ")[2]
+        try:
+            group.configure(parser, [action])
+        except InputError:
+            yield Line(verb, summary, ())
+            continue
+        (actions,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
+        yield Line(verb, summary, _flags(actions.choices[action]))
+
+
+def _flags(parser: argparse.ArgumentParser) -> tuple[Flag, ...]:
+    shown = [one for one in parser._actions if one.help != argparse.SUPPRESS and (one.option_strings or one.choices)]
+    return tuple(Flag(tuple(one.option_strings), _sentence(one.help), _choices(one), _value(one)) for one in shown)
+
+
+def _sentence(help: str | None) -> str:
+    return (help or "").replace("%%", "%").partition("; ")[0]
+
+
+def _choices(action: argparse.Action) -> tuple[str, ...]:
+    return tuple(map(str, action.choices or ()))
+
+
+def _value(action: argparse.Action) -> Literal["nothing", "word", "file"]:
+    if action.nargs == 0:
+        return "nothing"
+    return "word" if getattr(action.type, "__name__", "") in ("int", "float") or action.choices else "file"
+
+
+def _case(lines: Iterable[Line], values: bool) -> str:
+    """Shell patterns with what follows: of `values` what goes after a flag, else the flags of a command."""
+    cases = []
+    for line in lines:
+        last = line.verb.rpartition(" ")[2]
+        for flag in line.flags if values else ():
+            words = " ".join(flag.choices) or ("-" if flag.value == "word" else "")
+            if words:
+                names = "|".join(f'"{line.verb} {name}"' for name in flag.names or (last,))
+                cases.append(f'        {names}) values="{words}" ;;')
+        if not values:
+            names = " ".join(name for flag in line.flags for name in flag.names)
+            cases.append(f'        "{line.verb}") flags="{names}" ;;')
+    return "\n".join(cases)
+
+
+def _groups(lines: Iterable[Line]) -> str:
+    """A pattern of the commands that have actions, and of no action yet."""
+    groups = dict.fromkeys(line.verb.split()[0] for line in lines if " " in line.verb)
+    return "|".join(f"{name},*" for name in groups) or "-"
+
+
+def _bash(lines: list[Line]) -> str:
+    verbs = " ".join(line.verb for line in lines if " " not in line.verb)
+    return f"""# facepipe in bash: eval "$(facepipe completion bash)"
+_facepipe() {{
+    local word="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" verb="" values="" flags="" i
+    COMPREPLY=()
+    for ((i = 1; i < COMP_CWORD; i++)); do
+        case "$verb,${{COMP_WORDS[i]}}" in
+        *,-*) ;;
+        ,*) verb="${{COMP_WORDS[i]}}" ;;
+        {_groups(lines)}) verb="$verb ${{COMP_WORDS[i]}}" ;;
+        esac
+    done
+    if [[ -z $verb ]]; then
+        COMPREPLY=($(compgen -W "{verbs} --help --version --verbose --quiet" -- "$word"))
+        return
+    fi
+    [[ $before == "=" ]] && before="${{COMP_WORDS[COMP_CWORD-2]}}"
+    [[ $word == "=" ]] && word=""
+    case "$verb $before" in
+{_case(lines, values=True)}
+    esac
+    case "$verb" in
+{_case(lines, values=False)}
+    esac
+    if [[ $word == -* ]]; then
+        COMPREPLY=($(compgen -W "$flags" -- "$word"))
+    elif [[ -n $values ]]; then
+        compopt +o default 2>/dev/null
+        [[ $values == "-" ]] || COMPREPLY=($(compgen -W "$values" -- "$word"))
+    fi
+}}
+complete -o bashdefault -o default -F _facepipe facepipe"""
+
+
+def _zsh(lines: list[Line]) -> str:
+    named = (f"{line.verb}:{line.summary.replace(':', ' ')}" for line in lines if " " not in line.verb)
+    return f"""#compdef facepipe
+_facepipe() {{
+    local word="$words[CURRENT]" before="$words[CURRENT-1]" verb="" values="" flags="" i
+    local -a commands=({" ".join(map(shlex.quote, named))})
+    for ((i = 2; i < CURRENT; i++)); do
+        case "$verb,$words[i]" in
+        *,-*) ;;
+        ,*) verb="$words[i]" ;;
+        {_groups(lines)}) verb="$verb $words[i]" ;;
+        esac
+    done
+    if [[ -z $verb ]]; then
+        _describe command commands
+        if [[ $word == -* ]]; then compadd -- --help --version --verbose --quiet; fi
+        return
+    fi
+    if [[ $word == --*=* ]]; then
+        before="${{word%%=*}}"
+        compset -P '*='
+    fi
+    case "$verb $before" in
+{_case(lines, values=True)}
+    esac
+    case "$verb" in
+{_case(lines, values=False)}
+    esac
+    if [[ $word == -* && $word != *=* ]]; then
+        compadd -- ${{=flags}}
+    elif [[ -n $values ]]; then
+        if [[ $values != "-" ]]; then compadd -- ${{=values}}; fi
+    else
+        _files
+    fi
+}}
+compdef _facepipe facepipe"""
+
+
+def _fish(lines: list[Line]) -> str:
+    rows = ["# facepipe in fish: facepipe completion fish > ~/.config/fish/completions/facepipe.fish"]
+    rows += [f"complete -c facepipe -n __fish_use_subcommand -l {one}" for one in ("version", "verbose", "quiet")]
+    for line in lines:
+        group, _, action = line.verb.partition(" ")
+        seen = f"__fish_seen_subcommand_from {group}"
+        where = "__fish_use_subcommand"
+        if action:
+            where, seen = seen, f"{seen}; and __fish_seen_subcommand_from {action}"
+        rows.append(f"complete -c facepipe -f -n '{where}' -a {action or group} -d {_fish_quoted(line.summary)}")
+        for flag in line.flags:
+            names = " ".join(f"-l {one[2:]}" if one.startswith("--") else f"-s {one[1:]}" for one in flag.names)
+            takes = {"nothing": "", "word": " -x", "file": " -r"}[flag.value] if flag.names else " -f"
+            choices = f" -a '{' '.join(flag.choices)}'" if flag.choices else ""
+            named = f" {names}" if names else ""
+            rows.append(f"complete -c facepipe -n '{seen}'{named}{takes}{choices} -d {_fish_quoted(flag.help)}")
+    return "\n".join(rows)
+
+
+def _fish_quoted(text: str) -> str:
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+_SCRIPTS = {"bash": _bash, "zsh": _zsh, "fish": _fish}
