@@ -72,6 +72,12 @@ def test_the_tour_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("name", "result"), [("from_scan", "anna.glb"), ("from_glb", "game.glb")])
+def test_the_tutorials_run(tmp_path: Path, name: str, result: str) -> None:
+    assert result in run_lines(tmp_path / "project", (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
 def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     """Its lines as they stand, on a real photo, with landmarks by the project's own network."""
     pytest.importorskip("torch")
@@ -118,12 +124,18 @@ def test_pictures_and_links_of_the_readme_are_there() -> None:
         assert (REPOSITORY / target).exists(), target
 
 
+def test_the_citation_is_of_this_version() -> None:
+    citation = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"\nversion: {project['version']}\n" in citation
+
+
 def test_continuous_integration_runs_the_readmes_test_command() -> None:
     command = blocks(README, "sh")[1].strip().rpartition("&& .venv/bin/")[2]
     assert command in (REPOSITORY / ".ci" / "run").read_text()
 
 
-@pytest.mark.parametrize("kind", ["dependencies", "dev"])
+@pytest.mark.parametrize("kind", ["dependencies", "dev", "docs"])
 def test_every_dependency_is_justified_and_pinned(kind: str) -> None:
     text = (REPOSITORY / "pyproject.toml").read_text()
     project = tomllib.loads(text)["project"]
