@@ -19,7 +19,7 @@ from contacts import Contact, Sheet, Subject
 
 from facepipe.importers.ict import shape_name
 from facepipe.importers.ict_topology import EXPRESSIONS
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 SINGLE = (4, 0.3)  # cells and mm that a shape alone may have
 COMBINED = (20, 0.5)  # and that a combination may have

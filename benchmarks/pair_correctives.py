@@ -36,7 +36,7 @@ class Correctives:
 
 def pair_correctives(motion: Motion, count: int) -> Correctives:
     """The `count` pairs that tell most of what the others leave, and shapes of least squared error on all frames."""
-    from facepipe.geometry.motion_basis import motion_basis
+    from facepipe.geometry.shape_basis import motion_basis
 
     x = motion.values
     deltas = (motion.points - motion.rest).reshape(len(x), -1)

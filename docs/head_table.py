@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from facepipe.heads.asset import asset
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 PAGE = Path(__file__).resolve().parent / "head.md"
 TABLE = re.compile(r"(?<=<!-- docs/head_table.py -->\n).*?(?=<!-- end -->)", re.DOTALL)

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Animation, Skeleton, exact
-from facepipe.rig.animation import local_transforms
-from facepipe.rig.resample import TICK
+from facepipe.rig.animation import TICK, local_transforms
 from facepipe.rig.trs import Trs, decompose
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear

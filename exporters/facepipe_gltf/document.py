@@ -161,7 +161,7 @@ class _Writer:
         fps = self.options.fps
         if fps is None or not self.options.animations:
             return parts
-        from facepipe.rig.resample import resampled
+        from facepipe.rig.animation import resampled
 
         clips = []
         for one in parts.animations:

@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, author, save."""
     from facepipe.importers import load, options_of
     from facepipe.importers.rename_table import rename_of
-    from facepipe.rig.rename import convention_of, convention_text, shapes_of
+    from facepipe.rig.conventions import convention_of, convention_text, shapes_of
     from facepipe.stage import save_parts
     from facepipe.stage.files import check_suffix
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.geometry.block_system import BlockSystem, Groups, pairs_within
-from facepipe.geometry.triangle_changes import Neighbours, TriangleChanges
+from facepipe.geometry.triangle_frames import Neighbours, TriangleChanges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,3 +67,101 @@ class ChangeSmoothness:
         own = (changes - np.eye(3)).reshape(-1, 9)
         found.add(self._single, derivative, own, self.near * self.changes.areas)
         return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Groups:
+    """m groups of v points each, and where their blocks go. Points of -1 are given: they have no unknowns."""
+
+    points: IntArray  # (m, v)
+    between: tuple[
+        IntArray, ...
+    ]  # for each two members: (m,) link of that pair, or one past the last where it has none
+
+    @classmethod
+    def of(cls, points: IntArray, count: int, links: IntArray) -> Groups:
+        """Groups among `count` points.
+
+        :param links: ascending ``lower * count + higher`` of pairs of points, with all pairs of the groups
+        """
+        found = []
+        for one, other in combinations(range(points.shape[1]), 2):
+            low, high = np.sort(points[:, [one, other]], axis=1).T
+            at = np.searchsorted(links, low * count + high)
+            found.append(np.where(low >= 0, at, len(links)))
+        return cls(points=points, between=tuple(found))
+
+
+def pairs_within(points: IntArray) -> IntArray:
+    """(p, 2) pairs of points of the same group (m, v), without those of -1."""
+    two = [points[:, pair] for pair in combinations(range(points.shape[1]), 2)]
+    pairs = np.concatenate([np.zeros((0, 2), np.int64), *two])
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)])
+
+
+def sparse_blocks(blocks: FloatArray, shared: Any) -> Any:
+    """(3n, 3n) sparse ``kron(S, 1) + diag(B_1 .. B_n)``, axes of a point side by side.
+
+    :param blocks: (n, 3, 3) B, what mixes the axes of each point
+    :param shared: (n, n) sparse S, the same for each axis
+    """
+    from scipy.sparse import bsr_array, eye_array, kron
+
+    points = np.arange(len(blocks))
+    own = bsr_array((blocks, points, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks)))
+    return kron(shared, eye_array(3), format="csc") + own.tocsc()
+
+
+class BlockSystem:
+    """``A x = b`` of a sum of weighted squares, gathered group by group.
+
+    :param count: points
+    :param links: (p,) ascending ``lower * count + higher`` of pairs of points with blocks
+    """
+
+    def __init__(self, count: int, links: IntArray) -> None:
+        self._links = links
+        self.own = np.zeros((count, 3, 3))
+        self.between = np.zeros((len(links), 3, 3))  # rows of the lower point
+        self.right = np.zeros((count, 3))
+
+    def matrix(self, shared: Any) -> Any:
+        """A (3n, 3n) sparse, with `shared` (n, n) sparse for each axis on top."""
+        from scipy.sparse import coo_array
+
+        count = len(self.own)
+        low, high = np.divmod(self._links, max(count, 1))
+        axes = np.arange(3)
+        rows = np.broadcast_to(3 * low[:, None, None] + axes[:, None], self.between.shape)
+        columns = np.broadcast_to(3 * high[:, None, None] + axes, self.between.shape)
+        entries = (self.between.ravel(), (rows.ravel(), columns.ravel()))
+        above = coo_array(entries, shape=(3 * count, 3 * count)).tocsc()
+        return sparse_blocks(self.own, shared) + above + above.T
+
+    def add(self, groups: Groups, jacobian: FloatArray, residual: FloatArray, weights: FloatArray) -> None:
+        """Add ``sum_m weight |residual + jacobian x|^2``.
+
+        :param jacobian: (m, q, 3v) and `residual` (m, q)
+        :param weights: (m,)
+        """
+        members = groups.points.shape[1]
+        weighted = weights[:, None, None] * jacobian
+        right = np.einsum("mqi,mq->mi", weighted, residual).reshape(-1, members, 3)
+        squares = (weighted.transpose(0, 2, 1) @ jacobian).reshape(-1, members, 3, members, 3)
+        for member in range(members):
+            points = groups.points[:, member]
+            _gather(self.own, points, squares[:, member, :, member])
+            _gather(self.right, points, -right[:, member])
+        for at, (one, other) in zip(groups.between, combinations(range(members), 2), strict=True):
+            block = squares[:, one, :, other]
+            turned = (groups.points[:, one] > groups.points[:, other])[:, None, None]
+            _gather(self.between, at, np.where(turned, block.transpose(0, 2, 1), block))
+
+
+def _gather(into: FloatArray, at: IntArray, values: FloatArray) -> None:
+    """Add rows of `values` to rows of `into`; those at -1 or past the end go nowhere."""
+    count = len(into)
+    flat = into.reshape(count, -1)
+    place = np.where(at < 0, count, at)
+    for column, one in enumerate(values.reshape(len(values), -1).T):
+        flat[:, column] += np.bincount(place, one, minlength=count + 1)[:count]

@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.grouping import group_sums
-from facepipe.geometry.polygons import point_normals
-from facepipe.geometry.small_holes import small_holes
-from facepipe.geometry.vectors import unit_vectors
+from facepipe.geometry.polygons import point_normals, small_holes
+from facepipe.geometry.vectors import group_sums, unit_vectors
 
 _DISC = 6  # corners
 

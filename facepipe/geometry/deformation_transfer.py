@@ -18,8 +18,8 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.triangle_frames import duals, frames, hat_gradients, pieces
+from facepipe.geometry.vectors import group_sums
 
 
 class Transfer:

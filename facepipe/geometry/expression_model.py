@@ -11,15 +11,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.geometry.spatial_basis import coefficients_in
-from facepipe.geometry.trust import Block, trust
-from facepipe.geometry.tucker import hosvd
+from facepipe.geometry.shape_basis import coefficients_in
+
+_NO_DIRECTION = 1e-7  # of the largest singular value: rounding to float32, no direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,3 +173,83 @@ class ExpressionModel:
         if shares is not None:
             maps = maps * shares[:, None]
         return maps.reshape(len(maps), len(rows) * maps.shape[2])
+
+
+class Tucker(NamedTuple):
+    """``tensor[i, j] = sum_ab first[i, a] second[j, b] core[a, b]``."""
+
+    core: FloatArray  # (a, b, d)
+    first: FloatArray  # (m, a), orthonormal columns, the strongest first
+    second: FloatArray  # (s, b), orthonormal columns, the strongest first
+
+
+def hosvd(tensor: FloatArray) -> Tucker:
+    """Nothing but rounding is cut from a tensor (m, s, d); its third mode stays as it is.
+
+    De Lathauwer, De Moor and Vandewalle, "A Multilinear Singular Value Decomposition", SIAM J. Matrix Anal. 2000.
+    """
+    found = np.asarray(tensor, dtype=np.float64)
+    people, rows, size = found.shape
+    first = _directions(found.reshape(people, rows * size))
+    second = _directions(found.transpose(1, 0, 2).reshape(rows, people * size))
+    core = np.einsum("ia,jb,ijd->abd", first, second, found, optimize=True)
+    return Tucker(core, first, second)
+
+
+def _directions(unfolded: FloatArray) -> FloatArray:
+    """Left singular vectors as columns; the largest number of each is positive."""
+    if not unfolded.size:
+        return np.zeros((len(unfolded), 0))
+    vectors, lengths, _ = np.linalg.svd(unfolded, full_matrices=False)
+    vectors = vectors[:, lengths > _NO_DIRECTION * max(lengths[0], np.finfo(np.float64).tiny)]
+    signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])])
+    return np.asarray(vectors * signs)
+
+
+_WEIGHTS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a block's mean square
+
+
+@dataclass(frozen=True)
+class Block:
+    """Numbers of m people, as what their inner products say of them."""
+
+    products: FloatArray  # (m, m), of numbers whose mean over people is 0
+
+    @classmethod
+    def of(cls, numbers: FloatArray) -> Block:
+        """That of numbers (m, d)."""
+        return cls(numbers @ numbers.T)
+
+    @property
+    def mean_square(self) -> float:
+        """Of the rows' lengths."""
+        return float(np.trace(self.products)) / len(self.products)
+
+
+def trust(seen: Sequence[Block], wanted: Block) -> list[float]:
+    """The weight of each block that is seen: the inverse of the variance of its noise.
+
+    Those with which a Gaussian model of the other people comes nearest to what is wanted of each person, among powers
+    of ten and 0; the smallest of those that do equally well. Leaving people out one by one has a closed form (Craven
+    and Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 1978).
+    """
+    scales = [1.0 / block.mean_square if block.mean_square > 0 else 0.0 for block in seen]
+    best, found = np.inf, [0.0] * len(seen)
+    if len(wanted.products) < 3:  # of two, each is predicted by the other alone, whatever the weights
+        return found
+    for steps in product(_WEIGHTS, repeat=len(seen)):
+        weights = [step * scale for step, scale in zip(steps, scales, strict=True)]
+        summed = np.sum([weight * block.products for weight, block in zip(weights, seen, strict=True)], axis=0)
+        missed = _missed(summed, wanted.products)
+        if missed < best * (1.0 - 1e-9):
+            best, found = missed, weights
+    return found
+
+
+def _missed(products: FloatArray, wanted: FloatArray) -> float:
+    """Sum over people of the squared distance of what is predicted of them from what is so."""
+    count = len(products)
+    scaled = products / (count - 1)
+    hat = np.linalg.solve(scaled + np.eye(count), scaled) + 1.0 / count
+    left = np.eye(count) - hat
+    return float((np.einsum("ij,jk,ik->i", left, wanted, left, optimize=True) / np.square(np.diag(left))).sum())

@@ -18,8 +18,8 @@ from facepipe.geometry.change_smoothness import ChangeSmoothness
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
-from facepipe.geometry.registration.robust import means_around
 from facepipe.geometry.registration.step import Pull
+from facepipe.geometry.registration.surface import means_around
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
 
 

@@ -1,4 +1,4 @@
-"""Polygon meshes as counts and indices: triangles, normals, components, borders."""
+"""Polygon meshes as counts and indices: triangles, normals, components, borders, holes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+
+# Twice the area, relative to the square of the longest side, below which the normal is float32 rounding.
+_FLAT = 1e-6
 
 
 class Triangles(NamedTuple):
@@ -83,3 +86,76 @@ def components(point_count: int, edge_pairs: IntArray) -> IntArray:
     edge_pairs = np.asarray(edge_pairs, dtype=np.int32)  # older scipy takes no 64-bit indices here
     graph = coo_array((ones, (edge_pairs[:, 0], edge_pairs[:, 1])), shape=(point_count, point_count))
     return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def flipped_triangles(before: FloatArray, after: FloatArray, triangles: IntArray) -> BoolArray:
+    """(t,) which of `triangles` (t, 3) turn by more than 90 degrees from points `before` (n, 3) to `after` (n, 3).
+
+    Those without area before or after are not counted.
+    """
+    return turned_triangles(triangle_normals(before, triangles), after, triangles)
+
+
+def turned_triangles(normals: FloatArray, points: FloatArray, triangles: IntArray) -> BoolArray:
+    """(t,) which of `triangles` (t, 3) at `points` (n, 3) face away from the reference `normals` (t, 3).
+
+    The length of the reference normals is of no matter; those of length 0, and triangles without area, are not counted.
+    """
+    return np.asarray(np.einsum("ti,ti->t", np.asarray(normals, np.float64), triangle_normals(points, triangles)) < 0)
+
+
+def triangle_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(t, 3) unit normals; 0 where a triangle has no area."""
+    corners = np.asarray(points, np.float64)[triangles]
+    sides = corners[:, [1, 2, 0]] - corners
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    lengths = np.linalg.norm(normals, axis=1)
+    longest = np.einsum("tei,tei->te", sides, sides).max(axis=1, initial=0.0)
+    solid = lengths > _FLAT * longest
+    normals[~solid] = 0.0
+    return np.asarray(normals / np.where(solid, lengths, 1.0)[:, None])
+
+
+def back_of_border(points: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> int | None:
+    """The point at the back of the open border, nearest to the middle in x; None for a closed mesh.
+
+    Y is up and the face looks along +Z. On a head this is the nape end of the neck border: the anchor.
+    """
+    pairs, faces = edges(face_vertex_counts, face_vertex_indices)
+    border = np.unique(pairs[faces == 1])
+    if len(border) == 0:
+        return None
+    behind = border[points[border, 2] <= np.median(points[border, 2])]
+    return int(behind[np.argmin(np.abs(points[behind, 0]))])
+
+
+def small_holes(points: FloatArray, triangles: IntArray, largest: float) -> list[IntArray]:
+    """The border loops of an oriented manifold whose bounding box is at most `largest` along its diagonal.
+
+    Each as the points (k,) around the hole, in the order in which the missing triangles would run.
+    """
+    following = _border_steps(triangles, len(points))
+    loops = []
+    for start in list(following):
+        loop = []
+        at: int | None = start
+        while at is not None and at in following:
+            loop.append(at)
+            at = following.pop(at)
+        if len(loop) > 2 and at == start:
+            corners = points[loop]
+            if np.linalg.norm(np.ptp(corners, axis=0)) <= largest:
+                loops.append(np.array(loop))
+    return loops
+
+
+def border_points(points: FloatArray, triangles: IntArray) -> IntArray:
+    """The points (b,) on edges of one triangle of an oriented manifold."""
+    return np.array(sorted(_border_steps(triangles, len(points))), dtype=np.int64)
+
+
+def _border_steps(triangles: IntArray, count: int) -> dict[int, int]:
+    """The point after each border point, against the triangles' order; one of them where loops touch."""
+    start, end = triangles.ravel().astype(np.int64), triangles[:, [1, 2, 0]].ravel().astype(np.int64)
+    alone = ~np.isin(start * count + end, end * count + start, kind="sort")
+    return dict(zip(end[alone].tolist(), start[alone].tolist(), strict=True))

@@ -1,10 +1,23 @@
-"""Straight maps from noisy numbers."""
+"""Ridge regression: straight maps from noisy numbers, learned of few examples.
+
+Least squares with Gaussian noise on the inputs is ridge regression (Bishop, "Training with Noise is Equivalent to
+Tikhonov Regularization", Neural Computation 1995): ``min |A x - b|^2 + noise^2 |x|^2``. Where points of a
+surface follow few inputs, each input has its own strength at each point, and counts there as far as it stands out of
+the noise: what hardly moves a point is not taken as the cause of what is seen at it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
+
+_PARTS = 5  # of the examples, each left out once
+_MOST = 400  # points that the noise is chosen at
+_CHUNK = 256  # points at a time
 
 
 def ridge(seen: FloatArray, told: FloatArray, noise: float | FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -23,3 +36,98 @@ def ridge(seen: FloatArray, told: FloatArray, noise: float | FloatArray) -> tupl
     normal[np.diag_indices_from(normal)] += len(seen) * noise**2
     found = np.linalg.solve(normal, from_middle.T @ told)  # of whose mean nothing is left
     return found, mean - middle @ found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointMaps:
+    """``x by_input[:, i] + own_i by_own[i]``: what point i is moved."""
+
+    by_input: FloatArray  # (c, n, 3)
+    by_own: FloatArray  # (n, 3, 3)
+
+    def __call__(self, inputs: FloatArray, own: FloatArray) -> FloatArray:
+        """(f, n, 3) of inputs (f, c) and the points' own vectors (f, n, 3)."""
+        return np.asarray(np.tensordot(inputs, self.by_input, axes=1) + np.einsum("fni,nij->fnj", own, self.by_own))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examples:
+    """f examples of c inputs, a vector of each point's own, and where the points went beyond what was expected."""
+
+    inputs: FloatArray  # (f, c)
+    own: FloatArray  # (f, n, 3)
+    strengths: FloatArray  # (c, n) how far a unit of each input is expected to move each point
+    moved: FloatArray  # (f, n, 3)
+
+    def maps(self, noise: float) -> PointMaps:
+        """The maps of least squares with noise on inputs; where examples are silent, nothing is moved.
+
+        :param noise: of examples, in shares of `strengths` and in the unit of the points: both scale alike
+        """
+        by_input = np.empty((self.inputs.shape[1], *self.moved.shape[1:]))
+        by_own = np.empty((self.moved.shape[1], 3, 3))
+        for points in _chunks(self.moved.shape[1]):
+            duals = self._duals(np.arange(len(self.inputs)), points, noise)
+            scaled = np.einsum("fc,nfi->cni", self.inputs, duals)
+            by_input[:, points] = scaled * self.strengths[:, points, None] ** 2
+            by_own[points] = np.einsum("fni,nfj->nij", self.own[:, points], duals)
+        return PointMaps(by_input=by_input, by_own=by_own)
+
+    def normal(self, slopes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+        """What all points say together on unknowns that they share, where each also has maps of its own.
+
+        Generalised least squares of ``moved + slopes unknowns``: the covariance of a point's examples is that of its
+        maps and of the noise (Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, section 2.7).
+
+        :param slopes: (f, k, n, 3) how the examples' points answer to k unknowns
+        :param noise: as of `maps`
+        :returns: (k, k) second and (k,) first derivatives of half the squares, in squares of the noise, a point
+        """
+        unknowns, count = slopes.shape[1], self.moved.shape[1]
+        matrix, off = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        everything = np.arange(len(self.inputs))
+        for points in _chunks(count):
+            products = self._products(everything, everything, points) + noise**2 * np.eye(len(everything))
+            own = slopes[:, :, points].transpose(2, 0, 1, 3).reshape(len(points), len(everything), -1)
+            both = np.concatenate([own, self.moved[:, points].transpose(1, 0, 2)], axis=2)
+            weighed = np.linalg.solve(np.linalg.cholesky(products), both)
+            parts = weighed.reshape(len(points), len(everything), unknowns + 1, 3).transpose(2, 0, 1, 3)
+            flat = parts.reshape(unknowns + 1, -1)
+            matrix += flat[:-1] @ flat[:-1].T / count
+            off += flat[:-1] @ flat[-1] / count
+        return matrix, off
+
+    def best_noise(self, noises: FloatArray) -> float:
+        """The noise of least mean distance where a fifth of the examples in a row is left out, then the next."""
+        points = np.arange(0, self.moved.shape[1], max(1, self.moved.shape[1] // _MOST))
+        parts = np.array_split(np.arange(len(self.inputs)), min(_PARTS, len(self.inputs)))
+        return float(noises[int(np.argmin(sum(self._missed(one, points, noises) for one in parts)))])
+
+    def _missed(self, left_out: IntArray, points: IntArray, noises: FloatArray) -> FloatArray:
+        """For each noise the sum of distances, at left-out examples, from what the others say."""
+        kept = np.setdiff1d(np.arange(len(self.inputs)), left_out)
+        products, across = self._products(kept, kept, points), self._products(left_out, kept, points)
+        moved = self.moved[left_out][:, points].transpose(1, 0, 2)
+        told = (across @ self._solved(products, kept, points, noise) for noise in noises)
+        return np.array([np.linalg.norm(one - moved, axis=2).sum() for one in told])
+
+    def _duals(self, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
+        """(p, f, 3) solutions of the points' own systems."""
+        return self._solved(self._products(examples, examples, points), examples, points, noise)
+
+    def _solved(self, products: FloatArray, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
+        """(p, f, 3) of systems (p, f, f) without their noise."""
+        noisy = products + noise**2 * np.eye(len(examples))
+        return np.asarray(np.linalg.solve(noisy, self.moved[examples][:, points].transpose(1, 0, 2)))
+
+    def _products(self, one: IntArray, other: IntArray, points: IntArray) -> FloatArray:
+        """(p, f, g) inner products of examples at each point."""
+        squares = self.strengths[:, points].T ** 2
+        found = (self.inputs[one][None] * squares[:, None]) @ self.inputs[other].T
+        own = self.own[:, points].transpose(1, 0, 2)
+        return np.asarray(found + own[:, one] @ own[:, other].transpose(0, 2, 1))
+
+
+def _chunks(count: int) -> Iterator[IntArray]:
+    for start in range(0, count, _CHUNK):
+        yield np.arange(start, min(start + _CHUNK, count))

@@ -9,12 +9,15 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.grouping import group_sums
+from facepipe.geometry.vectors import group_sums
 
 # Singular values below this share of the largest tell no direction: a set 1e-5 as thick as it is long is a line.
 _FLAT = 1e-10
 # A spread below this share of the coordinates is rounding: the set is one point.
 _POINT = 1e-12
+_TRIALS = 300  # of four pairs: with a third of them wrong one in five is clean
+_SAMPLE = 4
+_INLIER = 2.5  # times the robust standard deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,3 +170,28 @@ def _checked(
 
 def _largest(points: FloatArray) -> float:
     return max(float(np.abs(points).max()), np.finfo(np.float64).tiny)
+
+
+def robust_similarity(source: FloatArray, target: FloatArray, *, scale: bool = True, seed: int = 0) -> Similarity:
+    """The similarity that moves `source` (n, 3) onto `target` (n, 3) by the least median of squared distances, refined
+    on the pairs that fit it. Up to a third of the pairs may be wrong.
+
+    Rousseeuw, "Least median of squares regression", Journal of the American Statistical Association 1984.
+
+    :raises InputError: as `fit_similarity`
+    """
+    count = len(source)
+    best = fit_similarity(source, target, scale=scale)
+    if count <= _SAMPLE:
+        return best
+    rng = np.random.default_rng(seed)
+    off = np.linalg.norm(best.apply(source) - target, axis=1)
+    least = float(np.median(off))
+    for _ in range(_TRIALS):
+        chosen = rng.choice(count, _SAMPLE, replace=False)
+        tried = fit_similarity(source[chosen], target[chosen], scale=scale)
+        distances = np.linalg.norm(tried.apply(source) - target, axis=1)
+        if np.median(distances) < least:
+            least, off = float(np.median(distances)), distances
+    inside = off <= max(_INLIER * 1.4826 * least, np.sort(off)[_SAMPLE - 1])
+    return fit_similarity(source[inside], target[inside], scale=scale)

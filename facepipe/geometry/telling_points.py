@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.halving import halved
 
 _PRIOR = 1.0 / 3.0  # variance of a mover before any point is seen: any value from -1 to 1
 
@@ -65,3 +64,26 @@ def well_placed(places: FloatArray, moves: FloatArray, noise: float, count: int,
     chosen = farthest_points(places, np.sqrt(np.linalg.norm(moves, axis=(1, 2))), candidates)
     chosen = chosen[telling_points(moves[chosen], noise, count)]
     return np.asarray(chosen[halved(places[chosen])])
+
+
+def halved(places: FloatArray) -> IntArray:
+    """(n,) points in the order of a balanced k-d tree: halved across the longest side of their box, the lower half
+    first, and each half again. Any piece of a power of 2, at a multiple of it, is then a cell where n is one too.
+
+    Source: Bentley, Multidimensional binary search trees (1975).
+
+    :param places: (n, 3)
+    """
+    pieces: list[IntArray] = [np.arange(len(places))]
+    while any(len(piece) > 1 for piece in pieces):
+        pieces = [half for piece in pieces for half in _halves(places, piece)]
+    return np.concatenate(pieces)
+
+
+def _halves(places: FloatArray, piece: IntArray) -> list[IntArray]:
+    if len(piece) < 2:
+        return [piece]
+    own = places[piece]
+    ordered = piece[np.argsort(own[:, np.ptp(own, axis=0).argmax()], kind="stable")]
+    middle = (len(piece) + 1) // 2
+    return [ordered[:middle], ordered[middle:]]

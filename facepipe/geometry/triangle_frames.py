@@ -6,11 +6,12 @@ fourth vertex of Sumner & Popović, "Deformation Transfer for Triangle Meshes", 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 _FLAT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
 
@@ -70,3 +71,123 @@ def pieces(count: int, triangles: IntArray) -> IntArray:
     from facepipe.geometry.polygons import components
 
     return components(count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleChanges:
+    """Changes of t triangles from rest."""
+
+    triangles: IntArray  # (t, 3)
+    rest: FloatArray  # (t, 3, 3) duals of the frames at rest, one a row; 0 where a triangle has no area
+    areas: FloatArray  # (t,) at rest
+
+    @classmethod
+    def of(cls, points: FloatArray, triangles: IntArray) -> TriangleChanges:
+        """Changes from `points` (n, 3) at rest."""
+        rest, areas = duals(frames(points, triangles))
+        return cls(triangles=triangles, rest=rest, areas=areas)
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """(t, 3, 3) changes T of the triangles, 0 of those without area at rest."""
+        return np.asarray(frames(points, self.triangles).transpose(0, 2, 1) @ self.rest)
+
+    def derivative(self, points: FloatArray) -> FloatArray:
+        """(t, 9, 9) derivatives of T, row by row, in the triangle's corners, axes of a corner side by side."""
+        by_first, by_second = _normal_derivatives(points, self.triangles)
+        along, upright = self.rest[:, :2], self.rest[:, 2]
+        found = np.zeros((len(self.triangles), 3, 3, 3, 3))  # row and column of T, corner, axis
+        for corner, slopes in enumerate((-along.sum(axis=1), along[:, 0], along[:, 1])):
+            for axis in range(3):
+                found[:, axis, :, corner, axis] = slopes
+        for corner, normal in enumerate((-by_first - by_second, by_first, by_second)):
+            found[:, :, :, corner] += normal[:, :, None] * upright[:, None, :, None]
+        return found.reshape(len(self.triangles), 9, 9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neighbours:
+    """Pairs of triangles with an edge in common, and what the difference between their changes counts."""
+
+    pairs: IntArray  # (p, 2) triangles
+    points: IntArray  # (p, 4) corners of the first, then the corner of the second that the first lacks
+    second: IntArray  # (p, 3) which of those four the corners of the second are
+    weights: FloatArray  # (p,)
+
+    @classmethod
+    def of(cls, points: FloatArray, triangles: IntArray, areas: FloatArray) -> Neighbours:
+        """Neighbours among triangles with areas (t,) above 0.
+
+        The weights make the sum of squared differences about the integral of the squared gradient of T, on finer
+        triangles as on coarser ones.
+        """
+        pairs, ends = _sharing_edges(np.flatnonzero(areas > 0.0), triangles)
+        own, other = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
+        alike = other[:, :, None] == own[:, None, :]
+        apex = ~alike.any(axis=2)
+        proper = apex.sum(axis=1) == 1  # twice the same triangle has no apex
+        last = other[np.arange(len(other)), apex.argmax(axis=1)]
+        return cls(
+            pairs=pairs[proper],
+            points=np.concatenate([own, last[:, None]], axis=1)[proper],
+            second=np.where(apex, 3, alike.argmax(axis=2))[proper],
+            weights=_weights(points, triangles, areas, pairs, ends)[proper],
+        )
+
+    def where(self, points: BoolArray) -> Neighbours:
+        """Those with some of `points` (n,)."""
+        kept = points[self.points].any(axis=1)
+        return Neighbours(
+            pairs=self.pairs[kept], points=self.points[kept], second=self.second[kept], weights=self.weights[kept]
+        )
+
+    def differences(self, changes: FloatArray) -> FloatArray:
+        """(p, 9) between changes (t, 3, 3)."""
+        return np.asarray((changes[self.pairs[:, 0]] - changes[self.pairs[:, 1]]).reshape(-1, 9))
+
+    def derivative(self, derivative: FloatArray) -> FloatArray:
+        """(p, 9, 12) derivatives of the differences in `points`, from those of the changes (t, 9, 9)."""
+        found = np.zeros((len(self.pairs), 9, 4, 3))
+        found[:, :, :3] = derivative[self.pairs[:, 0]].reshape(-1, 9, 3, 3)
+        other = derivative[self.pairs[:, 1]].reshape(-1, 9, 3, 3)
+        rows = np.arange(len(self.pairs))
+        for corner in range(3):
+            found[rows, :, self.second[:, corner]] -= other[:, :, corner]
+        return found.reshape(-1, 9, 12)
+
+
+def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: IntArray, ends: IntArray) -> FloatArray:
+    """(p,) length of the edge, times the distance of the centroids across it, over their squared distance."""
+    tiny = np.finfo(np.float64).tiny
+    length = np.maximum(np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1), np.sqrt(tiny))
+    across = areas[pairs].sum(axis=1) / (1.5 * length)
+    centroids = points[triangles].mean(axis=1)
+    apart = ((centroids[pairs[:, 0]] - centroids[pairs[:, 1]]) ** 2).sum(axis=1)
+    return np.asarray(length * across / np.maximum(apart, across**2))  # at a fold the straight distance is too short
+
+
+def _normal_derivatives(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(t, 3, 3) derivatives of the scaled normal in the first and in the second edge; 0 without area."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    first, second = b - a, c - a
+    cross = np.cross(first, second)
+    length = np.maximum(np.linalg.norm(cross, axis=1), np.finfo(np.float64).tiny)
+    unit = cross / length[:, None]
+    scaled = (np.eye(3) - 0.5 * unit[:, :, None] * unit[:, None, :]) / np.sqrt(length)[:, None, None]
+    return -scaled @ _crossing(second), scaled @ _crossing(first)
+
+
+def _crossing(vectors: FloatArray) -> FloatArray:
+    """(t, 3, 3) matrices M with ``M w = v x w``."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _sharing_edges(used: IntArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """(p, 2) of the `used` triangles that share an edge, and its ends (p, 2); at an edge of more than two, in a row."""
+    ends = np.sort(triangles[used][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    owner = np.repeat(used, 3)
+    order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
+    ends, owner = ends[order], owner[order]
+    same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
+    return np.stack([owner[same], owner[same + 1]], axis=1), ends[same]

@@ -1,13 +1,28 @@
-"""Directions of vectors."""
+"""Rows of vectors: their directions, sums by group, distances from a segment."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:
     """(v, c) of length 1; those of length 0 stay."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
+
+
+def group_sums(group: IntArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, c) sums of the rows of `values` (n, c) by their group (n,), 0 where a group has none.
+
+    Column by column: many times faster than `numpy.add.at`.
+    """
+    return np.stack([np.bincount(group, column, minlength=count) for column in values.T], axis=1)
+
+
+def to_segment(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """(n,) distances of points (n, 3) from the segment between two places (3,)."""
+    along = end - start
+    t = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - start - t[:, None] * along, axis=1))

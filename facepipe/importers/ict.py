@@ -15,7 +15,7 @@ from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reading import read_json
 from facepipe.declare import check_ranges
-from facepipe.geometry.borders import back_of_border
+from facepipe.geometry.polygons import back_of_border
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model

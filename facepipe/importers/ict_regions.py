@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.segments import to_segment
+from facepipe.geometry.vectors import to_segment
 from facepipe.importers.ict_topology import LANDMARKS, PARTS
 
 BLEND = 0.35  # cm

@@ -17,7 +17,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier
 from facepipe.declare import check_ranges
-from facepipe.geometry.borders import back_of_border
+from facepipe.geometry.polygons import back_of_border
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_landmarks import landmark_points
 from facepipe.importers.makehuman_regions import REGIONS, skin_regions

@@ -42,7 +42,7 @@ class Rename:
 
         :raises InputError: names that collide
         """
-        from facepipe.rig.rename import convention_names, renamed, shapes_of, unknown_names
+        from facepipe.rig.conventions import convention_names, renamed, shapes_of, unknown_names
 
         shapes, where = shapes_of(parts), f"--rename {self.given}"
         names = convention_names(self.given, shapes) if self.table is None else self.table

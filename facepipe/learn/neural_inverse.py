@@ -12,8 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.rig.bone_coefficients import rest_coefficients
-from facepipe.rig.control_shares import share_limits
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, share_limits
 
 LAST_RATE = 0.01  # of the first
 

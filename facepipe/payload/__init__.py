@@ -5,10 +5,19 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.payload.content import Encoded, PayloadContent, Precision
-    from facepipe.payload.decoding import decode, read_header
-    from facepipe.payload.encoding import encode
-    from facepipe.payload.layout import LARGEST, MAGIC, MAX_VALUES, VERSION, Header, as_stored, joints_hash
+    from facepipe.payload.codec import decode, encode, read_header
+    from facepipe.payload.layout import (
+        LARGEST,
+        MAGIC,
+        MAX_VALUES,
+        VERSION,
+        Encoded,
+        Header,
+        PayloadContent,
+        Precision,
+        as_stored,
+        joints_hash,
+    )
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.payload.content import Precision
 
 MAGIC = b"FPBC"
 VERSION = 1
@@ -23,6 +23,8 @@ LARGEST = 2.0**100  # of a number, about 1.3e30: products of some stay finite
 MAX_VALUES = 1 << 27  # of T m 9 numbers, 1 GiB as float64: what a reader allocates for a sound file
 FREE_VALUES, PER_STORED = 1 << 23, 32  # of these, beside those at rest: these, and as many for each number stored
 LEAST_UNIT, LARGEST_UNIT = 1e-9, 1e9  # metres
+Precision = Literal["float16", "float32"]
+
 
 HEADER = struct.Struct("<4sHHIIIf8s")
 CRC = struct.Struct("<I")
@@ -80,3 +82,31 @@ def as_stored(coefficients: FloatArray, precision: Precision) -> FloatArray:
 def ascend(times: FloatArray) -> bool:
     """Whether times are finite, and each after the one before."""
     return bool(np.isfinite(times).all() and (np.diff(times) > 0).all())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadContent:
+    """Bone coefficients of one pose, of several, or of a clip."""
+
+    joints: tuple[str, ...]  # m paths, in skeleton order
+    coefficients: FloatArray  # (m, 9), or (T, m, 9): t (stage units), r (radians), s, relative to rest
+    times: FloatArray | None = None  # (T,) seconds, ascending: a clip; None: poses
+    meters_per_unit: float  # of the stage that translations are in
+    precision: Precision = "float32"
+
+    @property
+    def frames(self) -> FloatArray:
+        """(T, m, 9) coefficients; T = 1 for a single pose."""
+        array = np.asarray(self.coefficients, dtype=np.float64)
+        return array if array.ndim == 3 else array[None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoded:
+    """A payload, and the largest errors that rounding to its precision made."""
+
+    data: bytes
+    stored: int  # joints in it
+    translation_error: float  # stage units
+    rotation_error: float  # radians
+    scale_error: float  # factor

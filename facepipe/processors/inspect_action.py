@@ -66,7 +66,7 @@ class Inspect(Inspector[InspectReport]):
 def report_of(face: Face) -> InspectReport:
     """What a face holds, with what is implausible about it as warnings."""
     from facepipe.rig import implausible
-    from facepipe.rig.rename import convention_of
+    from facepipe.rig.conventions import convention_of
 
     parts = face.parts()
     return InspectReport(
@@ -127,7 +127,7 @@ def _neural_rig(face: Face) -> dict[str, str] | None:
 
 def text_of(report: InspectReport) -> str:
     """The report as tables for people."""
-    from facepipe.rig.rename import convention_text
+    from facepipe.rig.conventions import convention_text
 
     meshes = report.meshes
     columns = ("name", "points", "faces", "shapes", "influences", "uv_sets", "regions")

@@ -15,8 +15,7 @@ from facepipe.core.names import identifier, select
 from facepipe.core.reports import Report
 from facepipe.core.texts import table
 from facepipe.geometry.map_sampling import MapSampling
-from facepipe.geometry.region_map import region_masks
-from facepipe.geometry.region_texels import Image8
+from facepipe.geometry.region_map import Image8, region_masks
 from facepipe.parts import Mesh, UvSet
 from facepipe.processors.landmarks import mesh_of
 from facepipe.processors.region_legend import RegionLegend

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import expit
@@ -11,8 +12,12 @@ from scipy.special import expit
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
+from facepipe.geometry.shape_basis import motion_basis
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.rig import Rig
+
+_ORTHONORMAL = 1e-5  # what float32 files may take from it
+_PROBES = 512  # random values of all controls, and as many corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,3 +112,109 @@ def inputs(controls: tuple[Control, ...], values: FloatArray) -> FloatArray:
     """(..., c) from -1 to 1: values (..., c) over their controls' ranges, clamped to them."""
     low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
     return np.asarray(2.0 * (np.clip(values, low, high) - low) / (high - low) - 1.0)
+
+
+def share_limits(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray]:
+    """(c,) lowest shares, 0 or less, and (c,) highest, 0 or more."""
+    low, high, rest = _columns(controls)
+    return (low - rest) / (high - low), (high - rest) / (high - low)
+
+
+def values_of(controls: Sequence[Control], x: FloatArray) -> FloatArray:
+    """(..., c) values, within limits, of (..., c) shares: the inverse of `from_default`."""
+    low, high, rest = _columns(controls)
+    return np.asarray(np.clip(rest + x * (high - low), low, high))
+
+
+def _columns(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    rows = np.array([(one.minimum, one.maximum, one.default) for one in controls], dtype=np.float64).reshape(-1, 3)
+    return rows[:, 0], rows[:, 1], rows[:, 2]
+
+
+def with_orthonormal_shapes(rig: NeuralRig) -> NeuralRig:
+    """The same rig by shapes whose activations are as far apart as the points that they make."""
+    flat = rig.shapes.reshape(len(rig.shapes), -1)
+    if np.allclose(flat @ flat.T, np.eye(len(flat)), atol=_ORTHONORMAL):
+        return rig
+    return over(rig, rig.shapes, np.zeros((len(rig.controls), *rig.rest.shape)), 0.0, len(rig.shapes))
+
+
+def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: float, most: int) -> NeuralRig:
+    """The rig with other shapes for its activations, and shapes that its controls bring, over an orthonormal basis.
+
+    :param shapes: (r, n, 3) in place of the rig's own
+    :param by_control: (c, n, 3) of a control its whole range from its default
+    :param tolerance: millimetres that the basis may leave of any of these at its largest, RMS
+    :param most: shapes of the basis
+    """
+    count = len(shapes)
+    sizes = np.concatenate([reach(rig)[:count], np.ones(len(by_control))])
+    rows = np.concatenate([shapes, by_control])
+    basis, amounts = motion_basis(rows * sizes[:, None, None], tolerance, most)
+    amounts = amounts / sizes[:, None]
+    to_new, to_controls = amounts[:count], amounts[count:]
+    return replace(
+        rig,
+        shapes=basis,
+        linear=np.concatenate([rig.linear[:, :count] @ to_new + to_controls, rig.linear[:, count:]], axis=1),
+        last=np.concatenate([to_new.T @ rig.last[:count], rig.last[count:]]),
+        last_bias=np.concatenate([rig.last_bias[:count] @ to_new, rig.last_bias[count:]]),
+    )
+
+
+def reach(rig: NeuralRig) -> FloatArray:
+    """(r + m,) how far each output goes: each control at its limits alone, all at random, all at random limits."""
+    low, high, rest = (
+        np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")
+    )
+    shares = np.random.default_rng(0).random((2 * _PROBES, len(rest)))
+    shares[_PROBES:] = shares[_PROBES:] < 0.5
+    alone = np.repeat(rest[None], 2 * len(rest), axis=0)
+    each = np.arange(len(rest))
+    alone[each, each], alone[len(rest) + each, each] = low, high
+    found = np.abs(rig.outputs(np.concatenate([alone, low + shares * (high - low)]))).max(axis=0)
+    return np.asarray(np.maximum(found, np.finfo(np.float32).eps))
+
+
+def bones_in(rig: Rig, to: FloatArray) -> Rig:
+    """The rig without its shapes, in another unit and world: points and joints scaled, skeleton space turned.
+
+    :param to: (4, 4) from the rig's world to the other one, without shear
+    :raises InputError: points skinned by dual quaternions
+    """
+    rig.require_linear("a neural rig")
+    scale = float(np.cbrt(abs(np.linalg.det(to[:3, :3]))))
+    larger, smaller = np.diag([scale] * 3 + [1.0]), np.diag([1.0 / scale] * 3 + [1.0])
+    return replace(
+        rig,
+        points=rig.points * scale,
+        shapes=(),
+        targets=(),
+        rest=larger @ rig.rest @ smaller,
+        inverse_bind=larger @ rig.inverse_bind @ smaller,
+        parent_world=to @ rig.parent_world @ smaller,
+    )
+
+
+def most_influences(rig: Rig) -> int:
+    """The number of joints that move the point that most move."""
+    return int(np.diff(rig.influences.indptr).max(initial=0))
+
+
+def with_influences(rig: Rig, most: int) -> Rig:
+    """The rig with the largest `most` weights of every point, renormalised."""
+    if most_influences(rig) <= most:
+        return rig
+    kept = rig.influences.copy()
+    for start, end in itertools.pairwise(kept.indptr.tolist()):
+        if end - start > most:
+            weights = kept.data[start:end]
+            weights[np.argsort(-weights, kind="stable")[most:]] = 0.0
+            weights /= weights.sum()
+    kept.eliminate_zeros()
+    return replace(rig, influences=kept)
+
+
+def coefficients_in(coefficients: FloatArray, scale: float) -> FloatArray:
+    """(..., 9) bone coefficients with their translations in a unit `scale` times as small."""
+    return np.asarray(coefficients * np.array([scale] * 3 + [1.0] * 6))

@@ -32,7 +32,7 @@ from skeleton import Skeleton, skeleton
 from teeth import smaller
 from tongue import tongue_out
 
-from facepipe.geometry.borders import back_of_border
+from facepipe.geometry.polygons import back_of_border
 from facepipe.heads.asset import unpacked
 from facepipe.importers.ict_regions import REGIONS, head_regions
 from facepipe.importers.ict_topology import LANDMARKS, MATERIALS

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.segments import to_segment
+from facepipe.geometry.vectors import to_segment
 
 Place = tuple[float, float, float]
 

@@ -18,7 +18,7 @@ from measure_table import MEASURES, SPOTS, Measure
 
 from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas, point_triangles
-from facepipe.geometry.segments import to_segment
+from facepipe.geometry.vectors import to_segment
 
 SKIN = 11248  # points of face, head and neck, without the sockets
 MM = 10.0  # of a centimetre

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.expression_model import ExpressionModel
+from facepipe.geometry.expression_model import Block, ExpressionModel, hosvd, trust
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.geometry.spatial_basis import coefficients_in, hold, no_basis
-from facepipe.geometry.trust import Block, trust
-from facepipe.geometry.tucker import hosvd
+from facepipe.geometry.shape_basis import coefficients_in, hold, no_basis
 
 NAMES = ("open", "smile", "blink", "frown")
 POINTS, WAYS = 40, 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facepipe.geometry.eye_distance import eye_distance
+from facepipe.geometry.landmarks import eye_distance
 
 
 def marks() -> np.ndarray:

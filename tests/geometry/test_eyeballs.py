@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from solids import ball
 
 from facepipe.core.errors import FitError
-from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.balls import RadialSurface, fit_ball
 from facepipe.geometry.polygons import components, edges, point_areas, point_triangles
-from facepipe.geometry.radial import RadialSurface
 
 
 def _cornea(directions: np.ndarray) -> np.ndarray:

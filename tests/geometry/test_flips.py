@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from facepipe.geometry.flips import flipped_triangles, triangle_normals, turned_triangles
+from facepipe.geometry.polygons import flipped_triangles, triangle_normals, turned_triangles
 
 
 def test_triangles_that_turn_by_more_than_a_right_angle_are_flipped() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scan_actors import ict
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.mirrored import mirror_ratio, mirrored
+from facepipe.geometry.landmarks import mirror_ratio, mirrored
 
 SOLID = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [1, 1, 5]])
 

@@ -20,8 +20,7 @@ from facepipe.geometry.registration import (
     Shown,
     register,
 )
-from facepipe.geometry.registration.membrane import Membrane
-from facepipe.geometry.registration.step import Pull, solve_step
+from facepipe.geometry.registration.step import Membrane, Pull, solve_step
 from facepipe.geometry.registration.target import Matches
 from facepipe.geometry.similarity import Similarity, fit_similarity
 

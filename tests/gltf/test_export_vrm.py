@@ -36,7 +36,7 @@ from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.parts import FaceParts, FloatArray, Slider
 from facepipe.rig import build, slide
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 PRESETS = (*EMOTIONS, *VOWELS, *BLINKS, *LOOKS)
 

@@ -12,7 +12,7 @@ from import_data import shared
 from places import REPOSITORY, SHARED
 
 from facepipe.heads.asset import STEP, asset
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 DATA = REPOSITORY / "facepipe" / "heads" / "data"
 HALF_A_STEP = STEP / 2 + 1e-6

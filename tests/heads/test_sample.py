@@ -15,7 +15,7 @@ from facepipe.geometry.polygons import components, edges
 from facepipe.heads import make
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts, Mesh
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
 SEEDS = (0, 1, 2, 24)

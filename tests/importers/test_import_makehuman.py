@@ -22,8 +22,8 @@ from facepipe.importers.makehuman_sliders import ARKIT_UNITS
 from facepipe.importers.options import parse_targets
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build, slide
-from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 HEAD_HEIGHT = 2.86
 

@@ -17,7 +17,7 @@ from solids import ball
 from facepipe.core.errors import FitError
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, surface_look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
-from facepipe.geometry.small_holes import small_holes
+from facepipe.geometry.polygons import small_holes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface

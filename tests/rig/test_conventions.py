@@ -6,9 +6,8 @@ import pytest
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, find, find_joint
-from facepipe.rig.arkit import ARKIT_SHAPES
 from facepipe.rig.bone_coefficients import coefficients_of
-from facepipe.rig.conventions import CONVENTIONS, match_shapes, meaning, recognised, shape_key
+from facepipe.rig.conventions import ARKIT_SHAPES, CONVENTIONS, match_shapes, meaning, recognised, shape_key
 
 
 def test_tables_have_the_counts_of_their_sources_and_no_name_with_two_meanings() -> None:

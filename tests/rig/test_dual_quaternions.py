@@ -21,7 +21,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts
 from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.rig import build, coefficient_matrices
-from facepipe.rig.bones import bones_in
+from facepipe.rig.neural_rig import bones_in
 from facepipe.stage import Face, save_parts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from facepipe.parts import Slider
-from facepipe.rig.independent_sliders import independent
+from facepipe.rig.sliders import independent
 
 
 def kept(*sliders: Slider) -> set[str]:

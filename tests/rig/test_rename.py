@@ -16,9 +16,15 @@ from places import SHARED
 
 import facepipe
 from facepipe.importers import ict, load
-from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.rig.conventions import CONVENTIONS
-from facepipe.rig.rename import convention_names, convention_of, convention_text, renamed, shapes_of
+from facepipe.rig.conventions import (
+    ARKIT_SHAPES,
+    CONVENTIONS,
+    convention_names,
+    convention_of,
+    convention_text,
+    renamed,
+    shapes_of,
+)
 from facepipe.stage import Face, save_parts
 
 ICT = SHARED / "ict_facekit" / "ict_facekit.npz"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.parts import Animation, Skeleton
-from facepipe.rig.resample import resampled, whole_frames
+from facepipe.rig.animation import resampled, whole_frames
 
 
 def test_times_that_are_frames_but_for_rounding_add_none() -> None:

@@ -30,7 +30,7 @@ from facepipe.rig import (
     set_face,
     slide,
 )
-from facepipe.rig.set_error import random_poses
+from facepipe.rig.set_person import random_poses
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

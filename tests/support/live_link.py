@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 
 ANGLES = tuple(f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll"))
 COLUMNS = (*(name[0].upper() + name[1:] for name in sorted(ARKIT_SHAPES)), *ANGLES)

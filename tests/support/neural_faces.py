@@ -20,9 +20,7 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.bones import bones_in
-from facepipe.rig.control_shares import share_limits, values_of
-from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, share_limits, values_of
 from facepipe.stage import Face, save_parts
 
 CONTROLS = (

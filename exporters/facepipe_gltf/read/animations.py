@@ -15,9 +15,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
 from facepipe.parts import Animation
-from facepipe.rig.animation import local_transforms
+from facepipe.rig.animation import TICK, local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
-from facepipe.rig.resample import TICK
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.key_times import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.rig.resample import ON_FRAME, TICK, whole_frames
+from facepipe.rig.animation import ON_FRAME, TICK, whole_frames
 from facepipe_gltf.read.samplers import Sampler, sample
 
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.rig.conventions import match_shapes
+from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes
 
 Json = dict[str, Any]
 

@@ -10,8 +10,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.rig.conventions import match_shapes
+from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes
 from facepipe_gltf.placement import Space, place, space_of
 
 _STILL = 1e-6  # of the head height: offsets below are rounding

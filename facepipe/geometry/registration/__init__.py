@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.geometry.registration.anchors import Anchors
     from facepipe.geometry.registration.options import RegistrationOptions
     from facepipe.geometry.registration.solve import register, register_together
-    from facepipe.geometry.registration.surface import DeformableSurface, Shown
+    from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Shown
     from facepipe.geometry.registration.target import ScanTarget
     from facepipe.geometry.registration.view import Registered, View
 else:

@@ -1,4 +1,4 @@
-"""What counts how much in a registration."""
+"""What counts how much in a registration: without numpy, since actions declare it."""
 
 from __future__ import annotations
 

@@ -11,12 +11,9 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_areas
-from facepipe.geometry.registration.anchors import Anchors
-from facepipe.geometry.registration.membrane import Membrane
 from facepipe.geometry.registration.options import RegistrationOptions
-from facepipe.geometry.registration.robust import means_around
-from facepipe.geometry.registration.step import solve_model_step, solve_step
-from facepipe.geometry.registration.surface import DeformableSurface, Shown
+from facepipe.geometry.registration.step import Membrane, solve_model_step, solve_step
+from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Shown, means_around
 from facepipe.geometry.registration.target import ScanTarget
 from facepipe.geometry.registration.view import Demand, Registered, View, ViewState
 from facepipe.geometry.similarity import Similarity

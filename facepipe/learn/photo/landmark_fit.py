@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.eye_distance import eye_distance
+from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace

@@ -11,9 +11,9 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
-from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.rig.independent_sliders import independent
+from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.rig.slider_network import check_network, shape_changes
+from facepipe.rig.sliders import independent
 
 _SEEN = 0.01  # change of a shape's weight from which a learned network's slider drives it: less is noise of training
 

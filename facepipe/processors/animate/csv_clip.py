@@ -22,8 +22,7 @@ from facepipe.core.reading import read_bytes
 from facepipe.processors.animate.angles import ANGLES
 from facepipe.processors.animate.performance import FPS, LARGEST, Performance, in_radians, middle, steady
 from facepipe.processors.animate.timecode import frames_of
-from facepipe.rig.arkit import ARKIT_SHAPES
-from facepipe.rig.conventions import shape_key
+from facepipe.rig.conventions import ARKIT_SHAPES, shape_key
 
 MOST_BYTES = 1 << 29
 _COUNT = "blendshapecount"

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.names import select
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities
+from facepipe.geometry.vectors import group_sums
 from facepipe.processors.blend.graph import Graph, mix
 from facepipe.processors.blend.sculpts import Sculpt
 from facepipe.processors.blend.sources import Sources

@@ -9,9 +9,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError
-from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.balls import RadialSurface, fit_ball
 from facepipe.geometry.polygons import point_areas
-from facepipe.geometry.radial import RadialSurface
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.processors.blend.session import BlendSession, Solution
 

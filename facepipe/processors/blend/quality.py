@@ -14,7 +14,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.reports import Report
 from facepipe.core.texts import table
 from facepipe.geometry.differences import edge_vectors
-from facepipe.geometry.flips import triangle_normals, turned_triangles
+from facepipe.geometry.polygons import triangle_normals, turned_triangles
 from facepipe.processors.blend.graph import mix
 from facepipe.processors.blend.lids import LidContact, lid_contacts
 from facepipe.processors.blend.session import BlendSession, Solution

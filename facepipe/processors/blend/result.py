@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.vectors import group_sums
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skin, Slider, SliderNetwork
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.rigs import blend_skeletons, blend_skins, rebase_animations

@@ -11,7 +11,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.declare import check_ranges
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem, MovingSystem
-from facepipe.geometry.grouping import group_sums
+from facepipe.geometry.vectors import group_sums
 from facepipe.processors.blend.graph import Graph, Shared, anchor_named, build_graph, joint_worlds, mean_of_ends, mix
 from facepipe.processors.blend.kept_parts import KeptParts, kept_parts
 from facepipe.processors.blend.options import BlendOptions

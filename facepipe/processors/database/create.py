@@ -14,7 +14,7 @@ from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.geometry.spatial_basis import hold, no_basis
+from facepipe.geometry.shape_basis import hold, no_basis
 from facepipe.processors.database.face_checks import Facts, check_faces, facts_of, mesh_warnings
 from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
 from facepipe.processors.database.options import AddOptions, DatabaseOptions

@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.geometry.spatial_basis import narrowed
+from facepipe.geometry.shape_basis import narrowed
 from facepipe.processors.database.create import Made
 from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, Update
 

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.geometry.merged_points import welded_points
 from facepipe.geometry.polygons import components, edges, point_areas
-from facepipe.geometry.seams import welded_points
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.lod.cards import apart, cards_of, widened, within
 from facepipe.processors.lod.kept_points import even_points, marks, strongest

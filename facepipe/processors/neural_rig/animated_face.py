@@ -10,7 +10,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import Rig, build, coefficient_matrices, matrix_coefficients, sample_transforms, sample_weights
-from facepipe.rig.bones import bones_in, coefficients_in
+from facepipe.rig.neural_rig import bones_in, coefficients_in
 from facepipe.stage import open_face
 from facepipe.stage.animation_source import moving_animation
 

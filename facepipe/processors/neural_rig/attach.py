@@ -29,9 +29,7 @@ from facepipe.processors.neural_rig.kept_motion import (
 from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
-from facepipe.rig.bones import bones_in, most_influences, with_influences
-from facepipe.rig.neural_basis import reach
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, reach, with_influences
 from facepipe.rig.sliders import with_mutual_mirrors
 
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32

@@ -14,9 +14,7 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build
 from facepipe.rig.bone_coefficients import CHANNELS
-from facepipe.rig.bones import bones_in, most_influences, with_influences
-from facepipe.rig.neural_basis import over, reach
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, over, reach, with_influences
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.rig.control_shares import share_limits
 from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives, with_points
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, share_limits
 
 _POSES = 3  # where points are weighed, the first at rest
 _BUSY = 0.3  # share of the controls that are moved in the others

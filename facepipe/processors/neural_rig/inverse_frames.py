@@ -11,8 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.frames_in_a_box import Box, Data, Settled, Smoothness, settle
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
-from facepipe.rig.control_shares import share_limits
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, share_limits
 
 ENOUGH = 1e-5  # of ranges: a smaller step ends it
 _AT_ONCE = 64  # frames

@@ -15,9 +15,7 @@ from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.processors.neural_rig.inverse_frames import Frames
 from facepipe.processors.neural_rig.inverse_report import InverseReport, told
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
-from facepipe.rig.control_shares import values_of
-from facepipe.rig.neural_basis import with_orthonormal_shapes
-from facepipe.rig.neural_rig import NeuralRig, from_default
+from facepipe.rig.neural_rig import NeuralRig, from_default, values_of, with_orthonormal_shapes
 
 
 @dataclass(frozen=True, kw_only=True)

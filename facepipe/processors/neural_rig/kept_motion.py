@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.motion_basis import motion_basis
+from facepipe.geometry.shape_basis import motion_basis
 from facepipe.parts import Animation, Blendshape, FaceParts, Slider
 from facepipe.rig import build, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import NeuralRig

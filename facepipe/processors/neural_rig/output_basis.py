@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.local_basis import local_basis
-from facepipe.geometry.motion_basis import motion_basis
+from facepipe.geometry.shape_basis import local_basis, motion_basis
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
 from facepipe.rig import rest_coefficients

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.motion_basis import motion_basis
+from facepipe.geometry.shape_basis import motion_basis
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.rig.neural_rig import from_default
 

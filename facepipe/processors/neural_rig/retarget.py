@@ -17,8 +17,7 @@ from facepipe.processors.neural_rig.options import RetargetOptions
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.processors.neural_rig.subject_examples import subject_examples
-from facepipe.rig.neural_basis import over
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, over
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.motion_basis import motion_basis
+from facepipe.geometry.shape_basis import motion_basis
 from facepipe.processors.neural_rig.options import SampleMotionOptions
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
 from facepipe.processors.neural_rig.plan_frames import plan
-from facepipe.rig.neural_basis import over
-from facepipe.rig.neural_rig import NeuralRig, from_default
+from facepipe.rig.neural_rig import NeuralRig, from_default, over
 
 _INPUTS = 256  # coordinates of a deformation, at most
 _SMALLEST = 1e-3  # of the largest deviation: less is no coordinate

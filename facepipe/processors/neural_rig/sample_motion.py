@@ -17,8 +17,7 @@ from facepipe.processors.neural_rig.plan_frames import plan
 from facepipe.processors.neural_rig.recorded_clips import RecordedClips
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.bones import bones_in, coefficients_in
-from facepipe.rig.neural_rig import Control
+from facepipe.rig.neural_rig import Control, bones_in, coefficients_in
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.point_ridge import Examples
+from facepipe.geometry.ridge import Examples
 from facepipe.rig.neural_rig import NeuralRig, from_default
 
 

@@ -19,8 +19,7 @@ from facepipe.processors.neural_rig.options import TrainNeuralRigOptions
 from facepipe.processors.neural_rig.output_basis import OutputBasis
 from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
 from facepipe.processors.neural_rig.straight_rig import straight_rig
-from facepipe.rig.bones import with_influences
-from facepipe.rig.neural_rig import NeuralRig, from_default
+from facepipe.rig.neural_rig import NeuralRig, from_default, with_influences
 
 if TYPE_CHECKING:
     from facepipe.learn.network_fit import Samples, Trained

@@ -12,7 +12,7 @@ import numpy as np
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import unique_identifiers
-from facepipe.geometry.eye_distance import eye_distance
+from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe
 from facepipe.processors.photo_fit.camera_views import camera_to_world, clipping_range
 from facepipe.processors.photo_fit.fit_checks import check_fit, mixed_sliders

@@ -56,7 +56,7 @@ def _points(rig: Rig, parts: FaceParts, fit: PhotoFit, view: FittedView | None =
 
 
 def _photo(rig: Rig, parts: FaceParts, fit: PhotoFit, model: FaceModel, photo: Photo, view: FittedView) -> SheetPhoto:
-    from facepipe.geometry.eye_distance import eye_distance
+    from facepipe.geometry.landmarks import eye_distance
     from facepipe.learn.photo.view_image import project, view_image
     from facepipe.pictures import SheetPhoto
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
+from facepipe.geometry.vectors import group_sums
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.blend.rigs import blend_skeletons
 from facepipe.rig import build

@@ -11,12 +11,11 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
-from facepipe.geometry.flips import flipped_triangles
 from facepipe.geometry.identity_model import IdentityModel
-from facepipe.geometry.mirrored import mirrored
+from facepipe.geometry.landmarks import mirrored
+from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
-from facepipe.geometry.robust_similarity import robust_similarity
-from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.processors.database import FaceDatabase, Quality
 from facepipe.processors.rebuild.options import UNITS, FitNeutralOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of

@@ -9,8 +9,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
-from facepipe.geometry.robust_similarity import robust_similarity
-from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.processors.rebuild.register_scans import NeutralScan
 from facepipe.processors.rebuild.scan_fit import scan_target
 from facepipe.processors.rebuild.template import Template

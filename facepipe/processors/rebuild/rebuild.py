@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.flips import flipped_triangles
+from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.database import Quality, quality_from
 from facepipe.processors.rebuild.fit_stages import FitStages

@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
-from facepipe.geometry.flips import flipped_triangles
+from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.registration import Registered
 from facepipe.older_recipes import found_of
 from facepipe.parts import Recipe

@@ -12,10 +12,9 @@ from facepipe.core.errors import FitError, InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
-from facepipe.geometry.mirrored import mirrored
+from facepipe.geometry.landmarks import mirrored
 from facepipe.geometry.registration import Anchors, DeformableSurface, RegistrationOptions, register
-from facepipe.geometry.robust_similarity import robust_similarity
-from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.processors.rebuild.fit_neutral import landmark_anchors
 from facepipe.processors.rebuild.options import RegisterScansOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target

@@ -9,9 +9,9 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import components
 from facepipe.geometry.similarity import fit_similarities
+from facepipe.geometry.vectors import group_sums
 from facepipe.geometry.visibility import seen_from_outside
 from facepipe.parts import FaceParts
 from facepipe.processors.database.whole_faces import Topology, whole_points

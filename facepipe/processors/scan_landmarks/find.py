@@ -15,7 +15,7 @@ from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
-from facepipe.geometry.small_holes import border_points
+from facepipe.geometry.polygons import border_points
 from facepipe.processors.clean_scan import CleanScan
 from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame

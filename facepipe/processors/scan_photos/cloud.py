@@ -11,8 +11,8 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.colors import from_srgb
-from facepipe.geometry.grouping import group_sums
 from facepipe.geometry.polygons import components
+from facepipe.geometry.vectors import group_sums
 from facepipe.processors.scan_photos.camera import PhotoCamera
 from facepipe.processors.scan_photos.depth import confirmed
 from facepipe.processors.scan_photos.options import ScanPhotosOptions

@@ -29,7 +29,7 @@ from facepipe.learn.photo import find_key
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.performing import read_kept
 from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
-from facepipe.rig.arkit import ARKIT_SHAPES
+from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")

@@ -22,8 +22,7 @@ from facepipe.rig import (
     sample_weights,
     slide,
 )
-from facepipe.rig.bones import with_influences
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_rig import NeuralRig, with_influences
 
 PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
 

@@ -13,9 +13,8 @@ from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.geometry.halving import halved
 from facepipe.geometry.ridge import ridge
-from facepipe.geometry.telling_points import farthest_points, telling_points, well_placed
+from facepipe.geometry.telling_points import farthest_points, halved, telling_points, well_placed
 from facepipe.processors.neural_rig import (
     Motion,
     SampleMotion,

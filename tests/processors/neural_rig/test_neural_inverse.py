@@ -15,11 +15,16 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
 from facepipe.processors.neural_rig.inverse_data import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
-from facepipe.rig.bones import bones_in
-from facepipe.rig.control_shares import share_limits, values_of
-from facepipe.rig.neural_basis import with_orthonormal_shapes
 from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
-from facepipe.rig.neural_rig import Control, NeuralRig, from_default
+from facepipe.rig.neural_rig import (
+    Control,
+    NeuralRig,
+    bones_in,
+    from_default,
+    share_limits,
+    values_of,
+    with_orthonormal_shapes,
+)
 
 
 def bones() -> Rig:

@@ -21,8 +21,7 @@ from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig import Motion, ReadClips, TrainEncoder, TrainEncoderOptions, save_neural_rig
 from facepipe.processors.neural_rig.read_targets import read_targets
 from facepipe.rig import rest_coefficients
-from facepipe.rig.control_shares import share_limits, values_of
-from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.rig.neural_rig import Control, NeuralRig, share_limits, values_of
 from facepipe.stage import save_parts
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_controls import save_controls

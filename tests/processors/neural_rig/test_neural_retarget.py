@@ -14,7 +14,7 @@ from neural_training import OPTIONS, SAMPLES, second_face, turning_face
 from pxr import Usd
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.geometry.point_ridge import Examples
+from facepipe.geometry.ridge import Examples
 from facepipe.processors.neural_rig import (
     Motion,
     SampleMotion,

@@ -14,8 +14,7 @@ from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.geometry.local_basis import local_basis
-from facepipe.geometry.motion_basis import motion_basis
+from facepipe.geometry.shape_basis import local_basis, motion_basis
 from facepipe.parts import FaceParts
 from facepipe.processors.neural_rig import (
     InvertNeuralRig,

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.eye_distance import eye_distance
+from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.photo.amortised.network import MEAN, STD
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
-from facepipe.geometry.eye_distance import eye_distance
+from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.photo.amortised.losses import Taught, TaughtLoss
 from facepipe.learn.photo.amortised.network import SIZE, StartNetwork

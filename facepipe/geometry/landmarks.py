@@ -1,4 +1,4 @@
-"""Whether landmarks lie on a mirrored face."""
+"""Measures of landmarks: how far apart the eyes are, and whether left and right are changed over."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import fit_similarity
 
+OUTER_CORNERS = (36, 45)  # of the eyes, in the Multi-PIE scheme
 _FEWEST = 4  # fewer points lie in a plane, which has no mirror image of its own
+
+
+def eye_distance(landmarks: FloatArray) -> float:
+    """Distance of the outer corners of the eyes of (68, 2) landmarks, in their units.
+
+    What errors are normalised by since Sagonas et al., "300 Faces in-the-Wild Challenge", ICCV workshops 2013.
+    """
+    one, other = np.asarray(landmarks, dtype=np.float64)[list(OUTER_CORNERS)]
+    return float(np.linalg.norm(one - other))
 
 
 def mirrored(points: FloatArray, reference: FloatArray) -> bool:

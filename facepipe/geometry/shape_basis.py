@@ -1,15 +1,77 @@
-"""A basis of deltas over the points of a face, grown until it holds each of them to a tolerance."""
+"""Few shapes that frames of points are sums of."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 
+_COLUMNS = 1 << 13
+_MOST = 1500  # points that the rotation is found by
+_ROUNDS = 100
+_STILL = 1e-6  # of the criterion, a round
 _NOTHING = 1e-12  # of the largest squared length: rounding, no direction
 _ROUNDING = 1e-6  # of the largest coefficients: float32, no direction
+
+
+def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[FloatArray, FloatArray]:
+    """The fewest orthonormal shapes that leave at most `tolerance` of all frames (RMS over points), up to `most`.
+
+    Principal components about rest, by the frames' Gram matrix: frames are fewer than coordinates.
+
+    :param deltas: (f, n, 3) from rest
+    :param tolerance: in the unit of the deltas
+    :returns: shapes (r, n, 3), and what frames have of them (f, r)
+    """
+    frames, points = len(deltas), deltas.shape[1]
+    flat = np.asarray(deltas).reshape(frames, -1)
+    values, vectors = np.linalg.eigh(sum((piece @ piece.T for piece in _pieces(flat)), np.zeros((frames, frames))))
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    left = np.append(np.cumsum(values[::-1])[::-1], 0.0)  # squares that the first r leave
+    enough = int(np.argmax(left <= tolerance**2 * frames * points))
+    solid = int(np.count_nonzero(values > 1e-10 * values[0])) if frames else 0
+    count = max(1, min(enough, most, solid))
+    sizes = np.sqrt(np.maximum(values[:count], np.finfo(np.float64).tiny))
+    shapes = np.concatenate([(vectors[:, :count] / sizes).T @ piece for piece in _pieces(flat)], axis=1)
+    return shapes.reshape(count, points, 3), vectors[:, :count] * sizes
+
+
+def _pieces(flat: FloatArray) -> Iterator[FloatArray]:
+    """(f, some) columns as float64: all at once may be too much memory."""
+    for start in range(0, flat.shape[1], _COLUMNS):
+        yield flat[:, start : start + _COLUMNS].astype(np.float64)
+
+
+def local_basis(shapes: FloatArray) -> FloatArray:
+    """(r, n, 3) orthonormal shapes of the same space as orthonormal `shapes`, in fewer places where there are such.
+
+    Turned so that what moves a point is one shape rather than all: varimax (Kaiser, "The varimax criterion for analytic
+    rotation in factor analysis", 1958), by singular values (Magnus and Neudecker's fixed point).
+    """
+    count = len(shapes)
+    if count < 2:
+        return shapes
+    moves = np.square(shapes).sum(axis=(0, 2))
+    chosen = np.sort(np.argsort(-moves, kind="stable")[: 4 * _MOST])
+    rows = shapes[:, chosen[:: max(1, len(chosen) // _MOST)]].reshape(count, -1).T
+    rotation, least = np.eye(count), 0.0
+    for _ in range(_ROUNDS):
+        turned = rows @ rotation
+        left, sizes, right = np.linalg.svd(rows.T @ (turned**3 - turned * np.mean(turned**2, axis=0)))
+        rotation = left @ right
+        if sizes.sum() <= least * (1.0 + _STILL):
+            break
+        least = sizes.sum()
+    local = np.tensordot(rotation.T, shapes, axes=1)
+    return np.asarray(local if _spread(local) < _spread(shapes) else shapes)
+
+
+def _spread(shapes: FloatArray) -> float:
+    """How far the shapes reach: for one squared length, longer sums are of more places."""
+    return float(np.linalg.norm(shapes, axis=2).sum())
 
 
 class Held(NamedTuple):
