@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.core.names import did_you_mean
 from facepipe.declare import Field, fields_of
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
 
-        values = signature.bind(*files, **named).arguments
+        values = _bound(signature, function_name(kind.verb), files, named)
         action = kind(**{one.name: _value(one, values[one.name]) for one in fields if one.name in values})
         if isinstance(action, Inspector):
             action.check()
@@ -117,6 +118,19 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     said: Any = function
     said.__signature__ = signature
     return function
+
+
+def _bound(signature: inspect.Signature, name: str, files: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments by parameter.
+
+    :raises TypeError: as Python does, with the parameter that is most like one that there is not
+    """
+    try:
+        return dict(signature.bind(*files, **named).arguments)
+    except TypeError as error:
+        wrong = next((one for one in named if one not in signature.parameters), None)
+        near = "" if wrong is None else did_you_mean(wrong, signature.parameters)
+        raise TypeError(f"facepipe.{name}() {error}{near}") from None
 
 
 def _own(kind: type[Action[Any]]) -> dict[str, tuple[Any, str]]:

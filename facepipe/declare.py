@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -211,8 +212,10 @@ class Field:
 
     def _check(self, value: object) -> None:
         if self.choices and value not in self.choices:
-            expected = ", ".join(map(str, self.choices))
-            raise InputError(f"option {self.name}", f"is {value!r}, expected one of {expected}")
+            choices = [str(choice) for choice in self.choices]
+            near = did_you_mean(value, choices) if isinstance(value, str) else ""
+            expected = f", expected one of {', '.join(choices)}"
+            raise InputError(f"option {self.name}", f"is {value!r}{near or expected}")
         if self.low is None or self.high is None or value is None:
             return
         if not (isinstance(value, int | float) and self.low <= value <= self.high and abs(value) < math.inf):
@@ -310,7 +313,8 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
         raise InputError(where, f"{str(values)[:40]}, expected an object of options")
     for name in values:
         if name not in fields:
-            raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
+            near = did_you_mean(str(name), fields) or f", expected some of {', '.join(fields)}"
+            raise InputError(where, f"option '{str(name)[:60]}' is unknown{near}")
     given = {name: fields[name].load(value, where) for name, value in values.items()}
     for name, one in fields.items():
         if one.needed and name not in values:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
     from facepipe.core.reports import ExportReport, Finding
@@ -77,8 +78,9 @@ def exporter(path: str | Path) -> Exporter:
     for entry in entry_points(group=EXPORTERS, name=suffix):
         found: Exporter = loaded(entry, "Options", "export", "validate")
         return found
-    expected = " ".join(f".{one}" for one in suffixes())
-    raise InputError(path, f"suffix '.{suffix}', expected one of {expected}")
+    known = [f".{one}" for one in suffixes()]
+    near = did_you_mean(f".{suffix}", known) or f", expected one of {' '.join(known)}"
+    raise InputError(path, f"suffix '.{suffix}'{near}")
 
 
 def outputs(path: str | Path) -> tuple[Path, ...]:
@@ -104,7 +106,9 @@ def importer(kind: str, others: Iterable[str] = ()) -> Importer:
     for entry in entry_points(group=IMPORTERS, name=kind):
         found: Importer = loaded(entry, "Options", "read")
         return found
-    raise InputError(f"import {kind}", f"unknown kind, expected one of {', '.join(sorted({*importers(), *others}))}")
+    known = sorted({*importers(), *others})
+    near = did_you_mean(kind, known) or f", expected one of {', '.join(known)}"
+    raise InputError(f"import {kind}", f"unknown kind{near}")
 
 
 def host(name: str) -> Any:

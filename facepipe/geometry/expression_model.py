@@ -18,6 +18,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.shape_basis import coefficients_in
 
@@ -146,7 +147,7 @@ class ExpressionModel:
 
     def _number(self, name: str) -> int:
         if name not in self.names:
-            raise InputError("expression model", f"no expression '{name}', expected one of {', '.join(self.names)}")
+            raise InputError("expression model", unknown(name, self.names, "expression"))
         return self.names.index(name)
 
     def _most_likely(self, rows: Sequence[int], off: FloatArray) -> FloatArray:

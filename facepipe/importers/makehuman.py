@@ -15,7 +15,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import identifier
+from facepipe.core.names import did_you_mean, identifier
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
@@ -101,7 +101,8 @@ def _target_weights(data: MakeHumanData, weights: Mapping[str, float]) -> dict[i
             i for i, full in enumerate(names) if name == full.rpartition("/")[2]
         ]
         if len(found) != 1:
-            what = "is no target" if not found else f"fits {len(found)} targets, expected a full name"
+            near = did_you_mean(name, [*names, *(full.rpartition("/")[2] for full in names)])
+            what = f"fits {len(found)} targets, expected a full name" if found else f"is no target{near}"
             raise InputError(f"option targets -> {name[:60]}", what)
         if not math.isfinite(weight):
             raise InputError(f"option targets -> {name}", f"weight is {weight}, expected a finite number")

@@ -11,7 +11,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import identifier, select
+from facepipe.core.names import identifier, select, unknown
 from facepipe.core.reports import Report
 from facepipe.core.texts import table
 from facepipe.geometry.map_sampling import MapSampling
@@ -246,7 +246,7 @@ def _uv_of(where: str, mesh: Mesh, name: str | None) -> UvSet:
     if not named:
         raise InputError(where, "no UV set, expected one that the map was painted over")
     if name is not None and name not in named:
-        raise InputError(where, f"no UV set '{name}', expected one of {', '.join(named)}")
+        raise InputError(where, unknown(name, named, "UV set"))
     return named[name] if name is not None else named.get("st", mesh.uv_sets[0])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.names import unknown
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import mesh_spaces
 
@@ -124,7 +125,7 @@ def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str
     names, places = [mesh.name for mesh in meshes], {mesh.name: number for number, mesh in enumerate(others)}
     if only:
         if only not in names:
-            raise InputError(f"{where}:{only}", f"the face has no mesh '{only}', expected one of {', '.join(names)}")
+            raise InputError(f"{where}:{only}", f"the face has {unknown(only, names, 'mesh')}")
         if len(others) != 1 and only not in places:
             raise InputError(f"{where}:{only}", f"{len(others)} meshes, expected a single one or one called '{only}'")
         return [(names.index(only), places.get(only, 0))]

@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from facepipe.core import __version__, tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
-from facepipe.core.names import unknown
+from facepipe.core.names import did_you_mean, unknown
 from facepipe.parts import Animation, FaceParts, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider, SliderNetwork
 from facepipe.rig import (
     Person,
@@ -360,7 +360,9 @@ class Face:
             read_point_values(prim, name, len(mesh.points)) for prim, mesh in zip(prims, self.meshes, strict=True)
         ]
         if not any(np.isfinite(one).any() for one in values):
-            raise InputError(self.where, f"no primvar '{name}' with one number per point")
+            regions = {f"{tokens.REGION_PRIMVAR}{region}" for mesh in self.meshes for region in mesh.regions}
+            near = did_you_mean(name, sorted(regions))
+            raise InputError(self.where, f"no primvar '{name}' with one number per point{near}")
         return np.concatenate(values)
 
     @contextlib.contextmanager

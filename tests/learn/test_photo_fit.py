@@ -212,7 +212,7 @@ def test_bad_arguments_are_told_in_a_line() -> None:
         assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no scheme multipie68"):
         fit_photos(replace(tiny_face(), sliders=subject().free_sliders[:1]), [image], [marks], options, extractors={})
-    with pytest.raises(InputError, match="expression grin: unknown"):
+    with pytest.raises(InputError, match="expression grin: no such shape"):
         fit_photos(sample(), [image], [marks], options, expressions=["grin"], extractors={})
     for name, value in (("size", 8), ("iterations", -1), ("optimiser", "newton"), ("rate", float("nan"))):
         with pytest.raises(InputError, match=f"option {name}: is"):

@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 from facepipe.rig.conventions import ARKIT_SHAPES
@@ -40,7 +41,8 @@ class Subject:
         rig = build(parts)
         unknown = [name for name in expressions or () if name not in rig.shapes]
         if unknown:
-            raise InputError(f"{parts.name} -> expression {unknown[0]}", "unknown, expected a shape of the face")
+            near = suggestion(unknown[0], rig.shapes)
+            raise InputError(f"{parts.name} -> expression {unknown[0]}", f"no such shape{near}")
         names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
         learned = _learned(parts, rig)
         free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, learned.get(one.name))]

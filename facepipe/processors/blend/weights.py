@@ -169,7 +169,8 @@ def weights_of(arguments: argparse.Namespace, kept: Weights) -> Weights:
     file = read_weights(arguments.weights) if arguments.weights else Weights()
     for name in arguments.unlock:
         if name not in kept.locked and name not in file.locked:
-            raise InputError(f"--unlock {name}", "is not locked")
+            near = suggestion(name, {**kept.locked, **file.locked}, "a region that is")
+            raise InputError(f"--unlock {name}", f"is not locked{near}")
     flags = Weights(
         regions=_once("--set", map(_named, arguments.set)),
         default=None

@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
+from facepipe.core.names import suggestion
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
@@ -107,7 +108,8 @@ class RegisterScans:
         name = expression.scan.name
         missing = [shape for shape in expression.weights if shape not in shapes]
         if missing:
-            raise InputError(f"{name} -> {missing[0]}", "no such shape in the personal template")
+            near = suggestion(missing[0], shapes)
+            raise InputError(f"{name} -> {missing[0]}", f"no such shape in the personal template{near}")
         surface = self._surface(template, neutral, shapes, expression.weights)
         anchors = expression_anchors(template, neutral, expression)
         if len(anchors) < _FEWEST:

@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
@@ -78,7 +79,8 @@ class SplitExpressions:
         for row, (scan, composite) in enumerate(composites.items()):
             for shape, weight in composite.weights.items():
                 if shape not in shapes:
-                    raise InputError(f"{scan} -> {shape}", "no such shape in the personal template")
+                    near = suggestion(shape, shapes)
+                    raise InputError(f"{scan} -> {shape}", f"no such shape in the personal template{near}")
                 weights[row, names.index(shape)] = max(weight, 0.0)
             if not weights[row].any():
                 raise InputError(scan, "shows none of its shapes, expected a weight above 0")

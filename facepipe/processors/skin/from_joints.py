@@ -8,6 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import heat_weights, normalised
@@ -89,8 +90,8 @@ def _mask(
             known.setdefault(f"{slit.name}_{side}", slit.share(sign, _BLUR))
     for name in joint.regions:
         if name not in known:
-            some = ", ".join(known) or "none, it has neither regions nor landmarks"
-            raise InputError(f"{where} -> {joint.path} -> regions", f"no '{name[:60]}', expected some of {some}")
+            near = suggestion(name, known, "none: the face has neither regions nor landmarks")
+            raise InputError(f"{where} -> {joint.path} -> regions", f"no '{name[:60]}'{near}")
     return np.asarray(np.clip(np.sum([known[name] for name in joint.regions], axis=0), 0.0, 1.0))
 
 

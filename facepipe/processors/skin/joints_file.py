@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.names import identifier
+from facepipe.core.names import did_you_mean, identifier
 from facepipe.core.reading import read_json_object
 
 MOST_JOINTS = 1024
@@ -83,7 +83,8 @@ class JointSet:
             for name in names:
                 if name not in known:
                     trail = f"{self.where} -> parts -> {_shown(glob)}"
-                    raise InputError(trail, f"no joint '{_shown(name)}', expected one of the file")
+                    near = did_you_mean(name, paths) or ", expected one of the file"
+                    raise InputError(trail, f"no joint '{_shown(name)}'{near}")
         order = sorted(self.joints, key=lambda joint: joint.path.count("/"))
         object.__setattr__(self, "joints", tuple(order))
 
