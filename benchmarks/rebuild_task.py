@@ -50,7 +50,7 @@ class RebuildTask:
 
         from facepipe.geometry.identity_model import IdentityModel
 
-        identity = IdentityModel.of(database_faces()[:, :HEAD])
+        identity = IdentityModel.from_faces(database_faces()[:, :HEAD])
         person, seen = Actor(seed).neutral, np.unique(visible_triangles(ict().neutral))
         scan = simulate(person, seed)
         return cls(

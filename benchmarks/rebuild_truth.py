@@ -181,7 +181,7 @@ def _prepared() -> tuple[Any, Any]:
 
     parts = load("ict", Path(shared("ict_facekit/ict_facekit.npz")), ict.Options()).parts
     template, faces = Template.of(parts, "ict.usda"), database_faces()
-    identity = IdentityModel.of(faces)
+    identity = IdentityModel.from_faces(faces)
     database = FaceDatabase(
         topology=template.topology,
         identity=identity,

@@ -29,7 +29,7 @@ class ChangeSmoothness:
     _single: Groups
 
     @classmethod
-    def of(
+    def at_rest(
         cls, points: FloatArray, triangles: IntArray, free: BoolArray, smooth: float, near: float
     ) -> ChangeSmoothness:
         """Of a surface at rest.
@@ -40,8 +40,8 @@ class ChangeSmoothness:
         touched = free[triangles].any(axis=1)
         beside = np.zeros(len(points), bool)
         beside[triangles[touched]] = True
-        changes = TriangleChanges.of(points, triangles[beside[triangles].any(axis=1)])
-        neighbours = Neighbours.of(points, changes.triangles, changes.areas).where(free)
+        changes = TriangleChanges.from_rest(points, triangles[beside[triangles].any(axis=1)])
+        neighbours = Neighbours.across_edges(points, changes.triangles, changes.areas).where(free)
         quads, corners = number[neighbours.points], number[changes.triangles]
         count = int(np.count_nonzero(free))
         low, high = np.sort(np.concatenate([pairs_within(quads), pairs_within(corners)]), axis=1).T
@@ -53,20 +53,20 @@ class ChangeSmoothness:
             links=linked,
             smooth=smooth,
             near=near,
-            _pairs=Groups.of(quads, count, linked),
-            _single=Groups.of(corners, count, linked),
+            _pairs=Groups.among(quads, count, linked),
+            _single=Groups.among(corners, count, linked),
         )
 
     def system(self, points: FloatArray) -> BlockSystem:
         """Normal equations for moves of the free points from where all `points` (n, 3) are now."""
-        found = BlockSystem(len(self.free), self.links)
+        system = BlockSystem(len(self.free), self.links)
         changes, derivative = self.changes.at(points), self.changes.derivative(points)
         differences = self.neighbours.differences(changes)
         slopes = self.neighbours.derivative(derivative)
-        found.add(self._pairs, slopes, differences, self.smooth * self.neighbours.weights)
-        own = (changes - np.eye(3)).reshape(-1, 9)
-        found.add(self._single, derivative, own, self.near * self.changes.areas)
-        return found
+        system.add(self._pairs, slopes, differences, self.smooth * self.neighbours.weights)
+        from_rest = (changes - np.eye(3)).reshape(-1, 9)
+        system.add(self._single, derivative, from_rest, self.near * self.changes.areas)
+        return system
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,17 +79,17 @@ class Groups:
     ]  # for each two members: (m,) link of that pair, or one past the last where it has none
 
     @classmethod
-    def of(cls, points: IntArray, count: int, links: IntArray) -> Groups:
+    def among(cls, points: IntArray, count: int, links: IntArray) -> Groups:
         """Groups among `count` points.
 
         :param links: ascending ``lower * count + higher`` of pairs of points, with all pairs of the groups
         """
-        found = []
-        for one, other in combinations(range(points.shape[1]), 2):
-            low, high = np.sort(points[:, [one, other]], axis=1).T
-            at = np.searchsorted(links, low * count + high)
-            found.append(np.where(low >= 0, at, len(links)))
-        return cls(points=points, between=tuple(found))
+        between = []
+        for first, second in combinations(range(points.shape[1]), 2):
+            low, high = np.sort(points[:, [first, second]], axis=1).T
+            place = np.searchsorted(links, low * count + high)
+            between.append(np.where(low >= 0, place, len(links)))
+        return cls(points=points, between=tuple(between))
 
 
 def pairs_within(points: IntArray) -> IntArray:
@@ -152,9 +152,9 @@ class BlockSystem:
             points = groups.points[:, member]
             _gather(self.own, points, squares[:, member, :, member])
             _gather(self.right, points, -right[:, member])
-        for at, (one, other) in zip(groups.between, combinations(range(members), 2), strict=True):
-            block = squares[:, one, :, other]
-            turned = (groups.points[:, one] > groups.points[:, other])[:, None, None]
+        for at, (first, second) in zip(groups.between, combinations(range(members), 2), strict=True):
+            block = squares[:, first, :, second]
+            turned = (groups.points[:, first] > groups.points[:, second])[:, None, None]
             _gather(self.between, at, np.where(turned, block.transpose(0, 2, 1), block))
 
 

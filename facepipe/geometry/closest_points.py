@@ -55,16 +55,16 @@ class SurfaceSearch:
         self._corners = surface_points[triangles]
         centres = self._corners.mean(axis=1)
         sizes = np.sqrt(((self._corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
-        self._groups = [_Group.of(centres, sizes, members) for members in _by_size(sizes)]
+        self._groups = [_Group.sorted_by_place(centres, sizes, members) for members in _by_size(sizes)]
 
     def closest(self, points: FloatArray) -> ClosestPlaces:
         """The nearest place to each of `points` (m, 3)."""
         points = np.asarray(points, np.float64)
-        found = _nothing(len(points))
+        nearest = _nothing(len(points))
         if len(points):
             for group in self._groups:
-                _search(found, points, self._corners, group)
-        return found
+                _search(nearest, points, self._corners, group)
+        return nearest
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class _Group:
     tree: Any  # of the spheres' centres
 
     @classmethod
-    def of(cls, centres: FloatArray, sizes: FloatArray, members: IntArray) -> _Group:
+    def sorted_by_place(cls, centres: FloatArray, sizes: FloatArray, members: IntArray) -> _Group:
         from scipy.spatial import cKDTree
 
         return cls(members, sizes[members], cKDTree(centres[members]))
@@ -90,11 +90,11 @@ def closest_among(
     :param owners: (p,) places in `points`
     :param candidates: (p,) triangles that these may lie on
     """
-    found = _nothing(len(points))
+    nearest = _nothing(len(points))
     corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)]
     for part in np.array_split(np.arange(len(owners)), -(-len(owners) // _PAIRS) or 1):
-        _improve(found, np.asarray(points, np.float64), corners, owners[part], candidates[part])
-    return found
+        _improve(nearest, np.asarray(points, np.float64), corners, owners[part], candidates[part])
+    return nearest
 
 
 def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -130,7 +130,7 @@ def _by_size(sizes: FloatArray) -> list[IntArray]:
     return [np.flatnonzero(steps == value) for value in values[np.argsort(-counts, kind="stable")]]
 
 
-def _search(found: ClosestPlaces, points: FloatArray, corners: FloatArray, group: _Group) -> None:
+def _search(nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArray, group: _Group) -> None:
     """Try the triangles of a group, more and more of them for the points where a nearer one may still come."""
     members, sizes, tree, largest = group.members, group.sizes, group.tree, float(group.sizes.max())
     open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
@@ -140,16 +140,16 @@ def _search(found: ClosestPlaces, points: FloatArray, corners: FloatArray, group
             numbers = open_points[part]
             far, near = tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
             reached[part] = far[:, -1]
-            row, column = np.nonzero(far - sizes[near] <= found.distances[numbers, None])
-            _improve(found, points, corners, numbers[row], members[near[row, column]])
+            row, column = np.nonzero(far - sizes[near] <= nearest_places.distances[numbers, None])
+            _improve(nearest_places, points, corners, numbers[row], members[near[row, column]])
         if count == len(members):
             return
-        open_points = open_points[reached - largest <= found.distances[open_points]]
+        open_points = open_points[reached - largest <= nearest_places.distances[open_points]]
         tried, count = count, min(4 * count, len(members))
 
 
 def _improve(
-    found: ClosestPlaces, points: FloatArray, corners: FloatArray, numbers: IntArray, triangles: IntArray
+    nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArray, numbers: IntArray, triangles: IntArray
 ) -> None:
     """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far."""
     squares, places, features = _nearest_on(points[numbers], corners[triangles])
@@ -157,12 +157,12 @@ def _improve(
     first = order[np.concatenate([[True], np.diff(numbers[order]) > 0])] if len(order) else order
     distances = np.sqrt(squares[first])
     point = numbers[first]
-    better = distances < found.distances[point]
+    better = distances < nearest_places.distances[point]
     first, point = first[better], point[better]
-    found.distances[point] = distances[better]
-    found.triangles[point] = triangles[first]
-    found.places[point] = places[first]
-    found.features[point] = features[first]
+    nearest_places.distances[point] = distances[better]
+    nearest_places.triangles[point] = triangles[first]
+    nearest_places.places[point] = places[first]
+    nearest_places.features[point] = features[first]
 
 
 def _nearest_on(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:

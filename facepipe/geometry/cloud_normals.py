@@ -32,7 +32,7 @@ def cloud_normals(points: FloatArray, neighbours: int = 16) -> CloudNormals:
     Connected pieces are turned so that they bulge outward, each on its own.
 
     :param points: (n, 3) different points, n over 3
-    :param neighbours: points that tell a tangent plane
+    :param neighbours: points that a tangent plane is fitted to
     :raises InputError: too few points
     """
     from scipy.spatial import cKDTree
@@ -64,19 +64,19 @@ def _oriented(points: FloatArray, normals: FloatArray, near: IntArray) -> FloatA
     from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
     count = len(points)
-    one, two = np.repeat(np.arange(count, dtype=np.int32), near.shape[1]), near.ravel().astype(np.int32)
-    one, two = np.minimum(one, two), np.maximum(one, two)
-    links = np.sort(one.astype(np.int64) * count + two)
+    first, second = np.repeat(np.arange(count, dtype=np.int32), near.shape[1]), near.ravel().astype(np.int32)
+    first, second = np.minimum(first, second), np.maximum(first, second)
+    links = np.sort(first.astype(np.int64) * count + second)
     links = links[np.diff(links, prepend=-1) > 0]
-    one, two = (links // count).astype(np.int32), (links % count).astype(np.int32)
-    turn = 1.0 + _TOLERANCE - np.abs(np.einsum("ei,ei->e", normals[one], normals[two]))
-    tree = minimum_spanning_tree(coo_array((turn, (one, two)), shape=(count, count)).tocsr()).tocoo()
+    first, second = (links // count).astype(np.int32), (links % count).astype(np.int32)
+    turn = 1.0 + _TOLERANCE - np.abs(np.einsum("ei,ei->e", normals[first], normals[second]))
+    tree = minimum_spanning_tree(coo_array((turn, (first, second)), shape=(count, count)).tocsr()).tocoo()
     _, piece = connected_components(tree, directed=False)
     turned = normals * _signs(tree.row, tree.col, piece, normals)[:, None]
     return np.asarray(turned * _outward(points, turned, piece)[piece, None])
 
 
-def _signs(one: IntArray, two: IntArray, piece: IntArray, normals: FloatArray) -> FloatArray:
+def _signs(first: IntArray, second: IntArray, piece: IntArray, normals: FloatArray) -> FloatArray:
     """(n,) signs along the trees with the edges `one` to `two`, 1 at the first point of each piece."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order
@@ -84,7 +84,7 @@ def _signs(one: IntArray, two: IntArray, piece: IntArray, normals: FloatArray) -
     count = len(normals)
     roots = np.unique(piece, return_index=True)[1]
     start = np.full(len(roots), count)  # one more point, beside every root
-    row, column = np.concatenate([one, start]).astype(np.int32), np.concatenate([two, roots]).astype(np.int32)
+    row, column = np.concatenate([first, start]).astype(np.int32), np.concatenate([second, roots]).astype(np.int32)
     graph = coo_array((np.ones(len(row), np.int8), (row, column)), shape=(count + 1, count + 1)).tocsr()
     order, before = breadth_first_order(graph, count, directed=False)
     order, parents = order[1:], before[order[1:]]

@@ -72,10 +72,10 @@ class Transfer:
         :raises TopologyError: arrays that don't fit each other
         """
         neutrals, deformed = _finite("neutrals", neutrals), _finite("deformed", deformed)
-        for name, given in (("neutrals", neutrals), ("deformed", deformed)):
-            if given.ndim != 3 or given.shape[1:] != self._points.shape or given.shape != neutrals.shape:
+        for name, points in (("neutrals", neutrals), ("deformed", deformed)):
+            if points.ndim != 3 or points.shape[1:] != self._points.shape or points.shape != neutrals.shape:
                 expected = f"(sources, {len(self._points)}, 3), the same for both"
-                raise TopologyError(name, f"shape {given.shape}, expected {expected}")
+                raise TopologyError(name, f"shape {points.shape}, expected {expected}")
         shares = _shares(weights, len(neutrals))
         mean = self._mean_displacements(neutrals, deformed, shares)
         divergence = self._divergence(self._gradients(neutrals, deformed, shares, mean))
@@ -145,20 +145,20 @@ def _shares(weights: FloatArray | None, count: int) -> FloatArray:
 
 
 def _finite(name: str, points: FloatArray) -> FloatArray:
-    found = np.array(points, dtype=np.float64)
-    if not np.isfinite(found).all():
+    exact = np.array(points, dtype=np.float64)
+    if not np.isfinite(exact).all():
         raise InputError(name, "NaN or infinity, expected finite numbers")
-    return found
+    return exact
 
 
 def _checked_triangles(triangles: IntArray, points: FloatArray) -> IntArray:
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
         raise TopologyError("points", f"shape {points.shape}, expected (n, 3) with n at least 1")
-    found = np.array(triangles)
-    if found.size == 0:
+    corners = np.array(triangles)
+    if corners.size == 0:
         return np.zeros((0, 3), dtype=np.int64)
-    if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
-        raise TopologyError("triangles", f"{found.dtype} of shape {found.shape}, expected integers (t, 3)")
-    if found.min() < 0 or found.max() >= len(points):
-        raise TopologyError("triangles", f"points {found.min()} to {found.max()}, expected 0 to {len(points) - 1}")
-    return found.astype(np.int64)
+    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
+        raise TopologyError("triangles", f"{corners.dtype} of shape {corners.shape}, expected integers (t, 3)")
+    if corners.min() < 0 or corners.max() >= len(points):
+        raise TopologyError("triangles", f"points {corners.min()} to {corners.max()}, expected 0 to {len(points) - 1}")
+    return corners.astype(np.int64)

@@ -14,7 +14,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 
 SMALLEST_COTANGENT = 0.05  # obtuse and flat triangles: weights stay positive, so that a face keeps one solution
 LARGEST_COTANGENT = 20.0
-_FLATTEST = 1e-15  # tangent of the smallest angle told from 0
+_FLATTEST = 1e-15  # tangent of the smallest angle that is not 0
 
 
 def incidence(edges: IntArray, point_count: int) -> Any:

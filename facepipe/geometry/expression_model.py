@@ -41,7 +41,7 @@ class ExpressionModel:
     vectors: FloatArray  # (m, r) of its people
 
     @classmethod
-    def of(
+    def from_people(
         cls,
         names: Sequence[str],
         identity: IdentityModel,
@@ -59,16 +59,16 @@ class ExpressionModel:
         tensor[:, 0, :size] = neutrals * identity.deviations
         tensor[:, 1:, size:] = deltas
         mean = tensor.mean(axis=0)
-        found = hosvd(tensor - mean)
+        parts = hosvd(tensor - mean)
         spread = np.sqrt(max(people - 1, 1))
         return cls(
             names=tuple(names),
             identity=identity,
             basis=basis,
             mean=mean,
-            core=found.core / spread,
-            matrix=found.second,
-            vectors=found.first * spread,
+            core=parts.core / spread,
+            matrix=parts.second,
+            vectors=parts.first * spread,
         )
 
     @property
@@ -89,7 +89,7 @@ class ExpressionModel:
 
         The most likely one, where vectors are as spread as those of the people here, and points are off by Gaussian
         noise. How much of it in the neutral and in the expressions is what best predicts the expressions of each
-        person here from the others: a neutral that tells little of how its owner smiles counts little.
+        person here from the others: a neutral that says little about how its owner smiles counts little.
 
         :param start: (e, n, 3) deltas in the place of the mean person's, as for `shapes`
         :raises InputError: no expression of that name, or another number of points
@@ -99,18 +99,18 @@ class ExpressionModel:
             expected = self.identity.mean.shape
             if np.shape(points) != expected:
                 raise InputError(f"expression model -> {name}", f"points {np.shape(points)}, expected {expected}")
-        own = np.zeros((len(rows), self.mean.shape[1]))
+        coordinates = np.zeros((len(rows), self.mean.shape[1]))
         size = len(self.identity.deviations)
-        own[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations
+        coordinates[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations
         if shapes:
             offsets = np.stack([np.asarray(points, np.float64) - neutral for points in shapes.values()])
             if start is not None:
                 offsets -= start[[row - 1 for row in rows[1:]]]
-            own[1:, size:] = coefficients_in(self.basis, offsets)
+            coordinates[1:, size:] = coefficients_in(self.basis, offsets)
         mean = self.mean[rows].copy()
         if start is not None:
             mean[1:] = 0.0
-        return self._most_likely(rows, own - mean)
+        return self._most_likely(rows, coordinates - mean)
 
     def neutral(self, vector: FloatArray) -> FloatArray:
         """(n, 3) neutral of a vector (r,)."""
@@ -124,12 +124,12 @@ class ExpressionModel:
         :param start: (e, n, 3) deltas in the place of the mean person's: what a vector of zeros gives, like the mean
             person's expressions fitted to the shape of another face
         """
-        found = np.stack([self.shape(vector, name) for name in self.names])
+        deltas = np.stack([self.shape(vector, name) for name in self.names])
         if start is not None:
             nobody = np.zeros(self.vectors.shape[1])
             for number, name in enumerate(self.names):
-                found[number] += start[number] - self.shape(nobody, name)
-        return found
+                deltas[number] += start[number] - self.shape(nobody, name)
+        return deltas
 
     def shape(self, vector: FloatArray, name: str) -> FloatArray:
         """(n, 3) delta of one expression from the neutral, for a vector (r,).
@@ -160,8 +160,8 @@ class ExpressionModel:
         groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
         maps = [self._flat(rows[group], shares[group]) for group in groups]
         wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        blocks = [Block.of(self.vectors @ one) for one in maps]
-        weights = trust(blocks, Block.of(self.vectors @ self._flat(wanted)))
+        blocks = [Block.from_numbers(self.vectors @ one) for one in maps]
+        weights = trust(blocks, Block.from_numbers(self.vectors @ self._flat(wanted)))
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
         for group, one, weight in zip(groups, maps, weights, strict=True):
             normal += weight * one @ one.T
@@ -189,11 +189,11 @@ def hosvd(tensor: FloatArray) -> Tucker:
 
     De Lathauwer, De Moor and Vandewalle, "A Multilinear Singular Value Decomposition", SIAM J. Matrix Anal. 2000.
     """
-    found = np.asarray(tensor, dtype=np.float64)
-    people, rows, size = found.shape
-    first = _directions(found.reshape(people, rows * size))
-    second = _directions(found.transpose(1, 0, 2).reshape(rows, people * size))
-    core = np.einsum("ia,jb,ijd->abd", first, second, found, optimize=True)
+    values = np.asarray(tensor, dtype=np.float64)
+    people, rows, size = values.shape
+    first = _directions(values.reshape(people, rows * size))
+    second = _directions(values.transpose(1, 0, 2).reshape(rows, people * size))
+    core = np.einsum("ia,jb,ijd->abd", first, second, values, optimize=True)
     return Tucker(core, first, second)
 
 
@@ -217,7 +217,7 @@ class Block:
     products: FloatArray  # (m, m), of numbers whose mean over people is 0
 
     @classmethod
-    def of(cls, numbers: FloatArray) -> Block:
+    def from_numbers(cls, numbers: FloatArray) -> Block:
         """That of numbers (m, d)."""
         return cls(numbers @ numbers.T)
 
@@ -235,16 +235,16 @@ def trust(seen: Sequence[Block], wanted: Block) -> list[float]:
     and Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 1978).
     """
     scales = [1.0 / block.mean_square if block.mean_square > 0 else 0.0 for block in seen]
-    best, found = np.inf, [0.0] * len(seen)
+    best, chosen = np.inf, [0.0] * len(seen)
     if len(wanted.products) < 3:  # of two, each is predicted by the other alone, whatever the weights
-        return found
+        return chosen
     for steps in product(_WEIGHTS, repeat=len(seen)):
         weights = [step * scale for step, scale in zip(steps, scales, strict=True)]
         summed = np.sum([weight * block.products for weight, block in zip(weights, seen, strict=True)], axis=0)
         missed = _missed(summed, wanted.products)
         if missed < best * (1.0 - 1e-9):
-            best, found = missed, weights
-    return found
+            best, chosen = missed, weights
+    return chosen
 
 
 def _missed(products: FloatArray, wanted: FloatArray) -> float:

@@ -60,11 +60,11 @@ class _Cholmod:
         self._solver = CholeskySolverD(matrix.shape[0], pointers, indices, data, MatrixType.CSC)
 
     def solve(self, right: FloatArray) -> FloatArray:
-        given = np.ascontiguousarray(right, dtype=np.float64)
-        found = np.zeros_like(given)
-        if given.size:
-            self._solver.solve(given, found)
-        return found
+        right_sides = np.ascontiguousarray(right, dtype=np.float64)
+        solution = np.zeros_like(right_sides)
+        if right_sides.size:
+            self._solver.solve(right_sides, solution)
+        return solution
 
 
 class _SuperLu:

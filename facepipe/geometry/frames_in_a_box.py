@@ -136,83 +136,83 @@ class _State:
 
     def step(self, enough: float) -> None:
         """One step of all frames that are not settled."""
-        own = np.flatnonzero(self.active)
-        stale = own[self._stale[own]]
+        frames = np.flatnonzero(self.active)
+        stale = frames[self._stale[frames]]
         if len(stale):
             self._slope[stale], self._matrix[stale] = self.data.normal(self.x[stale], stale)
             self._stale[stale] = False
-        x = self.x[own]
-        ahead = x + self._change(own, x)
-        cost = self._cost(ahead, own)
-        total, fall = self.cost[own], self.cost[own] - cost
+        x = self.x[frames]
+        ahead = x + self._change(frames, x)
+        cost = self._cost(ahead, frames)
+        total, fall = self.cost[frames], self.cost[frames] - cost
         moved = np.abs(ahead - x).max(axis=1)
         if self.smoothness is not None:
             bent = self.smoothness.cost(x)
-            total = np.full(len(own), total.sum() + bent)
-            fall = np.full(len(own), fall.sum() + bent - self.smoothness.cost(ahead))
+            total = np.full(len(frames), total.sum() + bent)
+            fall = np.full(len(frames), fall.sum() + bent - self.smoothness.cost(ahead))
             moved[:] = moved.max()
         better = fall > 0.0
-        taken = own[better]
+        taken = frames[better]
         self.x[taken], self.cost[taken], self._stale[taken] = ahead[better], cost[better], True
-        self.steps[own] += 1
+        self.steps[frames] += 1
         little = better & (fall < _LITTLE * total)
-        eased, raised = self.damping[own] * _EASED, np.maximum(self.damping[own] * _RAISED, _FELT)
-        self.damping[own] = np.where(better, np.maximum(eased, LEAST_DAMPING), raised)
-        self.active[own] = (moved > enough) & ~little & (self.damping[own] < MOST_DAMPING)
+        eased, raised = self.damping[frames] * _EASED, np.maximum(self.damping[frames] * _RAISED, _FELT)
+        self.damping[frames] = np.where(better, np.maximum(eased, LEAST_DAMPING), raised)
+        self.active[frames] = (moved > enough) & ~little & (self.damping[frames] < MOST_DAMPING)
 
     def _cost(self, x: FloatArray, frames: IntArray) -> FloatArray:
         return np.asarray(self.data.cost(x, frames) + self.box.l1 * np.abs(x).sum(axis=1))
 
-    def _change(self, own: IntArray, x: FloatArray) -> FloatArray:
+    def _change(self, frames: IntArray, x: FloatArray) -> FloatArray:
         """(k, c) the damped step within the box: what would leave it is held at its edge, round by round."""
-        slope, matrix = self._slope[own], self._matrix[own].copy()
+        slope, matrix = self._slope[frames], self._matrix[frames].copy()
         smooth = self.smoothness
-        diagonals = [] if smooth is None else smooth.diagonals(len(own))
+        diagonals = [] if smooth is None else smooth.diagonals(len(frames))
         if smooth is not None:
             slope += smooth.slope(x)
         low, high, pull = self.box.signed(x, slope)
         size = np.diagonal(matrix, axis1=1, axis2=2)
         flat = _FLAT * size.max(axis=1, initial=1e-30)[:, None]
         number = np.arange(x.shape[1])
-        matrix[:, number, number] += self.damping[own][:, None] * size + flat
+        matrix[:, number, number] += self.damping[frames][:, None] * size + flat
         free = (pull != 0.0) & (low < high)
         change: FloatArray = np.zeros(x.shape)
         for _ in range(_ROUNDS):
             right = pull + _times(matrix, diagonals, change)
-            found = _solved(matrix, diagonals, free, -np.where(free, right, 0.0))
-            ahead = x + change + found
+            step = _solved(matrix, diagonals, free, -np.where(free, right, 0.0))
+            ahead = x + change + step
             out = free & ((ahead < low) | (ahead > high))
             if not out.any():
-                return np.asarray(change + found)
+                return np.asarray(change + step)
             change = np.where(out, np.clip(ahead, low, high) - x, change)
             free = free & ~out
-        return np.asarray(np.clip(x + change + np.where(free, found, 0.0), low, high) - x)
+        return np.asarray(np.clip(x + change + np.where(free, step, 0.0), low, high) - x)
 
 
 def _times(matrix: FloatArray, diagonals: list[FloatArray], x: FloatArray) -> FloatArray:
     """(f, c) of (f, c): each frame's own matrix, and what is between frames."""
-    found: FloatArray = np.einsum("fij,fj->fi", matrix, x)
+    product: FloatArray = np.einsum("fij,fj->fi", matrix, x)
     for offset, values in enumerate(diagonals):
         if offset == 0:
-            found += values[:, None] * x
+            product += values[:, None] * x
         else:
-            found[offset:] += values[:, None] * x[:-offset]
-            found[:-offset] += values[:, None] * x[offset:]
-    return found
+            product[offset:] += values[:, None] * x[:-offset]
+            product[:-offset] += values[:, None] * x[offset:]
+    return product
 
 
 def _solved(matrix: FloatArray, diagonals: list[FloatArray], free: BoolArray, right: FloatArray) -> FloatArray:
     """(f, c) unknowns that are free, 0 of the others."""
-    own = matrix * (free[:, :, None] & free[:, None, :])
+    matrices = matrix * (free[:, :, None] & free[:, None, :])
     number = np.arange(matrix.shape[1])
-    own[:, number, number] += ~free
+    matrices[:, number, number] += ~free
     if not diagonals:
-        return np.asarray(np.linalg.solve(own, right[..., None])[..., 0])
-    own[:, number, number] += diagonals[0][:, None] * free
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
+    matrices[:, number, number] += diagonals[0][:, None] * free
     f, c = free.shape
     band = np.zeros(((len(diagonals) - 1) * c + c + 1, f, c))[: max(c, (len(diagonals) - 1) * c + 1)]
     for offset in range(c):
-        band[offset, :, : c - offset] = np.diagonal(own, -offset, 1, 2)
+        band[offset, :, : c - offset] = np.diagonal(matrices, -offset, 1, 2)
     for offset, values in enumerate(diagonals[1:], 1):
         band[offset * c, :-offset] = values[:, None] * (free[:-offset] & free[offset:])
     found = solveh_banded(band.reshape(len(band), f * c), right.ravel(), lower=True, check_finite=False)

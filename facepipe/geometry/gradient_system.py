@@ -119,9 +119,9 @@ class _Held:
             free[given] = False
         self.columns = np.flatnonzero(free)
         self.points = block.points[self.columns]
-        own = block.laplacian[self.columns]  # symmetric: rows are columns
-        rows = _used(own)  # equations that the moving points have a part in
-        self._squeezed = own[:, rows].tocsr()
+        equations = block.laplacian[self.columns]  # symmetric: rows are columns
+        rows = _used(equations)  # equations that the moving points have a part in
+        self._squeezed = equations[:, rows].tocsr()
         divergence = block.divergence[rows]
         touched = _used(divergence)
         self.edges, self.bridges = touched[touched < edge_count], touched[touched >= edge_count] - edge_count
@@ -148,10 +148,10 @@ def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: Mask)
     from scipy.sparse import csr_array, vstack
 
     points, rows, count = np.flatnonzero(inside), np.flatnonzero(inside[edges[:, 0]]), len(bridges.followers)
-    own = incidence(np.searchsorted(points, edges[rows]), len(points))
+    inner = incidence(np.searchsorted(points, edges[rows]), len(points))
     followers = np.searchsorted(points, bridges.followers)
     ends = csr_array((np.ones(count), (np.arange(count), followers)), shape=(count, len(points)))
-    gradient = vstack([own, ends]).tocsr()
+    gradient = vstack([inner, ends]).tocsr()
     row_weights = np.concatenate([weights[rows], bridges.weights])
     divergence = gradient.T.multiply(row_weights[None]).tocsr()
     columns = np.concatenate([rows, len(edges) + np.arange(count)])

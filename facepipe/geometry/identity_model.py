@@ -26,7 +26,7 @@ class IdentityModel:
     count: int  # of faces
 
     @classmethod
-    def of(cls, faces: FloatArray) -> IdentityModel:
+    def from_faces(cls, faces: FloatArray) -> IdentityModel:
         """All components of faces (m, n, 3): m - 1, or fewer where faces depend on each other.
 
         :raises InputError: fewer than two faces, or two that are the same and nothing else
@@ -50,12 +50,12 @@ class IdentityModel:
         if not len(faces):
             return self
         rows = np.asarray(faces, dtype=np.float64).reshape(len(faces), -1)
-        count, own = self.count + len(rows), self.mean.ravel()
-        others = rows.mean(axis=0)
-        mean = (self.count * own + len(rows) * others) / count
+        count, old_mean = self.count + len(rows), self.mean.ravel()
+        new_mean = rows.mean(axis=0)
+        mean = (self.count * old_mean + len(rows) * new_mean) / count
         known = np.sqrt(self.count - 1) * self.deviations[:, None] * self.components.reshape(len(self.deviations), -1)
-        apart = np.sqrt(self.count * len(rows) / count) * (others - own)
-        return _from_spread(mean, np.concatenate([known, rows - others, apart[None]]), count)
+        apart = np.sqrt(self.count * len(rows) / count) * (new_mean - old_mean)
+        return _from_spread(mean, np.concatenate([known, rows - new_mean, apart[None]]), count)
 
     def cut(self, components: int) -> IdentityModel:
         """The same with the first components only."""

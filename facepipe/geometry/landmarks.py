@@ -26,7 +26,7 @@ def mirrored(points: FloatArray, reference: FloatArray) -> bool:
 
     A face is nearly its own mirror image, but landmarks have an order: those of a mirrored file have left and right
     changed over. Two people (ICT identities, open jaws, 1.5 mm of jitter) have ratios below 0.4, and above 2.5 where
-    one is mirrored; 1.5 is the border. Few landmarks tell less: of ten, true ratios reach 1.1, and mirrored ones may
+    one is mirrored; 1.5 is the border. Few landmarks decide less: of ten, true ratios reach 1.1, and mirrored ones may
     pass.
 
     :param points: (l, 3) landmarks in any unit and place, rows of NaN where unknown

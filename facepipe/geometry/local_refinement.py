@@ -88,7 +88,7 @@ class _State:
         self._areas = point_areas(surface.base, surface.triangles)
         self._spread = self._view.spread[:, np.flatnonzero(free)]
         self._follow = follow
-        self._smoothness = ChangeSmoothness.of(surface.base, surface.triangles, free, options.smooth, options.near)
+        self._smoothness = ChangeSmoothness.at_rest(surface.base, surface.triangles, free, options.smooth, options.near)
         self._moves = np.zeros_like(surface.base)
 
     @property
@@ -121,10 +121,10 @@ class _State:
         )
         pull = self._view.pull(self._surface, points, demand)
         system = self._smoothness.system(points)
-        own, right = self._matched(pull, points)
+        blocks, right = self._matched(pull, points)
         anchored = pull.anchor_weights * pull.anchors.places(self._follow)
         off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
-        system.own += own[free]
+        system.own += blocks[free]
         system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
         shared = self._spread.T @ diags_array(anchored) @ self._spread
         step = factorise(system.matrix(shared)).solve(system.right.ravel()).reshape(-1, 3)
@@ -136,13 +136,13 @@ class _State:
 
         The hold is to the match as ``1 - follow`` to ``follow``: a point alone goes the share `follow` of the way.
         """
-        normals, own = pull.matches.normals, np.zeros((len(points), 3, 3))
+        normals, blocks = pull.matches.normals, np.zeros((len(points), 3, 3))
         follow = np.maximum(self._follow, _LEAST)
         areas = np.maximum(self._areas, 1e-4 * self._areas.mean())  # points without a triangle stay
         held = (self._stays + 1.0 / follow - 1.0) * areas / self._options.surface_sigma_mm**2
-        own += held[:, None, None] * np.eye(3)
-        own[pull.seen] += pull.weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        blocks += held[:, None, None] * np.eye(3)
+        blocks[pull.seen] += pull.weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
         right = -held[:, None] * self._moves
         apart = np.einsum("mi,mi->m", pull.matches.places - points[pull.seen], normals)
         right[pull.seen] += (pull.weights * apart)[:, None] * normals
-        return own, right
+        return blocks, right

@@ -82,16 +82,16 @@ class _Lookup:
         """(m, k) shares at (m, 2) places in 0..1: rows of sum 1, or 0 where nothing is painted."""
         height, width = self.image.shape[:2]
         column, row = place[:, 0] * width, (1.0 - place[:, 1]) * height
-        found = np.zeros((len(place), len(self.palette.colors)))
+        shares = np.zeros((len(place), len(self.palette.colors)))
         taps = min(footprint, _TAPS)
         offsets = (np.arange(taps) + 0.5) / taps * footprint - footprint / 2
         for down in offsets if len(place) else ():
             for right in offsets:
                 x = np.clip(np.floor(column + right), 0, width - 1).astype(np.int64)
                 y = np.clip(np.floor(row + down), 0, height - 1).astype(np.int64)
-                found += self._texels(y * width + x)
-        total = found.sum(axis=1, keepdims=True)
-        return np.asarray(np.divide(found, total, out=found, where=total > 0))
+                shares += self._texels(y * width + x)
+        total = shares.sum(axis=1, keepdims=True)
+        return np.asarray(np.divide(shares, total, out=shares, where=total > 0))
 
     def _texels(self, texels: IntArray) -> FloatArray:
         distinct, back = np.unique(texels, return_inverse=True)
@@ -262,10 +262,10 @@ def _mixes(colors: Image8, near: IntArray, palette: Palette) -> FloatArray:
     rows = len(palette.known)
     around = np.stack([(near == number).any(axis=1) for number in range(rows)], axis=1)
     cases, back = np.unique(np.column_stack([colors, around]), axis=0, return_inverse=True)
-    found = np.zeros((len(cases), len(palette.colors) + 1))
+    shares = np.zeros((len(cases), len(palette.colors) + 1))
     for number, case in enumerate(cases):
-        found[number, :rows] = _mix(case[:3], np.flatnonzero(case[3:]), palette)
-    return found[back.ravel()]
+        shares[number, :rows] = _mix(case[:3], np.flatnonzero(case[3:]), palette)
+    return shares[back.ravel()]
 
 
 def _mix(color: Image8, choice: IntArray, palette: Palette) -> FloatArray:

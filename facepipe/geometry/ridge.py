@@ -20,21 +20,21 @@ _MOST = 400  # points that the noise is chosen at
 _CHUNK = 256  # points at a time
 
 
-def ridge(seen: FloatArray, told: FloatArray, noise: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+def ridge(seen: FloatArray, wanted: FloatArray, noise: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """(s, t) and (t,): the map and offset of least squared error from rows of `seen`, each with other noise, to
-    `told`.
+    `wanted`.
 
     Source: Hoerl and Kennard, Ridge regression (1970); its penalty is what the noise brings.
 
     :param seen: (n, s)
-    :param told: (n, t)
+    :param wanted: (n, t)
     :param noise: standard deviation of the numbers seen, above 0: of all, or of each (s,)
     """
-    middle, mean = seen.mean(axis=0), told.mean(axis=0)
+    middle, mean = seen.mean(axis=0), wanted.mean(axis=0)
     from_middle = np.asarray(seen - middle, np.float64)
     normal = from_middle.T @ from_middle
     normal[np.diag_indices_from(normal)] += len(seen) * noise**2
-    found = np.linalg.solve(normal, from_middle.T @ told)  # of whose mean nothing is left
+    found = np.linalg.solve(normal, from_middle.T @ wanted)  # of whose mean nothing is left
     return found, mean - middle @ found
 
 
@@ -108,8 +108,8 @@ class Examples:
         kept = np.setdiff1d(np.arange(len(self.inputs)), left_out)
         products, across = self._products(kept, kept, points), self._products(left_out, kept, points)
         moved = self.moved[left_out][:, points].transpose(1, 0, 2)
-        told = (across @ self._solved(products, kept, points, noise) for noise in noises)
-        return np.array([np.linalg.norm(one - moved, axis=2).sum() for one in told])
+        predicted = (across @ self._solved(products, kept, points, noise) for noise in noises)
+        return np.array([np.linalg.norm(guess - moved, axis=2).sum() for guess in predicted])
 
     def _duals(self, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
         """(p, f, 3) solutions of the points' own systems."""
@@ -120,12 +120,12 @@ class Examples:
         noisy = products + noise**2 * np.eye(len(examples))
         return np.asarray(np.linalg.solve(noisy, self.moved[examples][:, points].transpose(1, 0, 2)))
 
-    def _products(self, one: IntArray, other: IntArray, points: IntArray) -> FloatArray:
+    def _products(self, rows: IntArray, columns: IntArray, points: IntArray) -> FloatArray:
         """(p, f, g) inner products of examples at each point."""
         squares = self.strengths[:, points].T ** 2
-        found = (self.inputs[one][None] * squares[:, None]) @ self.inputs[other].T
+        products = (self.inputs[rows][None] * squares[:, None]) @ self.inputs[columns].T
         own = self.own[:, points].transpose(1, 0, 2)
-        return np.asarray(found + own[:, one] @ own[:, other].transpose(0, 2, 1))
+        return np.asarray(products + own[:, rows] @ own[:, columns].transpose(0, 2, 1))
 
 
 def _chunks(count: int) -> Iterator[IntArray]:

@@ -35,7 +35,7 @@ class SurfaceReport:
 
 @dataclass(frozen=True, kw_only=True)
 class CleanSurface:
-    """A mended surface: each edge has one or two triangles, of one orientation, outward where shape tells."""
+    """A mended surface: each edge has one or two triangles, of one orientation, outward where the shape decides it."""
 
     points: FloatArray  # (m, 3)
     triangles: IntArray  # (t, 3)
@@ -50,7 +50,7 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
 
     Junk is dropped: triangles without area, and pieces that hold less than `smallest` of the largest one's area, fins
     on other pieces among them. Edges of more than two triangles, and seams of one-sided pieces, are cut open. Pieces
-    are oriented alike within, and outward where their bulge tells; flat ones as most of their triangles were.
+    are oriented alike within, and outward where their bulge decides it; flat ones as most of their triangles were.
 
     :param points: (n, 3)
     :param triangles: (t, 3)
@@ -131,7 +131,7 @@ def _areas(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 def _inward(points: FloatArray, sheets: Sheets) -> BoolArray:
-    """Triangles (t,) of pieces that, turned as `sheets` tells, face inward or against what most of them did."""
+    """Triangles (t,) of pieces that, turned as `sheets` has them, face inward or against what most of them did."""
     triangles = np.where(sheets.turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
     bulge = outwardness(points[sheets.source], triangles, sheets.component)
     mostly_turned = np.bincount(sheets.component, np.where(sheets.turned, 1.0, -1.0)) > 0
@@ -233,8 +233,8 @@ def _linked(count: int, links: IntArray) -> IntArray:
 def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolArray, BoolArray]:
     """Triangles (t,) to turn, and edges (e,) across which no turning makes them agree.
 
-    Each triangle stands twice in a graph, as it is and turned; edges link the two that agree. What a sheet's first
-    triangle reaches tells which to turn. Sheets that reach both of one triangle are one-sided: there a spanning tree
+    Each triangle stands twice in a graph, as it is and turned; edges link the two that agree. A sheet turns those that its first
+    triangle reaches turned. Sheets that reach both of one triangle are one-sided: there a spanning tree
     decides.
     """
     a, b = pairs.triangles.T
@@ -274,11 +274,11 @@ def _fan_points(triangles: IntArray, pairs: _Pairs) -> tuple[IntArray, IntArray]
     """Triangles (t, 3) on points of which each has one fan of triangles, and the input's point (m,) of each."""
     corners = triangles.ravel()
     following = np.arange(len(corners)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    one, two = pairs.sides.T
+    first, second = pairs.sides.T
     # where both run alike their starts are one point, else the start of one is the end of the other
-    starts = np.where(pairs.alike, two, following[two])
-    ends = np.where(pairs.alike, following[two], two)
-    links = np.concatenate([np.stack([one, starts], 1), np.stack([following[one], ends], 1)])
+    starts = np.where(pairs.alike, second, following[second])
+    ends = np.where(pairs.alike, following[second], second)
+    links = np.concatenate([np.stack([first, starts], 1), np.stack([following[first], ends], 1)])
     fan = _linked(len(corners), links)
     _, at, point = np.unique(fan, return_index=True, return_inverse=True)
     order = np.lexsort((at, corners[at]))  # by the input's point

@@ -112,7 +112,7 @@ def hold(basis: FloatArray, rows: FloatArray, tolerance: float) -> Held:
 
 def narrowed(basis: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The basis (p, n, 3) of the directions that `coefficients` (..., q) in `basis` (q, n, 3) go, and those (..., p)
-    in it: what is told stays, but for rounding."""
+    in it: what they stand for stays, but for rounding."""
     size = coefficients.shape[-1]
     flat = np.asarray(coefficients, np.float64).reshape(-1, size)
     _, lengths, directions = np.linalg.svd(flat, full_matrices=False)

@@ -11,7 +11,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.vectors import group_sums
 
-# Singular values below this share of the largest tell no direction: a set 1e-5 as thick as it is long is a line.
+# Singular values below this share of the largest have no direction: a set 1e-5 as thick as it is long is a line.
 _FLAT = 1e-10
 # A spread below this share of the coordinates is rounding: the set is one point.
 _POINT = 1e-12

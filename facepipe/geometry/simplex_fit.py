@@ -90,16 +90,16 @@ def fit_simplex(
     problem = _without(gram, linear, np.repeat(free, sources), shares)
     curvature = float(np.abs(np.diag(problem.gram)).max()) or 1.0
     centre, iterations = shares[free].ravel(), 0
-    found = _descend(problem.pulled(centre, _PULL * curvature), centre)
+    minimum = _descend(problem.pulled(centre, _PULL * curvature), centre)
     for _ in range(_STEPS):
-        found, solved = _solve(problem.pulled(centre, _PULL * curvature), found)
-        centre, iterations = found, iterations + solved
-        if problem.gap(found) <= _SETTLED:
+        minimum, solved = _solve(problem.pulled(centre, _PULL * curvature), minimum)
+        centre, iterations = minimum, iterations + solved
+        if problem.gap(minimum) <= _SETTLED:
             break
-    residual = problem.gap(found)
+    residual = problem.gap(minimum)
     if not residual <= _ACCEPTED:
         raise FitError("shares", f"no minimum found: a gap of {residual:.1e}, expected at most {_ACCEPTED:g}")
-    shares[free] = found.reshape(-1, sources)
+    shares[free] = minimum.reshape(-1, sources)
     return SimplexFit(shares, iterations, residual)
 
 

@@ -130,21 +130,21 @@ class _Solver:
         """One sweep over the joints (section 4.2)."""
         left = self._motion - self._blended(weights)
         for joint, (rows, slots) in enumerate(self._uses):
-            own = weights[rows, slots]
-            rows, own = rows[own > 0], own[own > 0]
+            shares = weights[rows, slots]
+            rows, shares = rows[shares > 0], shares[shares > 0]
             if not len(rows):
                 continue
-            share = own[:, None] * self._displacement(joint, rows)
+            share = shares[:, None] * self._displacement(joint, rows)
             goal = left[:, rows] + share
-            self._fit_joint(joint, rows, own, goal)
-            left[:, rows] = goal - own[:, None] * self._displacement(joint, rows)
+            self._fit_joint(joint, rows, shares, goal)
+            left[:, rows] = goal - shares[:, None] * self._displacement(joint, rows)
 
-    def _fit_joint(self, joint: int, rows: IntArray, own: FloatArray, goal: FloatArray) -> None:
+    def _fit_joint(self, joint: int, rows: IntArray, shares: FloatArray, goal: FloatArray) -> None:
         """The rigid transform whose displacement times `own` (r,) is nearest to `goal` (s, r, 3)."""
-        at, total = self._rest[rows], float((own**2).sum())
-        middle = (own**2) @ at / total
-        moved = middle + own @ goal / total
-        local = (at - middle) * own[:, None]
+        at, total = self._rest[rows], float((shares**2).sum())
+        middle = (shares**2) @ at / total
+        moved = middle + shares @ goal / total
+        local = (at - middle) * shares[:, None]
         spread = local.T @ local
         turned = spread + (local.T @ goal).transpose(0, 2, 1)
         keep = _TURN * float(np.trace(spread)) + np.finfo(np.float64).tiny
@@ -171,15 +171,15 @@ class _Solver:
 
         :param price: (n, k) of the squares of weights, against the pull of the neighbours
         """
-        found = np.empty_like(start)
+        minima = np.empty_like(start)
         step = max(1, _VALUES // (9 * self._candidates.shape[1] * len(self._motion)))
         diagonal = np.arange(start.shape[1])
         for at in range(0, len(start), step):
             part = slice(at, at + step)
             gram, linear = self._systems(part)
             gram[:, diagonal, diagonal] += self._pull * (1.0 + np.where(allowed[part], price[part], 0.0))
-            found[part] = _on_simplex(gram, linear + self._pull * towards[part], start[part], allowed[part])
-        return found
+            minima[part] = _on_simplex(gram, linear + self._pull * towards[part], start[part], allowed[part])
+        return minima
 
     def _systems(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Normal equations (n, k, k), (n, k) of the points' weights."""

@@ -24,21 +24,21 @@ def frames(points: FloatArray, triangles: IntArray) -> FloatArray:
     return np.stack([b - a, c - a, normal / np.sqrt(np.maximum(length, np.finfo(np.float64).tiny))], axis=1)
 
 
-def duals(given: FloatArray) -> tuple[FloatArray, FloatArray]:
+def duals(triangle_frames: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows (t, 3, 3) with ``frame^T dual`` the identity, and areas (t,); both 0 for triangles without area.
 
-    :param given: (t, 3, 3) frames
+    :param triangle_frames: (t, 3, 3) frames
     """
-    first, second, normal = given.transpose(1, 0, 2)
+    first, second, normal = triangle_frames.transpose(1, 0, 2)
     doubled = (normal * normal).sum(axis=1)  # |n|^2 = |e1 x e2|
     longest = np.maximum.reduce([(side * side).sum(axis=1) for side in (first, second, second - first)])
     flat = doubled <= _FLAT * longest
     doubled = np.where(flat, 1.0, doubled)[:, None]
     upright = normal / np.sqrt(doubled)
     rows = (np.cross(second, upright), np.cross(upright, first), normal)
-    found = np.stack([row / doubled for row in rows], axis=1)
-    found[flat] = 0.0
-    return found, np.where(flat, 0.0, 0.5 * doubled[:, 0])
+    dual_rows = np.stack([row / doubled for row in rows], axis=1)
+    dual_rows[flat] = 0.0
+    return dual_rows, np.where(flat, 0.0, 0.5 * doubled[:, 0])
 
 
 def hat_gradients(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -82,7 +82,7 @@ class TriangleChanges:
     areas: FloatArray  # (t,) at rest
 
     @classmethod
-    def of(cls, points: FloatArray, triangles: IntArray) -> TriangleChanges:
+    def from_rest(cls, points: FloatArray, triangles: IntArray) -> TriangleChanges:
         """Changes from `points` (n, 3) at rest."""
         rest, areas = duals(frames(points, triangles))
         return cls(triangles=triangles, rest=rest, areas=areas)
@@ -95,13 +95,13 @@ class TriangleChanges:
         """(t, 9, 9) derivatives of T, row by row, in the triangle's corners, axes of a corner side by side."""
         by_first, by_second = _normal_derivatives(points, self.triangles)
         along, upright = self.rest[:, :2], self.rest[:, 2]
-        found = np.zeros((len(self.triangles), 3, 3, 3, 3))  # row and column of T, corner, axis
+        derivative = np.zeros((len(self.triangles), 3, 3, 3, 3))  # row and column of T, corner, axis
         for corner, slopes in enumerate((-along.sum(axis=1), along[:, 0], along[:, 1])):
             for axis in range(3):
-                found[:, axis, :, corner, axis] = slopes
+                derivative[:, axis, :, corner, axis] = slopes
         for corner, normal in enumerate((-by_first - by_second, by_first, by_second)):
-            found[:, :, :, corner] += normal[:, :, None] * upright[:, None, :, None]
-        return found.reshape(len(self.triangles), 9, 9)
+            derivative[:, :, :, corner] += normal[:, :, None] * upright[:, None, :, None]
+        return derivative.reshape(len(self.triangles), 9, 9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,21 +114,21 @@ class Neighbours:
     weights: FloatArray  # (p,)
 
     @classmethod
-    def of(cls, points: FloatArray, triangles: IntArray, areas: FloatArray) -> Neighbours:
+    def across_edges(cls, points: FloatArray, triangles: IntArray, areas: FloatArray) -> Neighbours:
         """Neighbours among triangles with areas (t,) above 0.
 
         The weights make the sum of squared differences about the integral of the squared gradient of T, on finer
         triangles as on coarser ones.
         """
         pairs, ends = _sharing_edges(np.flatnonzero(areas > 0.0), triangles)
-        own, other = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
-        alike = other[:, :, None] == own[:, None, :]
+        first_triangles, second_triangles = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
+        alike = second_triangles[:, :, None] == first_triangles[:, None, :]
         apex = ~alike.any(axis=2)
         proper = apex.sum(axis=1) == 1  # twice the same triangle has no apex
-        last = other[np.arange(len(other)), apex.argmax(axis=1)]
+        last = second_triangles[np.arange(len(second_triangles)), apex.argmax(axis=1)]
         return cls(
             pairs=pairs[proper],
-            points=np.concatenate([own, last[:, None]], axis=1)[proper],
+            points=np.concatenate([first_triangles, last[:, None]], axis=1)[proper],
             second=np.where(apex, 3, alike.argmax(axis=2))[proper],
             weights=_weights(points, triangles, areas, pairs, ends)[proper],
         )
@@ -146,13 +146,13 @@ class Neighbours:
 
     def derivative(self, derivative: FloatArray) -> FloatArray:
         """(p, 9, 12) derivatives of the differences in `points`, from those of the changes (t, 9, 9)."""
-        found = np.zeros((len(self.pairs), 9, 4, 3))
-        found[:, :, :3] = derivative[self.pairs[:, 0]].reshape(-1, 9, 3, 3)
+        slopes = np.zeros((len(self.pairs), 9, 4, 3))
+        slopes[:, :, :3] = derivative[self.pairs[:, 0]].reshape(-1, 9, 3, 3)
         other = derivative[self.pairs[:, 1]].reshape(-1, 9, 3, 3)
         rows = np.arange(len(self.pairs))
         for corner in range(3):
-            found[rows, :, self.second[:, corner]] -= other[:, :, corner]
-        return found.reshape(-1, 9, 12)
+            slopes[rows, :, self.second[:, corner]] -= other[:, :, corner]
+        return slopes.reshape(-1, 9, 12)
 
 
 def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: IntArray, ends: IntArray) -> FloatArray:

@@ -46,13 +46,13 @@ class Warp:
         """(n, 3, 3) derivatives of the moved points by the points; at a landmark its own kernel counts nothing."""
         at = self.similarity.apply(points)
         linear = self.similarity.scale * self.similarity.rotation
-        found = np.empty((len(at), 3, 3))
+        jacobians = np.empty((len(at), 3, 3))
         for part in _parts(len(at), len(self.centres)):
             offset = at[part, None] - self.centres
             away = np.linalg.norm(offset, axis=2, keepdims=True)
             slopes = np.divide(offset, away, out=np.zeros_like(offset), where=away > 0)
-            found[part] = (np.eye(3) + np.einsum("lk,nli->nki", self.weights, slopes)) @ linear
-        return found
+            jacobians[part] = (np.eye(3) + np.einsum("lk,nli->nki", self.weights, slopes)) @ linear
+        return jacobians
 
 
 def _parts(points: int, centres: int) -> list[slice]:

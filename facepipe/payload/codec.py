@@ -153,10 +153,10 @@ def decode(data: bytes, joints: Sequence[str], where: object) -> PayloadContent:
     :raises InputError: as `read_header`, a payload for other joints, or numbers that are not finite or too large
     """
     header = read_header(data, where)
-    own = joints_hash(joints).hex()
-    if (header.joints, header.joints_hash) != (len(joints), own):
+    skeleton_hash = joints_hash(joints).hex()
+    if (header.joints, header.joints_hash) != (len(joints), skeleton_hash):
         what = f"made for other joints ({header.joints}, hash {header.joints_hash})"
-        raise InputError(where, f"{what}, expected those of this skeleton ({len(joints)}, hash {own})")
+        raise InputError(where, f"{what}, expected those of this skeleton ({len(joints)}, hash {skeleton_hash})")
     stored = np.frombuffer(data[header.values : header.mask], DTYPES[header.precision])
     if not (np.isfinite(stored) & (np.abs(stored.astype(np.float64)) <= LARGEST)).all():
         raise InputError(where, f"NaN, infinity or a number above {LARGEST:g}, expected finite coefficients")

@@ -66,7 +66,7 @@ class Header(NamedTuple):
 
 
 def joints_hash(joints: Sequence[str]) -> bytes:
-    """8 bytes that tell one list of joint paths from another."""
+    """8 bytes that differ between lists of joint paths."""
     return hashlib.sha256("\n".join(joints).encode()).digest()[:8]
 
 

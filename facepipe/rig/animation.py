@@ -30,21 +30,21 @@ def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray 
     :param joints: (j,) numbers of the animation's joints to keep; default all
     :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
     """
-    own = np.arange(len(animation.joints)) if joints is None else joints
-    used = places(skeleton, animation, own)
+    chosen = np.arange(len(animation.joints)) if joints is None else joints
+    used = places(skeleton, animation, chosen)
     rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
     if animation.coefficients is not None:
-        return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, own]))
+        return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, chosen]))
     samples = 1 if animation.times is None else len(animation.times)
     matrices = np.repeat(rest[None], samples, axis=0)
     if animation.rotations is not None or animation.scales is not None:
         at_rest = decompose(rest)
-        rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, own]
-        scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, own]
-        _refuse_zero(animation, own, rotations)
+        rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, chosen]
+        scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, chosen]
+        _refuse_zero(animation, chosen, rotations)
         matrices[..., :3, :3] = rotation_matrices(rotations) * np.asarray(scales, np.float64)[..., None, :]
     if animation.translations is not None:
-        matrices[..., :3, 3] = np.asarray(animation.translations)[:, own]
+        matrices[..., :3, 3] = np.asarray(animation.translations)[:, chosen]
     return matrices
 
 
@@ -74,18 +74,18 @@ def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = N
     :raises InputError: a joint that the skeleton has not
     """
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
-    own = animation.joints if joints is None else [animation.joints[i] for i in joints]
-    missing = [joint for joint in own if joint not in place]
+    paths = animation.joints if joints is None else [animation.joints[i] for i in joints]
+    missing = [joint for joint in paths if joint not in place]
     if missing:
         raise InputError(animation.name, f"'{missing[0]}' is no joint of the skeleton")
-    return np.array([place[joint] for joint in own], dtype=np.int64)
+    return np.array([place[joint] for joint in paths], dtype=np.int64)
 
 
-def _refuse_zero(animation: Animation, own: IntArray, rotations: FloatArray) -> None:
+def _refuse_zero(animation: Animation, chosen: IntArray, rotations: FloatArray) -> None:
     lengths = np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1)
     short = (np.atleast_2d(lengths) < _ZERO).any(axis=0)
     if short.any():
-        joint = animation.joints[own[int(np.argmax(short))]]
+        joint = animation.joints[chosen[int(np.argmax(short))]]
         raise InputError(f"{animation.name} -> {joint}", "a rotation quaternion of length 0, expected unit length")
 
 
@@ -122,11 +122,11 @@ def resampled(skeleton: Skeleton, animation: Animation, fps: float, mm_per_unit:
     return changed, ", ".join(off) or "nothing"
 
 
-def _joints_off(one: Trs, other: Trs, mm_per_unit: float) -> list[str]:
-    chord = [np.linalg.norm(one.rotation - sign * other.rotation, axis=-1) for sign in (1, -1)]
+def _joints_off(exact: Trs, lines: Trs, mm_per_unit: float) -> list[str]:
+    chord = [np.linalg.norm(exact.rotation - sign * lines.rotation, axis=-1) for sign in (1, -1)]
     angle = 4 * np.arcsin(np.minimum(np.minimum(*chord) / 2, 1.0)).max(initial=0.0)
-    moved = np.linalg.norm(one.translation - other.translation, axis=-1).max(initial=0.0)
-    scaled = np.abs(one.scale - other.scale).max(initial=0.0)
+    moved = np.linalg.norm(exact.translation - lines.translation, axis=-1).max(initial=0.0)
+    scaled = np.abs(exact.scale - lines.scale).max(initial=0.0)
     return [
         *_said("translation", moved * mm_per_unit, " mm"),
         *_said("rotation", angle, " rad"),

@@ -89,15 +89,15 @@ def coefficient_curvatures(coefficients: FloatArray) -> FloatArray:
     coefficients = np.asarray(coefficients, dtype=np.float64)
     curvatures = np.zeros((*coefficients.shape[:-1], 9, 9, 4, 4))
     angles, scales = coefficients[..., 3:6], coefficients[..., 6:9]
-    for one in range(3):
-        turned = _rotation(angles, (one,))
+    for first in range(3):
+        turned = _rotation(angles, (first,))
         for axis in range(3):
-            curvatures[..., 3 + one, 6 + axis, :3, axis] = turned[..., :, axis]
-            curvatures[..., 6 + axis, 3 + one, :3, axis] = turned[..., :, axis]
-        for other in range(one, 3):
-            both = _rotation(angles, (one, other)) * scales[..., None, :]
-            curvatures[..., 3 + one, 3 + other, :3, :3] = both
-            curvatures[..., 3 + other, 3 + one, :3, :3] = both
+            curvatures[..., 3 + first, 6 + axis, :3, axis] = turned[..., :, axis]
+            curvatures[..., 6 + axis, 3 + first, :3, axis] = turned[..., :, axis]
+        for second in range(first, 3):
+            both = _rotation(angles, (first, second)) * scales[..., None, :]
+            curvatures[..., 3 + first, 3 + second, :3, :3] = both
+            curvatures[..., 3 + second, 3 + first, :3, :3] = both
     return curvatures
 
 
@@ -110,12 +110,12 @@ def _rotation(angles: FloatArray, by: tuple[int, ...] = ()) -> FloatArray:
 def _turn(angle: FloatArray, axis: int, order: int) -> FloatArray:
     """(..., 3, 3) rotation about an axis, or its derivative of an order: the plane's part a quarter turn on."""
     ahead = angle + order * (np.pi / 2)
-    one, other = (axis + 1) % 3, (axis + 2) % 3
+    first, second = (axis + 1) % 3, (axis + 2) % 3
     matrices = np.zeros((*angle.shape, 3, 3))
     matrices[..., axis, axis] = order == 0
-    matrices[..., one, one] = matrices[..., other, other] = np.cos(ahead)
-    matrices[..., other, one] = np.sin(ahead)
-    matrices[..., one, other] = -matrices[..., other, one]
+    matrices[..., first, first] = matrices[..., second, second] = np.cos(ahead)
+    matrices[..., second, first] = np.sin(ahead)
+    matrices[..., first, second] = -matrices[..., second, first]
     return matrices
 
 

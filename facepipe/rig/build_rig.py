@@ -72,12 +72,12 @@ def inverse(matrix: FloatArray, where: str) -> FloatArray:
     :raises TopologyError: there is none
     """
     try:
-        found = np.linalg.inv(np.asarray(matrix, dtype=np.float64))
+        result = np.linalg.inv(np.asarray(matrix, dtype=np.float64))
     except np.linalg.LinAlgError:
-        found = np.full((4, 4), np.nan)
-    if not np.isfinite(found).all():
+        result = np.full((4, 4), np.nan)
+    if not np.isfinite(result).all():
         raise TopologyError(where, "singular matrix, expected an invertible one")
-    return np.asarray(found)
+    return np.asarray(result)
 
 
 def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_array:
@@ -111,7 +111,7 @@ def _targets(
 ) -> tuple[Target, ...]:
     """Sculpts of all meshes; those of one shape, name and activation curve are one target."""
     number = {name: i for i, name in enumerate(shapes)}
-    found: dict[tuple[str, str, Curve], list[_Sculpt]] = {}
+    by_curve: dict[tuple[str, str, Curve], list[_Sculpt]] = {}
     for mesh, start, space in zip(meshes, offsets[:-1], spaces, strict=True):
         linear = space[:3, :3]
         turned = not np.array_equal(linear, np.eye(3))  # offsets that are not are shared with the parts: they are large
@@ -125,9 +125,9 @@ def _targets(
                 moved = np.asarray(sculpt, dtype=np.float64)
                 if turned:
                     moved = moved @ linear.T
-                own = (name, number[shape.name], curve, (indices + start).astype(np.int32), moved)
-                found.setdefault((shape.name, name, curve), []).append(own)
-    targets = [_merge(sculpts) for sculpts in found.values()]
+                sculpted = (name, number[shape.name], curve, (indices + start).astype(np.int32), moved)
+                by_curve.setdefault((shape.name, name, curve), []).append(sculpted)
+    targets = [_merge(sculpts) for sculpts in by_curve.values()]
     return tuple(sorted(targets, key=lambda target: target.shape))
 
 

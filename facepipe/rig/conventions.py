@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
 _NAMESPACES = re.compile(r"[.:|]|__|^!ex-")  # blendShape1.jawOpen, face:jawOpen, MPFB's !ex-jawOpen
-_FEWEST = 3  # names by which a convention is told
+_FEWEST = 3  # names that make a convention
 
 
 @dataclass(frozen=True)
@@ -103,17 +103,17 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
     {'JawOpen': ('jawOpen',), 'eyeBlink_L': ('blinkLeft',), 'cheekPuff': ('cheekPuff_L', 'cheekPuff_R')}
     """
     incoming = list(dict.fromkeys(names))
-    found: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in shapes}
-    taken = set(found)
+    matched: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in shapes}
+    taken = set(matched)
     both = ("left", "right")
     for form, sides in ((spelling, ("",)), (_meant, ("",)), (spelling, both), (_meant, both)):
         index = _index(form, shapes)
         for name in incoming:
-            own = tuple(index[text] for side in sides if (text := form(name) + side) in index)
-            if name not in found and len(own) == len(sides) and not taken.intersection(own):
-                found[name] = own
-                taken.update(own)
-    return {name: found[name] for name in incoming if name in found}
+            meant = tuple(index[text] for side in sides if (text := form(name) + side) in index)
+            if name not in matched and len(meant) == len(sides) and not taken.intersection(meant):
+                matched[name] = meant
+                taken.update(meant)
+    return {name: matched[name] for name in incoming if name in matched}
 
 
 def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
@@ -185,29 +185,29 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
     shapes = shapes_of(parts)
     _check(where, "shapes", shapes, [names.get(shape, shape) for shape in shapes])
     skeleton = parts.skeleton
-    called = [
+    joint_names = [
         names.get(joint, names.get(path, joint)) for joint, path in zip(skeleton.names, skeleton.joints, strict=True)
     ]
-    _check(where, "joints", skeleton.names, called)
+    _check(where, "joints", skeleton.names, joint_names)
     network = parts.slider_network
     return replace(
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
-        skeleton=skeleton.called(called),
+        skeleton=skeleton.called(joint_names),
         animations=tuple(_animation(one, names) for one in parts.animations),
         sliders=tuple(_slider(one, names) for one in parts.sliders),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),
     )
 
 
-def _check(where: object, what: str, old: Sequence[str], new: Sequence[str]) -> None:
+def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> None:
     """:raises InputError: a new name that another one has as well"""
     count = Counter(new)
     for name, other in zip(old, new, strict=True):
         if name != other and count[other] > 1:
             both = [one for one, called in zip(old, new, strict=True) if called == other]
             raise InputError(
-                where, f"the {what} '{both[0]}' and '{both[1]}' would both be called '{other}', expected two names"
+                where, f"the {kind} '{both[0]}' and '{both[1]}' would both be called '{other}', expected two names"
             )
 
 
@@ -233,10 +233,10 @@ def _all(shapes: Sequence[str], names: Mapping[str, str]) -> tuple[str, ...]:
 
 def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
     """The convention that a face's shapes are called as, as JSON values; None where they are called as in none."""
-    found = recognised(shapes)
-    if found is None:
+    match = recognised(shapes)
+    if match is None:
         return None
-    kind, count = found
+    kind, count = match
     written = {*CONVENTIONS[kind].written.values()}
     return {
         "convention": kind,

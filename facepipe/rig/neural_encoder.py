@@ -95,11 +95,11 @@ class NeuralEncoder:
 
     def of_offsets(self, offsets: FloatArray) -> FloatArray:
         """(b, c) from -1 to 1, of millimetres (b, p, 3) by which the chosen points are off their rest."""
-        found = np.zeros((len(offsets), len(self.controls)))
+        values = np.zeros((len(offsets), len(self.controls)))
         for start in range(0, len(offsets), _AT_ONCE):
             frames = slice(start, start + _AT_ONCE)
-            found[frames] = self._evaluated(offsets[frames])
-        return found
+            values[frames] = self._evaluated(offsets[frames])
+        return values
 
     def _evaluated(self, offsets: FloatArray) -> FloatArray:
         features = np.tanh(offsets / self.scale @ self.point + self.point_bias) @ self.feature + self.feature_bias

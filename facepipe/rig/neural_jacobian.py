@@ -64,13 +64,13 @@ class SkinnedPoints:
         morphed = self.rig.morphed(outputs)
         skinning, generators = self._moved(outputs)
         blended = (self.bones.influences @ skinning[:, :3, :3].reshape(-1, 9)).T.reshape(3, 3, -1)
-        found = np.empty((len(outputs), 3, len(morphed)))
+        derivatives = np.empty((len(outputs), 3, len(morphed)))
         shapes = self._shapes
         for axis in range(3):
-            own = blended[axis]
-            found[: len(shapes), axis] = own[0] * shapes[:, 0] + own[1] * shapes[:, 1] + own[2] * shapes[:, 2]
-        found[len(shapes) :] = generators[:, :3] @ self._below_points(morphed, skinning)[self._of]
-        return found
+            row = blended[axis]
+            derivatives[: len(shapes), axis] = row[0] * shapes[:, 0] + row[1] * shapes[:, 1] + row[2] * shapes[:, 2]
+        derivatives[len(shapes) :] = generators[:, :3] @ self._below_points(morphed, skinning)[self._of]
+        return derivatives
 
     def gradient(self, outputs: FloatArray, by_point: FloatArray) -> FloatArray:
         """(r + m,) derivatives by (r + m,) outputs of what has (n, 3) by the points.

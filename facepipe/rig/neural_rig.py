@@ -57,14 +57,14 @@ class NeuralRig:
 
         :raises InputError: a name of no control, or a value that is not finite
         """
-        found = {control.name: control.default for control in self.controls}
+        values = {control.name: control.default for control in self.controls}
         for name, value in settings.items():
-            if name not in found:
-                raise InputError("neural rig", unknown(name, found, "control"))
+            if name not in values:
+                raise InputError("neural rig", unknown(name, values, "control"))
             if not np.isfinite(value):
                 raise InputError(f"neural rig -> {name}", f"value {value}, expected a finite number")
-            found[name] = value
-        return np.array(list(found.values()))
+            values[name] = value
+        return np.array(list(values.values()))
 
     def outputs(self, values: FloatArray) -> FloatArray:
         """(..., r + m) of (..., c) values: activations in millimetres, then bone coefficients from rest."""

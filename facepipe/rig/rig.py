@@ -132,7 +132,7 @@ class Rig:
             blended[self.dual, :, 3] += root[:3, 3]
         return np.asarray(blended)
 
-    def require_linear(self, what: str) -> None:
+    def require_linear(self, reader: str) -> None:
         """:raises InputError: points that are skinned by dual quaternions, which `what` does not know"""
         if self.dual is None:
             return
@@ -140,7 +140,7 @@ class Rig:
         names = [name for name, start, end in bounds if self.dual[start:end].any()]
         raise InputError(
             f"{self.name} -> {names[0]}",
-            f"skinned by dual quaternions, which {what} does not know; expected skel:skinningMethod classicLinear",
+            f"skinned by dual quaternions, which {reader} does not know; expected skel:skinningMethod classicLinear",
         )
 
     def unskin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:

@@ -147,14 +147,14 @@ def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts)
     random, farthest = np.random.default_rng(_SEED), 0.0
     for _ in range(POSES if parts.sliders else 0):
         values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
-        exact, own = (
+        exact, moved = (
             rig.evaluate(weights, coefficients=coefficients)
             for rig, (coefficients, weights) in (
                 (before, slide(parts.sliders, before.joints, values, parts.slider_network)),
                 (after, slide(result.sliders, after.joints, values, result.slider_network)),
             )
         )
-        farthest = max(farthest, float(np.linalg.norm(own - exact, axis=1).max(initial=0.0)))
+        farthest = max(farthest, float(np.linalg.norm(moved - exact, axis=1).max(initial=0.0)))
     return farthest
 
 
@@ -168,9 +168,9 @@ def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], Flo
     if parts.bone_limits is not None:
         low, high = np.maximum(low, parts.bone_limits.lower), np.minimum(high, parts.bone_limits.upper)
         low, high = np.minimum(low, rest), np.maximum(high, rest)
-    found: list[tuple[dict[str, float], FloatArray]] = []
+    poses: list[tuple[dict[str, float], FloatArray]] = []
     for _ in range(POSES):
         chosen = random.permutation(len(rig.shapes))[:_SHAPES]
         weights = {rig.shapes[i]: float(random.random()) for i in chosen}
-        found.append((weights, low + random.random(rest.shape) * (high - low)))
-    return found
+        poses.append((weights, low + random.random(rest.shape) * (high - low)))
+    return poses

@@ -29,12 +29,12 @@ ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 
 def evaluate(network: SliderNetwork, values: FloatArray) -> FloatArray:
     """(..., outputs) of (..., inputs) clamped slider values: those of the channels, then those of the shapes."""
-    found: FloatArray = np.asarray(values, dtype=np.float64)
+    layer: FloatArray = np.asarray(values, dtype=np.float64)
     for number, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         if number:
-            found = ACTIVATIONS[network.activation](found)
-        found = found @ np.asarray(weight, dtype=np.float64).T + bias
-    return found
+            layer = ACTIVATIONS[network.activation](layer)
+        layer = layer @ np.asarray(weight, dtype=np.float64).T + bias
+    return layer
 
 
 def add_network(
@@ -50,11 +50,11 @@ def add_network(
     :raises InputError: a damaged network, or one of a slider, joint or channel that is not there
     """
     check_network(network, values, joints)
-    found = evaluate(network, np.array([values[name] for name in network.sliders]))
+    amounts = evaluate(network, np.array([values[name] for name in network.sliders]))
     index = {joint: i for i, joint in enumerate(joints)}
-    for (joint, channel), amount in zip(network.channels, found, strict=False):
+    for (joint, channel), amount in zip(network.channels, amounts, strict=False):
         coefficients[index[joint], CHANNELS.index(channel)] += amount
-    for shape, amount in zip(network.shapes, found[len(network.channels) :], strict=True):
+    for shape, amount in zip(network.shapes, amounts[len(network.channels) :], strict=True):
         weights[shape] = weights.get(shape, 0.0) + float(amount)
 
 
@@ -102,14 +102,14 @@ def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str
     """
     own = {one.name: one for one in sliders}
     ranges = np.array([[own[name].default, own[name].minimum, own[name].maximum] for name in network.sliders])
-    found = {}
+    changes = {}
     for number, name in enumerate(network.sliders):
         values = np.repeat(ranges.T[:, None], 3, axis=1)  # by what the others and this one are at
         values[:, :, number] = ranges[number]
         weights = evaluate(network, values)[..., len(network.channels) :]
         if network.weights[0][:, number].any():
-            found[name] = dict(zip(network.shapes, np.ptp(weights, axis=1).max(axis=0).tolist(), strict=True))
-    return found
+            changes[name] = dict(zip(network.shapes, np.ptp(weights, axis=1).max(axis=0).tolist(), strict=True))
+    return changes
 
 
 def kept(network: SliderNetwork, joint: Callable[[str], bool], shape: Callable[[str], bool]) -> SliderNetwork | None:

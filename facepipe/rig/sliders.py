@@ -190,16 +190,16 @@ def independent(sliders: Sequence[Slider]) -> BoolArray:
     Left out are mixes of others before them, and both sliders of a pair that together do what one does for both sides.
     Sliders with curves are none of these.
     """
-    straight = [not (one.channel_curves or one.shape_curves) for one in sliders]
-    effects, names = _effects(sliders), {one.name: i for i, one in enumerate(sliders)}
+    straight = [not (slider.channel_curves or slider.shape_curves) for slider in sliders]
+    effects, names = _effects(sliders), {slider.name: i for i, slider in enumerate(sliders)}
     span: FloatArray = np.zeros((0, effects.shape[1]))
     kept = np.array([not plain for plain in straight])
-    for i, one in enumerate(sliders):
-        if straight[i] and one.mirror is None:
+    for i, slider in enumerate(sliders):
+        if straight[i] and slider.mirror is None:
             span, kept[i] = _extended(span, effects[i])
-    for i, one in enumerate(sliders):
-        if straight[i] and one.mirror is not None:
-            both = effects[i] + effects[names[one.mirror]] if one.mirror in names else effects[i]
+    for i, slider in enumerate(sliders):
+        if straight[i] and slider.mirror is not None:
+            both = effects[i] + effects[names[slider.mirror]] if slider.mirror in names else effects[i]
             kept[i] = _extended(span, both)[1]
     return kept
 
@@ -209,11 +209,11 @@ def _effects(sliders: Sequence[Slider]) -> FloatArray:
     gains = [
         {**{(joint, channel): gain for joint, channel, gain in one.channels}, **dict(one.shapes)} for one in sliders
     ]
-    columns = {target: i for i, target in enumerate(dict.fromkeys(target for own in gains for target in own))}
-    found = np.zeros((len(sliders), len(columns)))
-    for row, own in zip(found, gains, strict=True):
-        row[[columns[target] for target in own]] = list(own.values())
-    return found
+    columns = {target: i for i, target in enumerate(dict.fromkeys(target for effect in gains for target in effect))}
+    table = np.zeros((len(sliders), len(columns)))
+    for row, effect in zip(table, gains, strict=True):
+        row[[columns[target] for target in effect]] = list(effect.values())
+    return table
 
 
 def _extended(span: FloatArray, effect: FloatArray) -> tuple[FloatArray, bool]:

@@ -61,8 +61,8 @@ def split(deltas: np.ndarray, weights: np.ndarray = WEIGHTS, given: np.ndarray |
 
     :param given: weights in place of the true ones
     """
-    told = weights if given is None else given
-    return split_shapes(neutral(), templates(), shown(deltas, weights), told, triangles(), **more)
+    stated = weights if given is None else given
+    return split_shapes(neutral(), templates(), shown(deltas, weights), stated, triangles(), **more)
 
 
 def error(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -233,8 +233,8 @@ def test_dealing_out_is_the_ridge_solution() -> None:
     values, noise = rng.normal(size=(7, 4, 3)), 0.3
     found = dealt_out(weights, spread, noise, confidence, values)
     for place in range(7):
-        told = weights.T * confidence[place] / noise**2
-        expected = np.linalg.solve(told @ weights + np.diag(spread[place] ** -2.0), told @ values[place])
+        pull = weights.T * confidence[place] / noise**2
+        expected = np.linalg.solve(pull @ weights + np.diag(spread[place] ** -2.0), pull @ values[place])
         np.testing.assert_allclose(found[place], expected, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""The multilinear model: what it keeps, what its vectors mean, and what they tell of expressions that weren't seen."""
+"""The multilinear model: what it keeps, what its vectors mean, and what they predict of expressions that weren't seen."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ POINTS, WAYS = 40, 3
 
 
 def people(
-    count: int, seed: int = 0, *, told: float = 1.0, noise: float = 0.0
+    count: int, seed: int = 0, *, shown_in_neutral: float = 1.0, noise: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Neutrals (m, n, 3), deltas (m, e, n, 3) and the few numbers (m, ways) that deltas depend on.
 
-    :param told: how much of those numbers shows in the neutral
+    :param shown_in_neutral: how much of those numbers shows in the neutral
     """
     fixed, rng = np.random.default_rng(5), np.random.default_rng([seed, count])
     neutral_ways = 3.0 * fixed.standard_normal((6, POINTS, 3))
@@ -27,7 +27,7 @@ def people(
     mean = fixed.standard_normal((len(NAMES), POINTS, 3))
     ways = 0.3 * fixed.standard_normal((WAYS, len(NAMES), POINTS, 3))
     numbers, others = rng.standard_normal((count, WAYS)), rng.standard_normal((count, 6))
-    neutrals = 50 + np.tensordot(others, neutral_ways, axes=1) + told * np.tensordot(numbers, shown, axes=1)
+    neutrals = 50 + np.tensordot(others, neutral_ways, axes=1) + shown_in_neutral * np.tensordot(numbers, shown, axes=1)
     deltas = mean + np.tensordot(numbers, ways, axes=1)
     return neutrals, deltas + noise * rng.standard_normal(deltas.shape), numbers
 
@@ -39,8 +39,8 @@ def model_of(neutrals: np.ndarray, deltas: np.ndarray, tolerance: float = 1e-6) 
         basis = held.basis
         rows.append(held.coefficients)
     padded = np.stack([np.pad(row, ((0, 0), (0, len(basis) - row.shape[1]))) for row in rows])
-    identity = IdentityModel.of(neutrals)
-    return ExpressionModel.of(NAMES, identity, identity.coefficients(neutrals), basis, padded)
+    identity = IdentityModel.from_faces(neutrals)
+    return ExpressionModel.from_people(NAMES, identity, identity.coefficients(neutrals), basis, padded)
 
 
 def off(found: np.ndarray, expected: np.ndarray) -> float:
@@ -111,9 +111,9 @@ def test_the_neutral_row_and_the_core_give_the_neutral_as_the_document_says() ->
 
 
 def test_seen_expressions_predict_others_better_than_the_mean_and_than_the_neutral() -> None:
-    neutrals, deltas, _ = people(12, told=0.2, noise=0.05)
+    neutrals, deltas, _ = people(12, shown_in_neutral=0.2, noise=0.05)
     model = model_of(neutrals, deltas)
-    strangers, own, _ = people(10, seed=1, told=0.2)
+    strangers, own, _ = people(10, seed=1, shown_in_neutral=0.2)
     errors = []
     for neutral, shapes in zip(strangers, own, strict=True):
         seen = model.identity_from({"open": neutral + shapes[0], "smile": neutral + shapes[1]}, neutral)
@@ -126,10 +126,10 @@ def test_seen_expressions_predict_others_better_than_the_mean_and_than_the_neutr
 
 
 def test_a_neutral_that_tells_is_trusted_and_one_that_doesn_t_is_not() -> None:
-    for told, low, high in ((3.0, 0.0, 0.4), (0.0, 0.8, 1.1)):
-        neutrals, deltas, _ = people(14, told=told)
+    for shown_in_neutral, low, high in ((3.0, 0.0, 0.4), (0.0, 0.8, 1.1)):
+        neutrals, deltas, _ = people(14, shown_in_neutral=shown_in_neutral)
         model = model_of(neutrals, deltas)
-        strangers, own, _ = people(10, seed=1, told=told)
+        strangers, own, _ = people(10, seed=1, shown_in_neutral=shown_in_neutral)
         pairs = [(model.identity_from({}, neutral), shapes) for neutral, shapes in zip(strangers, own, strict=True)]
         found = np.mean([off(model.shapes(vector), shapes) for vector, shapes in pairs])
         assert low <= found / np.mean([off(model.shapes(0 * vector), shapes) for vector, shapes in pairs]) < high
@@ -142,7 +142,7 @@ def test_leaving_one_out_by_formula_is_leaving_one_out() -> None:
     seen, wanted = numbers @ rng.standard_normal((3, 12)), numbers @ rng.standard_normal((3, 7))
     seen += 0.3 * rng.standard_normal(seen.shape)
     seen, wanted = seen - seen.mean(axis=0), wanted - wanted.mean(axis=0)
-    (weight,) = trust([Block.of(seen)], Block.of(wanted))
+    (weight,) = trust([Block.from_numbers(seen)], Block.from_numbers(wanted))
 
     def missed(weight: float) -> float:
         total = 0.0
@@ -162,7 +162,7 @@ def test_leaving_one_out_by_formula_is_leaving_one_out() -> None:
 
 def test_the_mean_person_is_what_nothing_seen_gives() -> None:
     neutrals, deltas, _ = people(1)
-    single = ExpressionModel.of(
+    single = ExpressionModel.from_people(
         NAMES,
         model_of(*people(3)[:2]).identity,
         np.zeros((1, 2)),

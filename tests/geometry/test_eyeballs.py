@@ -1,4 +1,4 @@
-"""Eyeballs: balls fitted to points, and surfaces told by their radius in every direction."""
+"""Eyeballs: balls fitted to points, and surfaces by their radius in every direction."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_bulging_cornea_hardly_moves_the_ball() -> None:
     found = fit_ball(bulged, point_areas(bulged, triangles))
     assert found.radius == pytest.approx(12.0, rel=1e-6)
     np.testing.assert_allclose(found.centre, 0.0, atol=1e-5)
-    assert found.rms > 0.1  # the bulge is still told
+    assert found.rms > 0.1  # the bulge still counts in the RMS
 
 
 def test_points_without_a_ball_are_refused() -> None:

@@ -20,7 +20,7 @@ def faces(count: int, seed: int = 0, *, points: int = 50, modes: int = 30) -> np
 
 def test_every_face_that_it_was_made_of_comes_back() -> None:
     own = faces(8)
-    model = IdentityModel.of(own)
+    model = IdentityModel.from_faces(own)
     assert model.components.shape == (7, 50, 3)
     found = model.coefficients(own)
     np.testing.assert_allclose(model.points(found), own, atol=1e-10)
@@ -29,7 +29,7 @@ def test_every_face_that_it_was_made_of_comes_back() -> None:
 
 
 def test_components_are_orthonormal_and_the_largest_comes_first() -> None:
-    model = IdentityModel.of(faces(12))
+    model = IdentityModel.from_faces(faces(12))
     flat = model.components.reshape(len(model.deviations), -1)
     np.testing.assert_allclose(flat @ flat.T, np.eye(len(flat)), atol=1e-10)
     assert (np.diff(model.deviations) <= 0).all()
@@ -38,7 +38,7 @@ def test_components_are_orthonormal_and_the_largest_comes_first() -> None:
 def test_no_model_of_as_many_components_is_nearer() -> None:
     """Eckart and Young: random bases of the same size leave more."""
     own = faces(20)
-    model = IdentityModel.of(own).cut(5)
+    model = IdentityModel.from_faces(own).cut(5)
     left = np.square(model.points(model.coefficients(own)) - own).sum()
     centred = (own - own.mean(axis=0)).reshape(20, -1)
     for seed in range(20):
@@ -52,10 +52,10 @@ def test_no_model_of_as_many_components_is_nearer() -> None:
 def test_adding_faces_is_starting_over(parts: tuple[int, ...]) -> None:
     own = faces(sum(parts))
     ends = np.cumsum(parts)
-    model = IdentityModel.of(own[: ends[0]])
+    model = IdentityModel.from_faces(own[: ends[0]])
     for first, last in pairwise(ends):
         model = model.with_faces(own[first:last])
-    again = IdentityModel.of(own)
+    again = IdentityModel.from_faces(own)
     assert model.count == again.count == len(own)
     np.testing.assert_allclose(model.mean, again.mean, atol=1e-12)
     np.testing.assert_allclose(model.deviations, again.deviations, rtol=1e-8)
@@ -65,20 +65,20 @@ def test_adding_faces_is_starting_over(parts: tuple[int, ...]) -> None:
 
 def test_faces_that_depend_on_each_other_give_fewer_components() -> None:
     own = faces(4)
-    model = IdentityModel.of(np.concatenate([own, own, own.mean(axis=0)[None]]))
+    model = IdentityModel.from_faces(np.concatenate([own, own, own.mean(axis=0)[None]]))
     assert len(model.deviations) == 3
     assert len(model.with_faces(own[:1]).deviations) == 3
 
 
 def test_adding_nobody_changes_nothing() -> None:
-    model = IdentityModel.of(faces(4))
+    model = IdentityModel.from_faces(faces(4))
     assert model.with_faces(faces(0)) is model
 
 
 def test_what_gives_no_model_is_refused() -> None:
     with pytest.raises(InputError, match="1 face, expected 2"):
-        IdentityModel.of(faces(1))
+        IdentityModel.from_faces(faces(1))
     with pytest.raises(InputError, match="all faces are the same"):
-        IdentityModel.of(np.ones((3, 5, 3)))
+        IdentityModel.from_faces(np.ones((3, 5, 3)))
     with pytest.raises(InputError, match="coordinates, expected"):
-        IdentityModel.of(faces(3)).with_faces(faces(2, points=49))
+        IdentityModel.from_faces(faces(3)).with_faces(faces(2, points=49))

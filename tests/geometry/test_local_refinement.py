@@ -58,7 +58,7 @@ def _surface(points: np.ndarray, triangles: np.ndarray) -> DeformableSurface:
 
 def test_the_change_of_a_surface_that_is_turned_and_scaled_as_a_whole_is_that() -> None:
     points, triangles = _dome()
-    changes = TriangleChanges.of(points, triangles).at(1.3 * points @ _TURN.T + [5.0, 6.0, 7.0])
+    changes = TriangleChanges.from_rest(points, triangles).at(1.3 * points @ _TURN.T + [5.0, 6.0, 7.0])
     assert np.allclose(changes, 1.3 * _TURN, atol=1e-12)
 
 
@@ -66,19 +66,19 @@ def test_an_affine_map_changes_the_edges_of_all_triangles_alike() -> None:
     points, triangles = _dome()
     affine = np.array([[1.1, 0.2, 0.0], [0.0, 0.9, -0.1], [0.3, 0.0, 1.0]])
     edges = (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1)
-    changes = TriangleChanges.of(points, triangles).at(points @ affine.T + [1.0, 2.0, 3.0])
+    changes = TriangleChanges.from_rest(points, triangles).at(points @ affine.T + [1.0, 2.0, 3.0])
     assert np.allclose(changes @ edges, affine @ edges, atol=1e-11)
 
 
 def test_derivatives_are_those_of_small_moves() -> None:
     points, triangles = _dome(6)
     rng = np.random.default_rng(2)
-    changes = TriangleChanges.of(points, triangles)
+    changes = TriangleChanges.from_rest(points, triangles)
     now, move = points + rng.normal(size=points.shape), 1e-5 * rng.normal(size=points.shape)
     slopes = np.einsum("tij,tj->ti", changes.derivative(now), move[triangles].reshape(-1, 9))
     expected = (changes.at(now + move) - changes.at(now - move)).reshape(-1, 9) / 2.0
     assert np.allclose(slopes, expected, atol=1e-12)
-    neighbours = Neighbours.of(points, triangles, changes.areas)
+    neighbours = Neighbours.across_edges(points, triangles, changes.areas)
     between = np.einsum(
         "pij,pj->pi", neighbours.derivative(changes.derivative(now)), move[neighbours.points].reshape(-1, 12)
     )
@@ -87,7 +87,7 @@ def test_derivatives_are_those_of_small_moves() -> None:
 
 def test_every_inner_edge_has_a_pair_of_neighbours() -> None:
     points, triangles = _dome(6)
-    neighbours = Neighbours.of(points, triangles, TriangleChanges.of(points, triangles).areas)
+    neighbours = Neighbours.across_edges(points, triangles, TriangleChanges.from_rest(points, triangles).areas)
     own, other = triangles[neighbours.pairs[:, 0]], triangles[neighbours.pairs[:, 1]]
     shared = [frozenset(a) & frozenset(b) for a, b in zip(own.tolist(), other.tolist(), strict=True)]
     assert {len(edge) for edge in shared} == {2}
@@ -99,8 +99,8 @@ def test_finer_triangles_make_the_same_smoothness() -> None:
     found = []
     for side in (31, 61):
         points, triangles = _dome(side)
-        changes = TriangleChanges.of(points, triangles)
-        neighbours = Neighbours.of(points, triangles, changes.areas)
+        changes = TriangleChanges.from_rest(points, triangles)
+        neighbours = Neighbours.across_edges(points, triangles, changes.areas)
         waves = points + np.sin(points / 9.0) @ _TURN
         found.append((neighbours.weights[:, None] * neighbours.differences(changes.at(waves)) ** 2).sum())
     assert np.isclose(*found, rtol=0.05)
@@ -113,7 +113,7 @@ def test_a_system_of_groups_is_that_of_all_their_rows() -> None:
     low, high = np.sort(pairs_within(members), axis=1).T
     links = np.unique(5 * low + high)
     system = BlockSystem(5, links)
-    system.add(Groups.of(members, 5, links), jacobian, residual, weights)
+    system.add(Groups.among(members, 5, links), jacobian, residual, weights)
     rows = np.zeros((4, 10, 6, 3))
     for group, points in enumerate(members):
         for member, point in enumerate(points):
@@ -130,7 +130,7 @@ def test_what_moves_by_smoothness_alone_goes_on_as_around_it() -> None:
     points, triangles = _dome()
     free = (np.abs(points[:, :2]) < 30.0).all(axis=1)
     moved = 1.05 * points @ Rotation.from_rotvec([0.0, 0.1, 0.05]).as_matrix().T
-    smoothness = ChangeSmoothness.of(points, triangles, free, 1.0, 0.0)
+    smoothness = ChangeSmoothness.at_rest(points, triangles, free, 1.0, 0.0)
     found = np.where(free[:, None], points, moved)
     for _ in range(6):
         system = smoothness.system(found)
@@ -171,8 +171,8 @@ def test_points_outside_the_region_stay_to_the_bit_and_the_border_has_no_crease(
         np.linalg.norm(found.points - truth, axis=1)[region > 0].mean()
         < 0.25 * np.linalg.norm(points - truth, axis=1)[region > 0].mean()
     )
-    changes = TriangleChanges.of(points, triangles)
-    neighbours = Neighbours.of(points, triangles, changes.areas)
+    changes = TriangleChanges.from_rest(points, triangles)
+    neighbours = Neighbours.across_edges(points, triangles, changes.areas)
     bends = np.linalg.norm(neighbours.differences(changes.at(found.points)), axis=1)
     true_bends = np.linalg.norm(neighbours.differences(changes.at(truth)), axis=1)
     assert bends.max() < 1.3 * true_bends.max()

@@ -1,4 +1,4 @@
-"""Mirrored landmarks are told from true ones, over people, expressions, units and places."""
+"""Mirrored landmarks differ from true ones, over people, expressions, units and places."""
 
 from __future__ import annotations
 

@@ -165,9 +165,9 @@ def test_a_lip_never_takes_the_place_of_the_other() -> None:
     scan = ScanTarget.of_surface(points + _UP * 1.5, triangles)
     start = Similarity(rotation=np.eye(3), translation=np.zeros(3))
     anchors = Anchors.at_points(np.array([0, 24, 600]) + count, twin[np.array([0, 24, 600]) + count])
-    told = register(_surface(**changes, labels=labels), scan, anchors, start)
-    assert not told.matched[:count].any()
-    assert told.matched[count:].mean() > 0.8
+    labelled = register(_surface(**changes, labels=labels), scan, anchors, start)
+    assert not labelled.matched[:count].any()
+    assert labelled.matched[count:].mean() > 0.8
     assert register(_surface(**changes), scan, anchors, start).matched[:count].mean() > 0.5
 
 
@@ -256,7 +256,7 @@ def test_a_step_is_the_least_squares_solution() -> None:
     rng = np.random.default_rng(4)
     surface = _surface(7, precision=np.full(4, 2.0), expected=rng.normal(size=4))
     first, second = _random_pull(surface, rng, 0, scale=True), _random_pull(surface, rng, 3, scale=False)
-    membrane = Membrane.of(surface, np.ones(len(surface.base)), 1.0)
+    membrane = Membrane.on_surface(surface, np.ones(len(surface.base)), 1.0)
     step = solve_step(surface, membrane, [first, second])
 
     rows = _dense_rows(surface, first, 0, 9), _dense_rows(surface, second, 7, 0)
@@ -279,7 +279,7 @@ def test_a_step_is_the_least_squares_solution() -> None:
 
 def _registered(actor: Actor, scan: SimulatedScan, residual: bool = True) -> np.ndarray:
     """True errors (n,) of the head in millimetres, in the actor's own size and place."""
-    model = IdentityModel.of(database_faces()[:, :_HEAD])
+    model = IdentityModel.from_faces(database_faces()[:, :_HEAD])
     triangles = ict().triangles[(ict().triangles < _HEAD).all(axis=1)]
     seen = np.unique(visible_triangles(ict().neutral))
     modes = model.components * model.deviations[:, None, None]

@@ -15,14 +15,14 @@ def test_tables_have_the_counts_of_their_sources_and_no_name_with_two_meanings()
     assert len(CONVENTIONS["oculus"].names) == 15  # Oculus Lipsync
     assert len(CONVENTIONS["vrm"].names) == 18  # VRMC_vrm-1.0 presets
     assert len(CONVENTIONS["mpfb"].names) == 52 + 15
-    told: dict[str, set[str]] = {}
+    meanings: dict[str, set[str]] = {}
     for table in CONVENTIONS.values():
         assert table.source
         assert max(Counter(table.written.values()).values()) == 1
         for meant, names in table.names.items():
             for name in names:
-                told.setdefault(shape_key(name), set()).add(meant)
-    assert {key: meant for key, meant in told.items() if len(meant) > 1} == {}
+                meanings.setdefault(shape_key(name), set()).add(meant)
+    assert {key: meant for key, meant in meanings.items() if len(meant) > 1} == {}
 
 
 FORMS = {

@@ -104,7 +104,7 @@ def test_import_gives_the_names_of_a_convention_and_says_so(
     assert recipe is not None
     assert recipe.options["rename"] == {"blendShape1.EyeBlink_L": "eyeBlinkLeft"}
     code, _, err = run(capsys, "import", "gltf", "vroid.glb", "vrm.usda", "--rename", "vrm")
-    assert (code, "VRM 1.0" in err) == (0, False)  # two names tell no convention
+    assert (code, "VRM 1.0" in err) == (0, False)  # two names make no convention
     assert facepipe.open("vrm.usda").shapes == ("aa", "blinkLeft", "Key 1")
 
 

@@ -25,7 +25,7 @@ def ict_template() -> Template:
 def ict_database(template: Template) -> FaceDatabase:
     """Sixty people of some of its modes."""
     faces = database_faces()
-    identity = IdentityModel.of(faces)
+    identity = IdentityModel.from_faces(faces)
     return FaceDatabase(
         topology=template.topology,
         identity=identity,

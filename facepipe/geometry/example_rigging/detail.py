@@ -61,23 +61,23 @@ def dealt_out(
     :param noise: spread of the values' errors
     :param confidence: (p, c) 0..1
     """
-    found = np.empty((len(values), weights.shape[1], values.shape[2]))
+    probable = np.empty((len(values), weights.shape[1], values.shape[2]))
     for part in parts(len(values)):
-        shares, told, trusted = told_by(weights, spread[part], noise, confidence[part])
-        solved = np.linalg.solve(told, trusted[:, :, None] * values[part])
-        found[part] = shares.transpose(0, 2, 1) @ solved
-    return found
+        shares, covariance, trusted = normal_equations(weights, spread[part], noise, confidence[part])
+        solved = np.linalg.solve(covariance, trusted[:, :, None] * values[part])
+        probable[part] = shares.transpose(0, 2, 1) @ solved
+    return probable
 
 
-def told_by(
+def normal_equations(
     weights: FloatArray, spread: FloatArray, noise: float, confidence: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """``C A S`` (p, c, x), ``C A S A^T C + noise^2`` (p, c, c) and the diagonal of C (p, c)."""
     trusted = np.sqrt(confidence)
     shares = trusted[:, :, None] * weights * (spread * spread)[:, None, :]
-    told = (shares @ weights.T) * trusted[:, None, :]
-    told += noise * noise * np.eye(len(weights))
-    return shares, told, trusted
+    covariance = (shares @ weights.T) * trusted[:, None, :]
+    covariance += noise * noise * np.eye(len(weights))
+    return shares, covariance, trusted
 
 
 def _steepness(poisson: AnchoredPoisson, deltas: FloatArray) -> FloatArray:

@@ -49,14 +49,14 @@ def checked(
         raise TopologyError("neutral", f"shape {points.shape}, expected (n, 3) with n at least 1")
     count = len(points)
     deltas = _sized("template deltas", templates, (None, count, 3))
-    shown = _sized("composites", composites, (None, count, 3))
-    given = _sized("weights", weights, (len(shown), len(deltas)))
-    for number in np.flatnonzero(~given.any(axis=1)):
+    scanned = _sized("composites", composites, (None, count, 3))
+    shape_weights = _sized("weights", weights, (len(scanned), len(deltas)))
+    for number in np.flatnonzero(~shape_weights.any(axis=1)):
         raise InputError(f"weights -> composite {number}", "all are 0, expected one shape at least")
     if point_weights is None:
-        confidence: FloatArray = np.ones((len(shown), count))
+        confidence: FloatArray = np.ones((len(scanned), count))
     else:
-        confidence = _sized("point weights", point_weights, (len(shown), count))
+        confidence = _sized("point weights", point_weights, (len(scanned), count))
         if confidence.min(initial=0.0) < 0 or confidence.max(initial=0.0) > 1:
             raise InputError("point weights", "expected numbers from 0 to 1")
     corners = _corners(triangles, count)
@@ -66,8 +66,8 @@ def checked(
         neutral=points,
         triangles=corners,
         templates=deltas,
-        offsets=shown - points,
-        weights=given,
+        offsets=scanned - points,
+        weights=shape_weights,
         confidence=confidence,
         areas=np.maximum(areas, least),
         stiff=_labels(stiff, count),
@@ -75,34 +75,34 @@ def checked(
 
 
 def _finite(name: str, values: FloatArray) -> FloatArray:
-    found = np.array(values, dtype=np.float64)
-    if not np.isfinite(found).all():
+    exact = np.array(values, dtype=np.float64)
+    if not np.isfinite(exact).all():
         raise InputError(name, "NaN or infinity, expected finite numbers")
-    return found
+    return exact
 
 
 def _sized(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> FloatArray:
-    found = np.asarray(values, dtype=np.float64)
-    fits = found.ndim == len(shape) and all(b in (None, a) for a, b in zip(found.shape, shape, strict=True))
-    if not fits or not len(found):
+    array = np.asarray(values, dtype=np.float64)
+    fits = array.ndim == len(shape) and all(b in (None, a) for a, b in zip(array.shape, shape, strict=True))
+    if not fits or not len(array):
         expected = ", ".join("1 or more" if size is None else str(size) for size in shape)
-        raise TopologyError(name, f"shape {found.shape}, expected ({expected})")
-    return _finite(name, found)
+        raise TopologyError(name, f"shape {array.shape}, expected ({expected})")
+    return _finite(name, array)
 
 
 def _corners(triangles: IntArray, count: int) -> IntArray:
-    found = np.asarray(triangles)
-    if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu" or not len(found):
-        raise TopologyError("triangles", f"{found.dtype} of shape {found.shape}, expected integers (t, 3)")
-    if found.min() < 0 or found.max() >= count:
-        raise TopologyError("triangles", f"points {found.min()} to {found.max()}, expected 0 to {count - 1}")
-    return found.astype(np.int64)
+    corners = np.asarray(triangles)
+    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu" or not len(corners):
+        raise TopologyError("triangles", f"{corners.dtype} of shape {corners.shape}, expected integers (t, 3)")
+    if corners.min() < 0 or corners.max() >= count:
+        raise TopologyError("triangles", f"points {corners.min()} to {corners.max()}, expected 0 to {count - 1}")
+    return corners.astype(np.int64)
 
 
 def _labels(stiff: IntArray | None, count: int) -> IntArray:
     if stiff is None:
         return np.full(count, -1)
-    found = np.asarray(stiff)
-    if found.shape != (count,) or found.dtype.kind not in "iu":
-        raise TopologyError("stiff", f"{found.dtype} of shape {found.shape}, expected {count} integers")
-    return np.maximum(found.astype(np.int64), -1)
+    labels = np.asarray(stiff)
+    if labels.shape != (count,) or labels.dtype.kind not in "iu":
+        raise TopologyError("stiff", f"{labels.dtype} of shape {labels.shape}, expected {count} integers")
+    return np.maximum(labels.astype(np.int64), -1)

@@ -1,4 +1,4 @@
-"""Gains, turns and weights together: Gauss-Newton steps on what composites tell, by conjugate gradients."""
+"""Gains, turns and weights together: Gauss-Newton steps on the composites, by conjugate gradients."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STEPS = 400
 
 @dataclass(frozen=True)
 class FieldSolution:
-    """What the composites tell of the person's fields and of the weights."""
+    """The person's fields and the weights that explain the composites best."""
 
     z: FloatArray  # unknowns of `FieldSystem`
     weights: FloatArray  # (c, e)
@@ -35,9 +35,9 @@ def solve_fields(system: FieldSystem, options: SplitOptions) -> FieldSolution:
     personal shapes in place of the templates weights would grow: that makes all of the fields smaller.) A weight that
     goes beyond its bound is held there from then on. The last solve is for the fields alone.
     """
-    given = system.examples.weights
-    low, high = np.minimum(given, 0.0), np.maximum(given, options.largest_weight)
-    weights, z, held = given.copy(), np.zeros(system.starts[-1]), given == 0
+    given_weights = system.examples.weights
+    low, high = np.minimum(given_weights, 0.0), np.maximum(given_weights, options.largest_weight)
+    weights, z, held = given_weights.copy(), np.zeros(system.starts[-1]), given_weights == 0
     steps = options.alternations if options.weight_spread > 0 else 0
     for _ in range(steps):
         step = _Step(system, weights, z, np.where(held, 0.0, options.weight_spread)).solve()
@@ -45,7 +45,7 @@ def solve_fields(system: FieldSystem, options: SplitOptions) -> FieldSolution:
         z, weights = step.z, np.clip(ahead, low, high)
         held = held | (ahead != weights)
     last = _Step(system, weights, z, np.zeros_like(weights)).solve()
-    stopped = tuple((int(composite), int(shape)) for composite, shape in np.argwhere(held & (given != 0)))
+    stopped = tuple((int(composite), int(shape)) for composite, shape in np.argwhere(held & (given_weights != 0)))
     return FieldSolution(last.z, weights, steps, stopped, last.settled)
 
 
@@ -80,7 +80,7 @@ class _Step:
         from scipy.sparse.linalg import LinearOperator, cg
 
         system, size = self._system, int(self._changes[-1])
-        given = system.examples.weights
+        given_weights = system.examples.weights
         offsets = system.examples.offsets[:, system.sample]
         left = offsets - np.tensordot(self._weights, system.examples.templates[:, system.sample], axes=1)
         right = self._pulled(system.trust[:, :, None] * left)
@@ -88,19 +88,19 @@ class _Step:
         start[: len(self._z)] = self._z
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
             spread = self._spread[composites, shape]
-            behind = (given[composites, shape] - self._weights[composites, shape]) / spread
+            behind = (given_weights[composites, shape] - self._weights[composites, shape]) / spread
             right[self._changes[number] : self._changes[number + 1]] += behind
         if not right.any():
-            return _Found(np.zeros(system.starts[-1]), np.zeros_like(given), True)
+            return _Found(np.zeros(system.starts[-1]), np.zeros_like(given_weights), True)
         matrix = LinearOperator((size, size), matvec=self._applied, dtype=np.float64)
         guess = Preconditioner(system, self._weights, self._weight_diagonal())
         inverse = LinearOperator((size, size), matvec=guess.solve, dtype=np.float64)
-        found, steps = cg(matrix, right, x0=start, rtol=_SETTLED, maxiter=_STEPS, M=inverse)
-        change = np.zeros_like(given)
+        unknowns, steps = cg(matrix, right, x0=start, rtol=_SETTLED, maxiter=_STEPS, M=inverse)
+        change = np.zeros_like(given_weights)
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
-            scaled = found[self._changes[number] : self._changes[number + 1]]
+            scaled = unknowns[self._changes[number] : self._changes[number + 1]]
             change[composites, shape] = scaled * self._spread[composites, shape]
-        return _Found(found[: system.starts[-1]], change, steps == 0)
+        return _Found(unknowns[: system.starts[-1]], change, steps == 0)
 
     def _applied(self, x: FloatArray) -> FloatArray:
         x = x.ravel()
@@ -136,8 +136,8 @@ class _Step:
         diagonal = []
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
             squares = (self._system.rows[number].template ** 2).sum(axis=1)
-            told = self._system.trust[composites][:, self._system.rows[number].points] @ squares
-            diagonal.append(1.0 + self._spread[composites, shape] ** 2 * told)
+            information = self._system.trust[composites][:, self._system.rows[number].points] @ squares
+            diagonal.append(1.0 + self._spread[composites, shape] ** 2 * information)
         return np.concatenate(diagonal) if diagonal else np.zeros(0)
 
 
@@ -154,8 +154,8 @@ class Preconditioner:
         self._starts, self._diagonal = system.starts, diagonal
         self._factors = []
         for row in system.rows:
-            told = (weights[:, row.shape] ** 2) @ system.trust[:, row.points]
-            products = told[:, None, None] * _products(row.template)
+            information = (weights[:, row.shape] ** 2) @ system.trust[:, row.points]
+            products = information[:, None, None] * _products(row.template)
             self._factors.append(cho_factor(_block(row.values, products, system.own_spread), lower=True))
         shared = _block(system.shared_values, _shared_products(system, weights), system.shared_spread)
         self._factors.append(cho_factor(shared, lower=True))
@@ -194,7 +194,7 @@ def _shared_products(system: FieldSystem, weights: FloatArray) -> FloatArray:
 
 
 def _block(values: FloatArray, products: FloatArray, spread: FloatArray) -> FloatArray:
-    """(4k, 4k) the identity and what the points (p) tell, with basis values (p, k) and products (p, 4, 4)."""
+    """(4k, 4k) the identity and the sum over points (p), with basis values (p, k) and products (p, 4, 4)."""
     size = values.shape[1]
     block = np.eye(4 * size)
     for a in range(4):

@@ -2,7 +2,7 @@
 
 A personal shape is its template with a gain and a turn that vary smoothly over the face, in part alike for all shapes
 (a person with a strong, stiff or lopsided face) and in part of the shape's own (a strong or slanting muscle):
-``delta = template + gain template + turn x template``. Both parts are Gaussian processes; what composites tell of
+``delta = template + gain template + turn x template``. Both parts are Gaussian processes; what composites show of
 them is a linear least-squares problem with a diagonal prior, solved by conjugate gradients without its matrix.
 """
 
@@ -70,13 +70,13 @@ class FieldSystem:
 
     def pulled(self, forces: list[FloatArray]) -> FloatArray:
         """The transpose of `shape_fields`: (p, 4) per excited shape -> (z,)."""
-        found = np.empty(self.starts[-1])
+        z = np.empty(self.starts[-1])
         shared = np.zeros((len(self.sample), 4))
         for part, (row, force) in enumerate(zip(self.rows, forces, strict=True)):
             shared[row.points] += force
-            found[self.starts[part] : self.starts[part + 1]] = ((force * self.own_spread).T @ row.values).ravel()
-        found[self.starts[-2] :] = ((shared * self.shared_spread).T @ self.shared_values).ravel()
-        return found
+            z[self.starts[part] : self.starts[part + 1]] = ((force * self.own_spread).T @ row.values).ravel()
+        z[self.starts[-2] :] = ((shared * self.shared_spread).T @ self.shared_values).ravel()
+        return z
 
     def deltas(self, z: FloatArray) -> FloatArray:
         """(e, n, 3) the templates with the person's gains and turns; unexcited ones as they are."""
@@ -133,17 +133,17 @@ def _shape_rows(examples: Examples, sample: IntArray, length: float) -> list[Sha
 
 
 def _trust(examples: Examples, sample: IntArray, options: SplitOptions) -> FloatArray:
-    """(c, s) inverse variance of what each sampled point tells: the area that it stands for, in areas of one error.
+    """(c, s) inverse variance of each sampled point: the area that it stands for, in areas of one error.
 
     What fields can't hold of the templates' motion counts as error here.
     """
     from scipy.spatial import cKDTree
 
     nearest = cKDTree(examples.neutral[sample]).query(examples.neutral)[1]
-    told = [np.bincount(nearest, examples.areas * row, minlength=len(sample)) for row in examples.confidence]
+    areas = [np.bincount(nearest, examples.areas * row, minlength=len(sample)) for row in examples.confidence]
     squares = (examples.templates[:, sample] ** 2).sum(axis=2) / 3.0
     unheld = options.detail**2 * (examples.weights**2 @ squares)
-    return np.asarray(np.array(told) / options.noise_length**2 / (options.noise**2 + unheld))
+    return np.asarray(np.array(areas) / options.noise_length**2 / (options.noise**2 + unheld))
 
 
 def spread_points(points: FloatArray, spacing: float) -> IntArray:

@@ -38,7 +38,7 @@ class SplitOptions:
     )
     noise: float = option(0.1, "error expected of the composites' points, in each coordinate", 1e-9, 1e6, "mm")
     noise_length: float = option(
-        15.0, "distance over which that error varies: points closer together tell the same", 1e-6, 1e6, "mm"
+        15.0, "distance over which that error varies: points closer together share it", 1e-6, 1e6, "mm"
     )
     weight_spread: float = option(
         0.1, "error expected of the given weights; 0 keeps them. Weights of 0 always stay 0", 0.0, 10.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.example_rigging.detail import added_detail, parts, told_by
+from facepipe.geometry.example_rigging.detail import added_detail, normal_equations, parts
 from facepipe.geometry.example_rigging.examples import Examples, checked
 from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_fields
 from facepipe.geometry.example_rigging.field_system import FieldSystem
@@ -109,24 +109,24 @@ def _report(
 
 
 def _gains(examples: Examples, deltas: FloatArray) -> FloatArray:
-    found = np.ones(len(deltas))
+    gains = np.ones(len(deltas))
     for shape in examples.excited:
         template = examples.templates[shape]
         square = (examples.areas[:, None] * template**2).sum()
         if square > 0:
-            found[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
-    return found
+            gains[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
+    return gains
 
 
 def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
-    found = np.zeros(len(deltas))
+    changes = np.zeros(len(deltas))
     for shape in examples.excited:
         template = examples.templates[shape]
         motion = np.linalg.norm(template, axis=1)
         area = np.where(motion > 0.05 * motion.max(), examples.areas, 0.0)
         if area.any():
-            found[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
-    return found
+            changes[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
+    return changes
 
 
 def _residuals(examples: Examples, left: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,23 +149,23 @@ def _labels(names: Sequence[str] | None, count: int) -> Sequence[str]:
 def _warnings(
     examples: Examples, solution: FieldSolution, seen: FloatArray, rank: RankReport, names: Sequence[str]
 ) -> tuple[str, ...]:
-    found = []
+    warnings = []
     unexcited = np.flatnonzero(~examples.weights.any(axis=0)).tolist()
     if unexcited:
-        found.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: the template's are kept")
+        warnings.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: the template's are kept")
     hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _UNSEEN]
     if hidden:
-        found.append(f"scans hardly show {', '.join(names[shape] for shape in hidden)}")
+        warnings.append(f"scans hardly show {', '.join(names[shape] for shape in hidden)}")
     if rank.together:
         pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in rank.together[:_NAMED])
         more = f" and {len(rank.together) - _NAMED} more pairs" if len(rank.together) > _NAMED else ""
-        found.append(f"the weights can't tell apart, where both move: {pairs}{more}")
+        warnings.append(f"the weights don't separate, where both move: {pairs}{more}")
     if solution.held:
         stopped = ", ".join(f"{names[shape]} in composite {composite}" for composite, shape in solution.held)
-        found.append(f"weights at their bounds: {stopped}")
+        warnings.append(f"weights at their bounds: {stopped}")
     if not solution.settled:
-        found.append("gains and turns were not settled after the last step")
-    return tuple(found)
+        warnings.append("gains and turns were not settled after the last step")
+    return tuple(warnings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +175,7 @@ class RankReport:
     rank: int  # of the weights
     excited: int  # shapes that some composite holds
     ambiguous: FloatArray  # (e,) 0..1: share of a shape's motion that other shapes could have made just as well
-    together: tuple[tuple[int, int], ...]  # pairs that can't be told apart where both move, most first
+    together: tuple[tuple[int, int], ...]  # pairs that weights don't separate where both move, most first
 
 
 def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> FloatArray:
@@ -233,9 +233,9 @@ def _null_projector(weights: FloatArray) -> FloatArray:
 
 def _resolution(weights: FloatArray, spread: FloatArray, noise: float, confidence: FloatArray) -> FloatArray:
     """(p, x) 0..1: the diagonal of the resolution matrix of `dealt_out`, whose parameters these are."""
-    found = np.empty(spread.shape)
+    diagonal = np.empty(spread.shape)
     for part in parts(len(spread)):
-        shares, told, trusted = told_by(weights, spread[part], noise, confidence[part])
-        solved = np.linalg.solve(told, trusted[:, :, None] * weights)
-        found[part] = (shares * solved).sum(axis=1)
-    return np.clip(found, 0.0, 1.0)
+        shares, covariance, trusted = normal_equations(weights, spread[part], noise, confidence[part])
+        solved = np.linalg.solve(covariance, trusted[:, :, None] * weights)
+        diagonal[part] = (shares * solved).sum(axis=1)
+    return np.clip(diagonal, 0.0, 1.0)

@@ -55,8 +55,8 @@ class Step:
 
 def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[Pull]) -> Step:
     """The least-squares step of all unknowns."""
-    rows = [_Rows.of(surface, pull) for pull in pulls]
-    system = _System.of(surface, rows)
+    rows = [_Rows.from_pull(surface, pull) for pull in pulls]
+    system = _System.from_rows(surface, rows)
     right = np.zeros((3 * len(surface.base), 1 + system.count))
     for pull, row, own in zip(pulls, rows, system.columns, strict=True):
         right[:, own] += row.right(len(surface.base), pull)
@@ -68,7 +68,7 @@ def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[P
 
 def solve_model_step(surface: DeformableSurface, pulls: Sequence[Pull]) -> Step:
     """The least-squares step of all but the residual."""
-    system = _System.of(surface, [_Rows.of(surface, pull) for pull in pulls])
+    system = _System.from_rows(surface, [_Rows.from_pull(surface, pull) for pull in pulls])
     return system.step(system.solve(0.0), np.zeros_like(surface.base))
 
 
@@ -84,7 +84,7 @@ class _Rows:
     shown: Shown
 
     @classmethod
-    def of(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
+    def from_pull(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
         centre = pull.matches.places.mean(axis=0)
         return cls(
             planes=_plane_columns(surface, pull, centre),
@@ -102,12 +102,12 @@ class _Rows:
 
     def right(self, count: int, pull: Pull) -> FloatArray:
         """(3n, 1 + k + q) of the residual's equations."""
-        found = np.zeros((count, 3, self.planes.shape[1]))
+        sides = np.zeros((count, 3, self.planes.shape[1]))
         weighted = self.weights[:, None] * self.planes
-        found[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
+        sides[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
         anchored = self.anchor_weights[:, None, None] * self.fixed
-        found += (pull.spread.T @ anchored.reshape(len(anchored), -1)).reshape(found.shape)
-        return found.reshape(3 * count, -1)
+        sides += (pull.spread.T @ anchored.reshape(len(anchored), -1)).reshape(sides.shape)
+        return sides.reshape(3 * count, -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,17 +121,17 @@ class _System:
     expected: FloatArray  # (u,)
 
     @classmethod
-    def of(cls, surface: DeformableSurface, rows: Sequence[_Rows]) -> _System:
+    def from_rows(cls, surface: DeformableSurface, rows: Sequence[_Rows]) -> _System:
         modes, columns = len(surface.expected), []
         precision, expected = [surface.precision], [surface.expected]
         after = 1 + modes
         for row in rows:
-            own = row.planes.shape[1] - 1 - modes
-            columns.append(np.concatenate([np.arange(1 + modes), np.arange(after, after + own)]))
-            place = np.zeros(own - len(row.shown.expected))
+            unknowns = row.planes.shape[1] - 1 - modes
+            columns.append(np.concatenate([np.arange(1 + modes), np.arange(after, after + unknowns)]))
+            place = np.zeros(unknowns - len(row.shown.expected))
             precision += [row.shown.precision, place]
             expected += [row.shown.expected, place]
-            after += own
+            after += unknowns
         prior, mean = np.concatenate(precision), np.concatenate(expected)
         return cls(rows=rows, columns=columns, modes=modes, precision=prior, expected=mean)
 
@@ -206,7 +206,7 @@ class Membrane:
     stiffness: Any  # (n, n) sparse, the same for each axis
 
     @classmethod
-    def of(cls, surface: DeformableSurface, areas: FloatArray, stiffness: float) -> Membrane:
+    def on_surface(cls, surface: DeformableSurface, areas: FloatArray, stiffness: float) -> Membrane:
         """A membrane on the base, at rest where nothing pulls.
 
         :param areas: (n,) of the points, mm^2

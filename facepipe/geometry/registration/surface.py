@@ -97,11 +97,11 @@ class Anchors:
 
     def variances(self, sigma: float) -> FloatArray:
         """(l,) mm^2, where those without a sigma of their own have `sigma`."""
-        found = np.full(len(self), sigma**2)
+        variances = np.full(len(self), sigma**2)
         if len(self.sigmas):
-            own = np.isfinite(self.sigmas)
-            found[own] = self.sigmas[own] ** 2
-        return found
+            given = np.isfinite(self.sigmas)
+            variances[given] = self.sigmas[given] ** 2
+        return variances
 
     def places(self, values: FloatArray) -> FloatArray:
         """(l, ...) values (n, ...) of the surface's points at the anchors."""

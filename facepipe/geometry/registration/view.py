@@ -18,7 +18,7 @@ from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
 
 _FEWEST = 50  # matches
-_ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is told
+_ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is reported as an outlier
 _ANCHOR_BLUNDER = 25.0  # mm, and five times the median: further off from the start, it lies on another part of the face
 
 
@@ -151,21 +151,21 @@ def _after(first: Similarity, then: Similarity) -> Similarity:
 
 
 def across(labels: IntArray, seen: IntArray, points: FloatArray, triangles: IntArray, matches: Matches) -> BoolArray:
-    """(m,) matches of a lip or lid that lie on the other one, as far as the face as it is now tells.
+    """(m,) matches of a lip or lid that lie on the other one, judged by the face as it is now.
 
     :param labels: (n,) or none: points of +a and -a never correspond
     :param seen: (m,) points that `matches` are of
     """
-    found = np.zeros(len(seen), bool)
+    wrong = np.zeros(len(seen), bool)
     if not len(labels):
-        return found
-    own, corners = labels[seen], labels[triangles]
-    rows = np.flatnonzero((own != 0) & matches.kept)
+        return wrong
+    own_labels, corners = labels[seen], labels[triangles]
+    rows = np.flatnonzero((own_labels != 0) & matches.kept)
     marked = np.flatnonzero((corners != 0).all(axis=1) & (corners == corners[:, :1]).all(axis=1))
     if len(rows) and len(marked):
         places = closest_places(matches.places[rows], points, triangles[marked])
-        found[rows] = corners[marked[places.triangles], 0] == -own[rows]
-    return found
+        wrong[rows] = corners[marked[places.triangles], 0] == -own_labels[rows]
+    return wrong
 
 
 def huber_weights(distances: FloatArray, limits: FloatArray | float) -> FloatArray:
@@ -174,7 +174,7 @@ def huber_weights(distances: FloatArray, limits: FloatArray | float) -> FloatArr
 
 
 def farthest_anchor(off: FloatArray) -> float:
-    """Distance beyond which an anchor is told as an outlier."""
+    """Distance beyond which an anchor is reported as an outlier."""
     return max(_ANCHOR_OUTLIER, 4.0 * float(np.median(off))) if len(off) else 0.0
 
 

@@ -50,7 +50,7 @@ def create_database(
         raise InputError("sources", f"{len(sources)} face, expected 2 or more")
     facts = _read(sources, None, done)
     shapes = shapes_in_common(None, facts)
-    identity = IdentityModel.of(np.stack([one.points for one in facts]))
+    identity = IdentityModel.from_faces(np.stack([one.points for one in facts]))
     return _grown(None, sources, facts, identity, shapes, {}, (), options.tolerance_mm, done)
 
 
@@ -138,7 +138,11 @@ def _grown(
         ignored=ignored,
         facepipe=__version__,
     )
-    model = ExpressionModel.of(shapes.names, identity, coefficients[people], basis, deltas) if shapes.names else None
+    model = (
+        ExpressionModel.from_people(shapes.names, identity, coefficients[people], basis, deltas)
+        if shapes.names
+        else None
+    )
     made = FaceDatabase(
         topology=facts[0].topology,
         identity=identity,

@@ -31,7 +31,7 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
     stays = _staying(database, names, where)
     entries = tuple(entry for entry, own in zip(database.entries, stays, strict=True) if own)
     neutrals = database.neutrals()[stays]
-    identity = IdentityModel.of(neutrals)
+    identity = IdentityModel.from_faces(neutrals)
     coefficients = identity.coefficients(neutrals)
     people = [number for number, entry in enumerate(entries) if entry.stored_error is not None]
     left_out = {
@@ -75,7 +75,7 @@ def _model(
         return None
     former = np.array([entry.stored_error is not None for entry in database.entries])
     basis, deltas = narrowed(database.expressions.basis, database.expressions.deltas[stays[former]])
-    return ExpressionModel.of(database.expressions.names, identity, neutrals, basis, deltas)
+    return ExpressionModel.from_people(database.expressions.names, identity, neutrals, basis, deltas)
 
 
 def _warnings(database: FaceDatabase, entries: Sequence[Entry], made: FaceDatabase) -> tuple[str, ...]:

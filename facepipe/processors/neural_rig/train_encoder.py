@@ -13,8 +13,8 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
+from facepipe.geometry.point_choice import well_placed
 from facepipe.geometry.ridge import ridge
-from facepipe.geometry.telling_points import well_placed
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.options import HEADS, TrainEncoderOptions

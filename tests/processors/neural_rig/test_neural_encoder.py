@@ -13,8 +13,8 @@ from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
 
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.point_choice import farthest_points, halved, informative_points, well_placed
 from facepipe.geometry.ridge import ridge
-from facepipe.geometry.telling_points import farthest_points, halved, telling_points, well_placed
 from facepipe.processors.neural_rig import (
     Motion,
     SampleMotion,
@@ -248,7 +248,7 @@ def test_the_points_chosen_tell_more_than_points_drawn() -> None:
     middles = random.uniform(-50, 50, (12, 3))
     near = np.exp(-np.square(places[:, None] - middles).sum(axis=2) / 400.0)  # (n, c)
     moves = near[:, None, :] * random.normal(size=(3, 12))
-    chosen = telling_points(moves, 0.1, 16)
+    chosen = informative_points(moves, 0.1, 16)
     assert len(set(chosen.tolist())) == 16
 
     def doubt(points: np.ndarray) -> float:

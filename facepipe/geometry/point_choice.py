@@ -1,4 +1,4 @@
-"""Few points of a surface from which it can be told what moves it."""
+"""Few points of a surface that show what moves it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def farthest_points(places: FloatArray, weight: FloatArray, count: int) -> IntAr
     :param weight: (n,)
     """
     count = min(count, int(np.count_nonzero(weight)))
-    found = np.zeros(count, np.int64)
+    chosen = np.zeros(count, np.int64)
     near = np.full(len(places), np.inf)
     for number in range(count):
-        found[number] = np.argmax(near * weight) if number else np.argmax(weight)
-        near = np.minimum(near, np.linalg.norm(places - places[found[number]], axis=1))
-        near[found[number]] = -1.0  # places of several points are taken last, and none twice
-    return found
+        chosen[number] = np.argmax(near * weight) if number else np.argmax(weight)
+        near = np.minimum(near, np.linalg.norm(places - places[chosen[number]], axis=1))
+        near[chosen[number]] = -1.0  # places of several points are taken last, and none twice
+    return chosen
 
 
-def telling_points(moves: FloatArray, noise: float, count: int) -> IntArray:
+def informative_points(moves: FloatArray, noise: float, count: int) -> IntArray:
     """(count,) points, each the one that leaves the least doubt about all movers after the ones before it.
 
     Doubt is the summed variance of the movers' posterior, where each mover moves the points straight and points are
@@ -38,31 +38,31 @@ def telling_points(moves: FloatArray, noise: float, count: int) -> IntArray:
     :param noise: standard deviation of a coordinate, in the unit of the moves
     """
     count = min(count, len(moves))
-    found = np.zeros(count, np.int64)
+    chosen = np.zeros(count, np.int64)
     seen = moves * _PRIOR  # (n, 3, c) covariance of points with movers
     spread = np.matmul(moves, seen.transpose(0, 2, 1)) + noise**2 * np.eye(3)  # (n, 3, 3) of points
     for number in range(count):
         inverse = np.linalg.inv(spread)
         gain = np.einsum("nij,nji->n", np.matmul(seen, seen.transpose(0, 2, 1)), inverse)
-        gain[found[:number]] = -1.0
-        taken = found[number] = np.argmax(gain)
-        own = seen[taken].copy()
-        shared = moves @ own.T  # (n, 3, 3) covariance with the point taken
-        told = shared @ inverse[taken]
-        seen -= told @ own
-        spread -= told @ shared.transpose(0, 2, 1)
-    return found
+        gain[chosen[:number]] = -1.0
+        taken = chosen[number] = np.argmax(gain)
+        covariance = seen[taken].copy()
+        shared = moves @ covariance.T  # (n, 3, 3) covariance with the point taken
+        gains = shared @ inverse[taken]
+        seen -= gains @ covariance
+        spread -= gains @ shared.transpose(0, 2, 1)
+    return chosen
 
 
 def well_placed(places: FloatArray, moves: FloatArray, noise: float, count: int, candidates: int) -> IntArray:
-    """(<= count,) points that tell the movers, out of candidates that are spread over what moves, in the order of
+    """(<= count,) points that show the movers, out of candidates that are spread over what moves, in the order of
     `halved`. It depends on where points are and how they move, not on how they are numbered.
 
     :param places: (n, 3)
     :param moves: (n, 3, c)
     """
     chosen = farthest_points(places, np.sqrt(np.linalg.norm(moves, axis=(1, 2))), candidates)
-    chosen = chosen[telling_points(moves[chosen], noise, count)]
+    chosen = chosen[informative_points(moves[chosen], noise, count)]
     return np.asarray(chosen[halved(places[chosen])])
 
 
