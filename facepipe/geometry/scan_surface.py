@@ -233,8 +233,8 @@ def _linked(count: int, links: IntArray) -> IntArray:
 def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolArray, BoolArray]:
     """Triangles (t,) to turn, and edges (e,) across which no turning makes them agree.
 
-    Each triangle stands twice in a graph, as it is and turned; edges link the two that agree. A sheet turns those that its first
-    triangle reaches turned. Sheets that reach both of one triangle are one-sided: there a spanning tree
+    Each triangle stands twice in a graph, as it is and turned; edges link the two that agree. A sheet turns those
+    that its first triangle reaches turned. Sheets that reach both of one triangle are one-sided: there a spanning tree
     decides.
     """
     a, b = pairs.triangles.T

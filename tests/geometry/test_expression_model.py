@@ -1,4 +1,4 @@
-"""The multilinear model: what it keeps, what its vectors mean, and what they predict of expressions that weren't seen."""
+"""The multilinear model: what it keeps, what its vectors mean, and what they predict of unseen expressions."""
 
 from __future__ import annotations
 

@@ -138,11 +138,9 @@ def _grown(
         ignored=ignored,
         facepipe=__version__,
     )
-    model = (
-        ExpressionModel.from_people(shapes.names, identity, coefficients[people], basis, deltas)
-        if shapes.names
-        else None
-    )
+    model = None
+    if shapes.names:
+        model = ExpressionModel.from_people(shapes.names, identity, coefficients[people], basis, deltas)
     made = FaceDatabase(
         topology=facts[0].topology,
         identity=identity,
