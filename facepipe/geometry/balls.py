@@ -66,6 +66,10 @@ def _algebraic(points: FloatArray, shares: FloatArray) -> tuple[FloatArray, floa
 
 
 def _geometric(points: FloatArray, shares: FloatArray, centre: FloatArray, radius: float) -> tuple[FloatArray, float]:
+    """Gauss-Newton steps on ``sum w t (|p - c| - r)^2`` with shares w and trust t.
+
+    The algebraic fit weighs residuals by about twice the radius, and is drawn in by points that lie inside.
+    """
     for _ in range(_STEPS):
         offsets = points - centre
         distances = np.linalg.norm(offsets, axis=1)
@@ -80,7 +84,7 @@ def _geometric(points: FloatArray, shares: FloatArray, centre: FloatArray, radiu
 
 
 def _trust(residuals: FloatArray, shares: FloatArray, radius: float) -> FloatArray:
-    """Square roots of Tukey's weights: 1 on the ball, 0 far from it."""
+    """Square roots of Tukey's weights ``(1 - (residual / reach)^2)^2``: 1 on the ball, 0 beyond the reach."""
     order = np.argsort(np.abs(residuals), kind="stable")
     middle = np.searchsorted(np.cumsum(shares[order]), 0.5 - 1e-12)
     reach = _OUTLIER * max(_NORMAL * float(np.abs(residuals[order[middle]])), _EXACT * radius)
@@ -90,8 +94,9 @@ def _trust(residuals: FloatArray, shares: FloatArray, radius: float) -> FloatArr
 class RadialSurface:
     """A surface that every ray from its centre crosses once.
 
-    Its radius in a direction is mixed of those of its points that are nearest in direction, the nearer the more. So a
-    ball is exact however coarse its mesh is, and a surface that ends (the front half of an eye) goes on as a ball.
+    Its radius in a direction is ``sum r_i / a_i^2 / sum 1 / a_i^2`` over the points that are nearest in direction, a_i
+    the length between the unit directions (about the angle). So a ball is exact however coarse its mesh is, and a
+    surface that ends (the front half of an eye) goes on as a ball.
 
     :param points: (n, 3) of the surface, n at least 1
     :param centre: (3,)

@@ -32,7 +32,8 @@ def solve_boxed(hessian: FloatArray, linear: FloatArray, lower: FloatArray, uppe
 class BoxedQuadratic:
     """Problems that share their matrix, and mostly its factor: a few variables at their bounds need none of their own.
 
-    Projected Newton steps: Cholesky over the variables that no bound holds, along the path bent at the bounds.
+    Projected Newton steps: over the variables f that no bound holds ``d_f = -H_ff^-1 (H x + g)_f``, along the path bent
+    at the bounds. Where the sign of the slope holds the others (Karush-Kuhn-Tucker), x is the minimiser.
     Source: Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
     Optim. 1982.
 
@@ -74,7 +75,12 @@ class BoxedQuadratic:
         return BoxedSolution(x, residual, _STEPS)
 
     def _newton(self, held: BoolArray, movable: BoolArray, slope: FloatArray) -> FloatArray:
-        """(n,) the step that makes the slope of all variables 0 that are not `held`."""
+        """(n,) the step that makes the slope of all variables 0 that are not `held`.
+
+        With the factor of more variables than move, the held ones h get forces that undo their steps:
+        ``d = d' - Y (Y_h)^-1 d'_h`` where d' is the step of all in the factor and Y the answers of its inverse to unit
+        forces on h. A few solves are cheaper than a factor.
+        """
         from scipy.linalg import cho_solve
 
         few = len(slope) // _FEW
@@ -83,7 +89,7 @@ class BoxedQuadratic:
         inside = np.flatnonzero(self._factored)
         step = -np.asarray(cho_solve(self._factor, slope[inside], check_finite=False))
         stopped = np.flatnonzero(held[inside])
-        if len(stopped):  # forces on them that undo their steps
+        if len(stopped):
             answers = np.zeros((len(inside), len(stopped)))
             answers[stopped, np.arange(len(stopped))] = 1.0
             answers = np.asarray(cho_solve(self._factor, answers, overwrite_b=True, check_finite=False))

@@ -31,8 +31,8 @@ class Bridges:
 def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
     """From every point (of `points` (n, 3)) outside component number `main` to the nearest point in it.
 
-    The weight falls with the distance, relative to the median of the same component: where a part touches the face
-    it follows the face.
+    The weight is ``1 / (1 + (d / median)^2)``, by the median distance of the same component: where a part touches the
+    face it follows the face.
     """
     from scipy.spatial import cKDTree
 

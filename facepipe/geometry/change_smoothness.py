@@ -14,9 +14,11 @@ from facepipe.geometry.triangle_frames import Neighbours, TriangleChanges
 
 @dataclass(frozen=True, kw_only=True)
 class ChangeSmoothness:
-    """``smooth * sum |T_i - T_j|^2 + near * sum area |T_i - 1|^2``, the sums as integrals over the surface.
+    """``smooth * sum_ij w_ij |T_i - T_j|^2 + near * sum_i area_i |T_i - 1|^2`` over neighbouring triangles i and j.
 
-    Triangles beside those that move count too, so that a part goes over into what stays without a crease.
+    About ``smooth |grad T|^2 + near |T - 1|^2``, integrated over the surface: changes fade over
+    ``sqrt(smooth / near)``. Triangles beside those that move count too, so that a part goes over into what stays
+    without a crease.
     """
 
     changes: TriangleChanges  # of triangles that move
@@ -74,9 +76,7 @@ class Groups:
     """m groups of v points each, and where their blocks go. Points of -1 are given: they have no unknowns."""
 
     points: IntArray  # (m, v)
-    between: tuple[
-        IntArray, ...
-    ]  # for each two members: (m,) link of that pair, or one past the last where it has none
+    between: tuple[IntArray, ...]  # for each two members: (m,) link of that pair, one past the last where there is none
 
     @classmethod
     def among(cls, points: IntArray, count: int, links: IntArray) -> Groups:
@@ -113,7 +113,9 @@ def sparse_blocks(blocks: FloatArray, shared: Any) -> Any:
 
 
 class BlockSystem:
-    """``A x = b`` of a sum of weighted squares, gathered group by group.
+    """``A x = b`` of ``sum_m w_m |r_m + J_m x|^2``, gathered group by group: ``A = sum w J^T J``, ``b = -sum w J^T r``.
+
+    In 3 x 3 blocks of points and of pairs of points, sums of small dense products: no Jacobian of all rows is made.
 
     :param count: points
     :param links: (p,) ascending ``lower * count + higher`` of pairs of points with blocks

@@ -98,7 +98,11 @@ def closest_among(
 
 
 def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1."""
+    """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1.
+
+    A corner's share is the signed area of the triangle of the place and the other two corners, over the whole one's; on
+    an edge and at a corner from that alone, so that shares are exactly 0 where rounding would leave some.
+    """
     corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[found.triangles]]
     opposite = corners[:, [1, 2, 0]] - found.places[:, None], corners[:, [2, 0, 1]] - found.places[:, None]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -168,7 +172,8 @@ def _improve(
 def _nearest_on(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
     """Squared distance, place and feature on triangles (p, 3, 3), each with its own point (p, 3).
 
-    The foot of the perpendicular where that lies inside; otherwise the nearest place on the three edges.
+    The foot of the perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where
+    ``(side x (p - start)) . n > 0`` at all three sides; otherwise the nearest place on the three edges.
     """
     starts, ends = corners, corners[:, [1, 2, 0]]
     sides = ends - starts

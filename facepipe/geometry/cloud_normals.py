@@ -48,7 +48,10 @@ def cloud_normals(points: FloatArray, neighbours: int = 16) -> CloudNormals:
 
 
 def _flattest(points: FloatArray, near: IntArray) -> FloatArray:
-    """(n, 3) direction in which the neighbours (n, k) of each point spread least."""
+    """(n, 3) direction in which the neighbours (n, k) of each point spread least.
+
+    The eigenvector of least eigenvalue of ``sum (p - mean) (p - mean)^T``: the normal of the plane of least squares.
+    """
     normals = np.empty((len(points), 3))
     for start in range(0, len(points), _CHUNK):
         around = points[near[start : start + _CHUNK]]

@@ -87,7 +87,7 @@ class Transfer:
         return np.asarray(result)
 
     def _laplacian(self) -> Any:
-        """(n, n) sparse: the hat functions' Dirichlet products."""
+        """(n, n) sparse, the hat functions' Dirichlet products ``L_ij = sum_t area_t grad_i . grad_j``: cotangents."""
         from scipy.sparse import coo_array
 
         products = self._areas[:, None, None] * (self._hats @ self._hats.transpose(0, 2, 1))
@@ -122,7 +122,7 @@ class Transfer:
         return summed
 
     def _divergence(self, gradients: FloatArray) -> FloatArray:
-        """(n, 3) right-hand side of the normal equations."""
+        """(n, 3) right-hand side of the normal equations, ``b_i = sum_t area_t G_t grad_i`` with gradients G."""
         flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
         return group_sums(self._triangles.ravel(), flux.reshape(-1, 3), len(self._points))
 

@@ -153,7 +153,9 @@ class ExpressionModel:
     def _most_likely(self, rows: Sequence[int], off: FloatArray) -> FloatArray:
         """(r,) vector of coordinates `off` (rows, k + q) from the mean's.
 
-        An expression that differs much between people is as much the less exact: noise is taken as a share of that.
+        The vector v has the prior N(0, 1), and group g of rows (the neutral, the expressions) noise of inverse variance
+        w_g: ``(1 + sum_g w_g M_g M_g^T) v = sum_g w_g M_g off_g`` with the maps M. An expression that differs much
+        between people is as much the less exact: rows are divided by that spread first.
         """
         spread = np.array([np.sqrt(np.square(self._flat([row])).sum()) for row in rows])
         shares = np.divide(1.0, spread, out=np.zeros(len(rows)), where=spread > 0)
@@ -248,7 +250,12 @@ def trust(seen: Sequence[Block], wanted: Block) -> list[float]:
 
 
 def _missed(products: FloatArray, wanted: FloatArray) -> float:
-    """Sum over people of the squared distance of what is predicted of them from what is so."""
+    """Sum over people of the squared distance of what is predicted of them from what is so.
+
+    Of m people with products K, all predicted at once are ``H y`` with ``H = (K' + 1)^-1 K' + 1/m``,
+    ``K' = K / (m - 1)``; person i left out is missed by ``((1 - H) y)_i / (1 - H_ii)``, so that no person needs a solve
+    of its own.
+    """
     count = len(products)
     scaled = products / (count - 1)
     hat = np.linalg.solve(scaled + np.eye(count), scaled) + 1.0 / count

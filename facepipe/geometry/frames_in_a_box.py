@@ -164,7 +164,11 @@ class _State:
         return np.asarray(self.data.cost(x, frames) + self.box.l1 * np.abs(x).sum(axis=1))
 
     def _change(self, frames: IntArray, x: FloatArray) -> FloatArray:
-        """(k, c) the damped step within the box: what would leave it is held at its edge, round by round."""
+        """(k, c) the damped step within the box: what would leave it is held at its edge, round by round.
+
+        ``(H + damping diag(H) + 2 smooth D^T D) step = -slope`` with second differences D of frames: of the unknowns of
+        all frames in a row a band, 2 c beside the diagonal.
+        """
         slope, matrix = self._slope[frames], self._matrix[frames].copy()
         smooth = self.smoothness
         diagonals = [] if smooth is None else smooth.diagonals(len(frames))

@@ -94,7 +94,11 @@ def _edges_of(cells: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _lines(points: FloatArray, edges: IntArray, a: IntArray, b: IntArray) -> tuple[IntArray, FloatArray]:
-    """Pairs (m, 2) of those of `a` and `b` (-1: none) whose line crosses their edge, and its length."""
+    """Pairs (m, 2) of those of `a` and `b` (-1: none) whose line crosses their edge, and its length.
+
+    Both cells are unfolded about the edge into one plane: a point s along it and h away from it on one side, t and k on
+    the other, have the distance ``hypot(s - t, h + k)``; the line crosses the edge at ``(s k + t h) / (h + k)``.
+    """
     there = (a >= 0) & (b >= 0)
     a, b, (first, last) = a[there], b[there], edges[there].T
     low = points[first]

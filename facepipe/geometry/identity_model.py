@@ -40,8 +40,9 @@ class IdentityModel:
     def with_faces(self, faces: FloatArray) -> IdentityModel:
         """The model of its own faces and of more (m, n, 3): that of all of them together, where no component was cut.
 
-        What is known of its own faces is their mean and spread, which is all that components depend on (Chan, Golub
-        and LeVeque, "Updating Formulae and a Pairwise Algorithm for Computing Sample Variances", COMPSTAT 1982).
+        What is known of its own faces is their mean and spread, which is all that components depend on:
+        ``S = S_1 + S_2 + n_1 n_2 / n (m_2 - m_1) (m_2 - m_1)^T`` of two sets' sums of squares about their means (Chan,
+        Golub and LeVeque, "Updating Formulae and a Pairwise Algorithm for Computing Sample Variances", COMPSTAT 1982).
 
         :raises InputError: faces of another number of points
         """

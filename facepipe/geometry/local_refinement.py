@@ -1,8 +1,13 @@
 """A face drawn onto its scan where it may follow: matches and steps in turn, each triangle changed like its neighbours.
 
 Source: face-model-from-scans, S13, the first constraint: distances of landmarks and of nearest points, and differences
-between the changes of neighbouring triangles, in one sum of squares. See `triangle_changes` for the changes. Each step
-is one sparse system, the changes taken to first order.
+between the changes of neighbouring triangles, in one sum of squares over points ``x = base + move``:
+
+    sum_i w_i (n_i . (p_i - x_i))^2 + sum_l a_l |y_l - x_l|^2 + S(T(x)) + sum_i h_i |move_i|^2
+
+with matches p and their normals n, anchors y, and the smoothness S of changes T (`change_smoothness`,
+`triangle_frames`). Each step is of Gauss-Newton's kind: T to first order about where the points are, one sparse factor,
+matches looked for anew.
 """
 
 from __future__ import annotations
@@ -48,13 +53,15 @@ class RefinementOptions:
     def smooth(self) -> float:
         """Weight of the squared gradient of changes, mm^2.
 
-        A wave along the normal counts twice: as slope of the surface, and as turn of its normal.
+        A wave of height h along the normal has ``|grad T|^2 = 2 k^4 h^2`` with ``k = 2 pi / length``, as slope of the
+        surface and as turn of its normal; it is followed by half where that costs as much as a match of
+        ``h^2 / sigma^2``.
         """
         return (self.detail_mm / (2.0 * np.pi)) ** 4 / (2.0 * self.matching.surface_sigma_mm**2)
 
     @property
     def near(self) -> float:
-        """Weight of the squared change itself."""
+        """Weight of the squared change itself: beside what pulls, changes fall by e over ``sqrt(smooth / near)``."""
         return self.smooth / self.fade_mm**2
 
 

@@ -44,8 +44,9 @@ def meeting_points(
 ) -> tuple[FloatArray, FloatArray]:
     """The point nearest to all rays of each bundle, robustly, and the distance of each ray from it.
 
-    Least squares of distances, reweighted by ``1 / (1 + (distance / scale)^2)`` (Cauchy), so that rays far off don't
-    count.
+    Least squares of distances: ``sum_v w (1 - d d^T) x = sum_v w (1 - d d^T) o`` over rays with unit directions d from
+    o, of which ``1 - d d^T`` drops what lies along them. Reweighted by ``1 / (1 + (distance / scale)^2)`` (Cauchy), so
+    that rays far off don't count.
 
     :param origins: (v, 3) of each view
     :param directions: (v, k, 3) of each view's ray in each bundle, any length

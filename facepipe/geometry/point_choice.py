@@ -32,7 +32,10 @@ def informative_points(moves: FloatArray, noise: float, count: int) -> IntArray:
     """(count,) points, each the one that leaves the least doubt about all movers after the ones before it.
 
     Doubt is the summed variance of the movers' posterior, where each mover moves the points straight and points are
-    seen with noise. Source: greedy A-optimal design, e.g. Pukelsheim, Optimal Design of Experiments (1993).
+    seen with noise. With C the covariance of a point with the movers and S its own, noise included, seeing it takes
+    ``trace(C C^T S^-1)`` off the doubt; all other covariances then lose what it explains of them, as in a Kalman
+    filter, so that no inverse larger than 3 x 3 is needed. Source: greedy A-optimal design, e.g. Pukelsheim, Optimal
+    Design of Experiments (1993).
 
     :param moves: (n, 3, c) how far each of c movers moves a point
     :param noise: standard deviation of a coordinate, in the unit of the moves

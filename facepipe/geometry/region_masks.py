@@ -37,10 +37,10 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     """Masks (R, n) with a harmonic transition of `width` (units of `points`) across the borders between regions.
 
     A border crosses every edge whose end points have different largest regions. Points nearer to one than half the
-    width, along the edges (e, 2), take the solution of the discrete Laplace equation with edge weights 1 / length; all
-    others keep their masks exactly. The weights are above 0, so that the maximum principle holds: smoothed masks lie
-    between those around the band, and sum to 1 where those do. Free points that no edges join to a point outside the
-    band keep their masks.
+    width, along the edges (e, 2), take the solution of the discrete Laplace equation ``sum_j (m_i - m_j) / l_ij = 0``
+    over edges of length l; all others keep their masks exactly. The weights are above 0, so that the maximum principle
+    holds: smoothed masks lie between those around the band, and sum to 1 where those do. Free points that no edges join
+    to a point outside the band keep their masks.
 
     :param width: 0 or more; 0 changes nothing
     :raises InputError: the width is negative, NaN or infinite

@@ -24,7 +24,8 @@ def ridge(seen: FloatArray, wanted: FloatArray, noise: float | FloatArray) -> tu
     """(s, t) and (t,): the map and offset of least squared error from rows of `seen`, each with other noise, to
     `wanted`.
 
-    Source: Hoerl and Kennard, Ridge regression (1970); its penalty is what the noise brings.
+    ``(A^T A + n diag(noise^2)) M = A^T B`` with rows A and B less their means: the expected error of a map M gains
+    ``|noise M|^2`` a row. Source: Hoerl and Kennard, Ridge regression (1970).
 
     :param seen: (n, s)
     :param wanted: (n, t)
@@ -61,6 +62,10 @@ class Examples:
 
     def maps(self, noise: float) -> PointMaps:
         """The maps of least squares with noise on inputs; where examples are silent, nothing is moved.
+
+        At point i, of examples A in inputs of strengths S and P in the point's own vector, with motions Y:
+        ``D = (A S^2 A^T + P P^T + noise^2)^-1 Y``, then ``by_input = S^2 A^T D`` and ``by_own = P^T D``. In this dual
+        form a system is as large as there are examples, which are few.
 
         :param noise: of examples, in shares of `strengths` and in the unit of the points: both scale alike
         """

@@ -178,7 +178,11 @@ class _Pairs(NamedTuple):
 
 
 def cut_sheets(triangles: IntArray) -> Sheets:
-    """The sheets of triangles (t, 3): no point twice in one, and no two on the same points."""
+    """The sheets of triangles (t, 3): no point twice in one, and no two on the same points.
+
+    Corners are one point only where edges of two triangles connect them: Gueziec, Taubin, Lazarus, Horn, "Cutting and
+    Stitching: Converting Sets of Polygons to Manifold Surfaces", TVCG 2001.
+    """
     pairs, crowded = _pairs(triangles)
     component = _linked(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
@@ -197,7 +201,9 @@ def cut_sheets(triangles: IntArray) -> Sheets:
 def outwardness(points: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
     """How much each sheet (c,) bulges to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in.
 
-    The mean distance of the tangent planes from the sheet's centre, over the root of its area.
+    ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of the triangles: the
+    mean distance of the tangent planes from the sheet's centre, over the root of its area; ``1 / sqrt(4 pi)`` for a
+    sphere.
     """
     a, b, c = points[triangles].transpose(1, 0, 2)
     area_normals = np.cross(b - a, c - a) / 2

@@ -20,7 +20,9 @@ _ROUNDING = 1e-6  # of the largest coefficients: float32, no direction
 def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[FloatArray, FloatArray]:
     """The fewest orthonormal shapes that leave at most `tolerance` of all frames (RMS over points), up to `most`.
 
-    Principal components about rest, by the frames' Gram matrix: frames are fewer than coordinates.
+    Principal components about rest, by the frames' Gram matrix, since frames are fewer than coordinates: of deltas D
+    (f, 3n) with ``D D^T = V diag(s^2) V^T`` the shapes are ``V^T D / s``, and frames have ``V s`` of them. What the
+    first r leave is the sum of the other s^2.
 
     :param deltas: (f, n, 3) from rest
     :param tolerance: in the unit of the deltas

@@ -112,7 +112,11 @@ def fit_similarities(
 
 
 def _rotations(covariance: FloatArray, spread: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """The rotation (g, 3, 3) of each covariance (g, 3, 3), and the trace (g,) of Umeyama's D S; 0: left at identity."""
+    """The rotation (g, 3, 3) of each covariance (g, 3, 3), and the trace (g,) of Umeyama's D S; 0: left at identity.
+
+    ``R = U S V^T`` of the covariance ``U D V^T``, with ``S = diag(1, 1, det U det V)``: the nearest rotation, no
+    reflection.
+    """
     U, D, Vt = np.linalg.svd(covariance)
     signs = np.ones_like(D)
     signs[:, 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)

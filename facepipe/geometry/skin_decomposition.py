@@ -140,7 +140,12 @@ class _Solver:
             left[:, rows] = goal - shares[:, None] * self._displacement(joint, rows)
 
     def _fit_joint(self, joint: int, rows: IntArray, shares: FloatArray, goal: FloatArray) -> None:
-        """The rigid transform whose displacement times `own` (r,) is nearest to `goal` (s, r, 3)."""
+        """The rigid transform whose displacement times `shares` (r,) is nearest to `goal` (s, r, 3).
+
+        Minimises ``sum_i |w_i (R x_i + t - x_i) - g_i|^2``. With the mean ``m = sum w^2 x / sum w^2`` and where it
+        goes, ``m' = m + sum w g / sum w^2``: R is the rotation nearest to ``sum (w^2 (x - m) + w g) (x - m)^T``,
+        ``t = m' - R m``.
+        """
         at, total = self._rest[rows], float((shares**2).sum())
         middle = (shares**2) @ at / total
         moved = middle + shares @ goal / total

@@ -2,6 +2,13 @@
 
 The frame of a triangle is two of its edges and the scaled normal ``e1 x e2 / sqrt(|e1 x e2|)``, which stands for the
 fourth vertex of Sumner & Popović, "Deformation Transfer for Triangle Meshes", SIGGRAPH 2004, section 3.
+
+The change of a triangle is the 3 x 3 matrix T that takes its frame from rest to where it is now: T is linear in the
+frame, ``T = e1' d1^T + e2' d2^T + n' d3^T`` with the duals d of the frame at rest. Sumner & Popović give each triangle
+a fourth vertex of its own. Here the normal follows from the corners, so that its column of T is taken to first order
+about where the triangle is: that leaves a third of the unknowns, and no freedom to shear the surface against its normal
+at no cost. T is the same all over where a surface is turned, scaled and moved as a whole; an affine map changes the
+edges of all triangles alike, but not their normals.
 """
 
 from __future__ import annotations
@@ -27,6 +34,9 @@ def frames(points: FloatArray, triangles: IntArray) -> FloatArray:
 def duals(triangle_frames: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows (t, 3, 3) with ``frame^T dual`` the identity, and areas (t,); both 0 for triangles without area.
 
+    ``d1 = e2 x u / 2A, d2 = u x e1 / 2A, d3 = n / |n|^2`` with the unit normal u and ``2A = |e1 x e2| = |n|^2``: in
+    closed form, which also shows the triangles that have no inverse.
+
     :param triangle_frames: (t, 3, 3) frames
     """
     first, second, normal = triangle_frames.transpose(1, 0, 2)
@@ -42,7 +52,10 @@ def duals(triangle_frames: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def hat_gradients(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Gradients (t, 3, 3) of the hat functions of each triangle's corners, one a row, and areas (t,)."""
+    """Gradients (t, 3, 3) of the hat functions of each triangle's corners, one a row, and areas (t,).
+
+    Those of the second and third corner are the duals d1 and d2; all three sum to 0, since the functions sum to 1.
+    """
     rows, areas = duals(frames(points, triangles))
     return np.stack([-rows[:, 0] - rows[:, 1], rows[:, 0], rows[:, 1]], axis=1), areas
 
@@ -156,7 +169,12 @@ class Neighbours:
 
 
 def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: IntArray, ends: IntArray) -> FloatArray:
-    """(p,) length of the edge, times the distance of the centroids across it, over their squared distance."""
+    """(p,) ``l h / max(|c1 - c2|^2, h^2)``: the area at an edge of length l between two centroids c, times the inverse
+    square of their distance, with their distance across the edge ``h = (A1 + A2) / 1.5 l``.
+
+    These areas cover the surface twice, and differences along one direction see half of a gradient's square: the sum
+    of weighted squared differences is about the integral of ``|grad T|^2``.
+    """
     tiny = np.finfo(np.float64).tiny
     length = np.maximum(np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1), np.sqrt(tiny))
     across = areas[pairs].sum(axis=1) / (1.5 * length)
@@ -166,7 +184,11 @@ def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: 
 
 
 def _normal_derivatives(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(t, 3, 3) derivatives of the scaled normal in the first and in the second edge; 0 without area."""
+    """(t, 3, 3) derivatives of the scaled normal in the first and in the second edge; 0 without area.
+
+    With ``c = e1 x e2``, ``n = c / sqrt(|c|)`` and ``u = c / |c|``: ``dn = (1 - u u^T / 2) dc / sqrt(|c|)`` and
+    ``dc = e1 x de2 - e2 x de1``.
+    """
     a, b, c = points[triangles].transpose(1, 0, 2)
     first, second = b - a, c - a
     cross = np.cross(first, second)

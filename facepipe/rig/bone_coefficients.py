@@ -70,7 +70,9 @@ def coefficient_derivatives(coefficients: FloatArray) -> FloatArray:
 def coefficient_gradient(coefficients: FloatArray, by_matrix: FloatArray) -> FloatArray:
     """(..., 9) derivatives by (..., 9) coefficients of what has (..., 4, 4) by their matrices.
 
-    Each angle turns the rotated axes about one axis: z the world's, x the one z left, y the joint's own in the end.
+    With F the (3, 3) derivatives by ``R S``, a turn about a unit axis a has the derivative ``a . q`` with the torque
+    ``q_i = sum_jk e_ijk (F (R S)^T)_kj``. Each angle turns about one axis: z the world's, x the one z left, y the
+    joint's own in the end.
     """
     angles, linear = coefficients[..., 3:6], by_matrix[..., :3, :3]
     rotation = _rotation(angles)

@@ -14,7 +14,12 @@ from facepipe.rig.trs import decompose, rotation_matrices
 
 
 def dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -> FloatArray:
-    """(n, 3, 4) transforms of points with (n, j) weights that sum to 1 under (j, 4, 4) affine matrices."""
+    """(n, 3, 4) transforms of points with (n, j) weights that sum to 1 under (j, 4, 4) affine matrices.
+
+    Each matrix is a stretch K and then a rigid motion, as unit quaternion q and dual part ``d = (0, t) q / 2``. Points
+    take ``q = sum +-w q_j / |sum +-w q_j|``, d by the same sum and length, and ``sum w K_j``; the translation is the
+    vector part of ``2 d conj(q)``.
+    """
     stretch, turned = _polar(matrices)
     real = decompose(turned).rotation  # (j, 4) x y z w
     dual = 0.5 * _product(np.pad(turned[:, :3, 3], ((0, 0), (0, 1))), real)

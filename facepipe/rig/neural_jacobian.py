@@ -16,7 +16,8 @@ from facepipe.rig.rig import Rig
 
 def output_derivatives(rig: NeuralRig, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(f, r + m) outputs of (f, c) shares of ranges from defaults, within limits, and their derivatives
-    (f, r + m, c)."""
+    (f, r + m, c): ``linear^T + last diag(silu'(u)) hidden``, where ``silu'(u) = s (1 + u (1 - s))`` with s the
+    sigmoid."""
     units = x @ rig.hidden.T + rig.hidden_bias
     share = expit(units)
     outputs = x @ rig.linear + (units * share) @ rig.last.T + rig.last_bias

@@ -56,7 +56,11 @@ class _Found(NamedTuple):
 
 
 class _Step:
-    """One linear problem.
+    """One linear problem: fields and changes of weights x, each of spread 1 a priori, from what is left of composites.
+
+    Minimises ``|x - m|^2 + sum trust |left - P x|^2``: ``(1 + P^T C P) x = P^T C left + m``, where P makes composites
+    of the unknowns, C is the diagonal of trust, and m how far given weights are from where this step starts. P is
+    applied shape by shape; its product with itself would be dense.
 
     :param weights: (c, e) from where weights change
     :param z: fields to start from

@@ -109,6 +109,7 @@ def _report(
 
 
 def _gains(examples: Examples, deltas: FloatArray) -> FloatArray:
+    """(e,) ``<template, delta> / <template, template>``, products weighted by area."""
     gains = np.ones(len(deltas))
     for shape in examples.excited:
         template = examples.templates[shape]
@@ -119,6 +120,7 @@ def _gains(examples: Examples, deltas: FloatArray) -> FloatArray:
 
 
 def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
+    """(e,) mean distance from the template over the points that it moves by a twentieth of its largest motion."""
     changes = np.zeros(len(deltas))
     for shape in examples.excited:
         template = examples.templates[shape]

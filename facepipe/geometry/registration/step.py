@@ -6,8 +6,10 @@ point from the plane of its match p is linear in all of them:
     n . (base + C b + d - p - ω x p - t - s p)
 
 The residual has three unknowns a point, b and the scan's place 60 to 70 in all. For fixed b, ω, t, s the residual
-solves one sparse system; it is factored once and solved for a right-hand side of each of these (Schur complement).
-Several scans of one face share b and d; each has its own place, and weights of what else it shows: an expression.
+solves one sparse system ``K d = r_0 - R u`` with u for all of these; K is factored once and solved for a right-hand
+side of each. Put back, that leaves ``(N - R^T K^-1 R) u = n_0 - R^T K^-1 r_0`` of the normal equations' N and n_0
+(Schur complement), a dense system of the few. Several scans of one face share b and d; each has its own place, and
+weights of what else it shows: an expression.
 """
 
 from __future__ import annotations
@@ -220,7 +222,11 @@ class Membrane:
         return cls(stiffness=bending + diags_array(resting))
 
     def factor(self, pulls: Sequence[Pull]) -> Factor:
-        """Of the system (3n, 3n) of the residual, axes of a point side by side."""
+        """Of the system (3n, 3n) of the residual, axes of a point side by side.
+
+        ``K = kron(stiffness + sum_l a_l s_l s_l^T, 1) + diag(w_i n_i n_i^T)`` of matches with normals n, and of anchors
+        that pull by their spreads s.
+        """
         from scipy.sparse import diags_array
 
         shared, blocks = self.stiffness, np.zeros((self.stiffness.shape[0], 3, 3))

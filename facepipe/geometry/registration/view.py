@@ -169,7 +169,7 @@ def across(labels: IntArray, seen: IntArray, points: FloatArray, triangles: IntA
 
 
 def huber_weights(distances: FloatArray, limits: FloatArray | float) -> FloatArray:
-    """Weights of Huber's loss: linear beyond the limits."""
+    """Weights of Huber's loss, ``limit / max(distance, limit)``: linear beyond the limits."""
     return np.asarray(limits / np.maximum(distances, limits))
 
 
@@ -179,12 +179,12 @@ def farthest_anchor(off: FloatArray) -> float:
 
 
 def rough_trust(off: FloatArray, limit: float) -> FloatArray:
-    """Huber's weights for the first steps, where even right anchors lie off. A blunder says nothing: a few of them
+    """Huber's weights for the first steps, where even right anchors lie off. A blunder counts nothing: a few of them
     would shrink the scan and bend the model to meet it."""
     farthest = max(_ANCHOR_BLUNDER, 5.0 * float(np.median(off))) if len(off) else 0.0
     return np.asarray(huber_weights(off, limit) * (off <= farthest))
 
 
 def anchor_trust(off: FloatArray) -> FloatArray:
-    """Tukey's weights: an outlier says nothing, others nearly all that they have to say."""
+    """Tukey's weights ``(1 - (off / farthest)^2)^2``: an outlier counts nothing, others nearly in full."""
     return np.asarray(np.maximum(1.0 - (off / max(farthest_anchor(off), 1e-12)) ** 2, 0.0) ** 2)
