@@ -301,7 +301,7 @@ def test_bad_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
 
 BAD_REQUESTS = {
     "joints outside": (with_joint(position=[0, 0, 1e6]), "mm from the face"),
-    "unknown region": (with_joint(regions=["moustache"]), "no 'moustache', expected some of cheek"),
+    "unknown region": (with_joint(regions=["moustache"]), "no 'moustache', did you mean 'mouth'?"),
     "unknown mesh": ({**GOOD, "parts": {"Horn*": "head"}}, "'Horn*' matches no mesh"),
     "nowhere allowed": (
         {"unit": "mm", "joints": {"a": {"position": [0, 0, 100], "radius": 20}}},

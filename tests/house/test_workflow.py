@@ -1,0 +1,39 @@
+"""Hosted CI does what the contributing page says, on what the metadata promises."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+from pages import blocks
+from places import REPOSITORY
+
+WORKFLOW = (REPOSITORY / ".github/workflows/ci.yml").read_text(encoding="utf-8")
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def test_its_checks_are_those_of_contributors() -> None:
+    page = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    checks = next(block for block in blocks(page, "sh") if "ruff" in block).splitlines()
+    run = re.findall(r"- run: (.+)", WORKFLOW)
+    assert [line for line in checks if line not in run] == []
+
+
+def test_it_runs_on_every_python_and_system_that_the_metadata_names() -> None:
+    named = [one.rpartition(" :: ")[2] for one in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", one)]
+    matrix = re.search(r"python: \[(.+)\]", WORKFLOW)
+    assert matrix is not None
+    assert re.findall(r'"([\d.]+)"', matrix[1]) == named
+    assert PROJECT["requires-python"] == f">={named[0]}"
+    systems = {one.rpartition(" :: ")[2] for one in PROJECT["classifiers"] if one.startswith("Operating System")}
+    assert systems == {"Linux", "MacOS", "Windows"}
+    assert "os: [ubuntu-latest, windows-latest, macos-latest]" in WORKFLOW
+
+
+def test_licences_of_all_that_ships_are_in_the_wheel() -> None:
+    texts = {file for pattern in PROJECT["license-files"] for file in REPOSITORY.glob(pattern)}
+    names = re.compile(r"LICEN[SC]E|licences")
+    rooms = [REPOSITORY / name for name in ("facepipe", "exporters", "schemas")]
+    shipped = {one for room in rooms for one in room.rglob("*") if one.is_file() and names.search(one.as_posix())}
+    shipped = {one for one in shipped if not {"node_modules", "dist"} & {*one.parts}}
+    assert texts == shipped | {REPOSITORY / "LICENSE"}
