@@ -18,14 +18,16 @@ from facepipe.kinds import Action, FileAction
 PAGE = Path(__file__).resolve().parent / "actions.md"
 INTRO = """# Actions: sources, options, files
 
-What `facepipe VERB` and the function `facepipe.verb` of Python take: `python docs/action_pages.py` makes this page of
-what each action declares (`facepipe/processors/**/*_action.py`). `facepipe VERB --help` has examples.
+Sources and options of `facepipe VERB` and of the Python function `facepipe.verb`. `python docs/action_pages.py` makes
+this page from the declarations of the actions (`facepipe/processors/**/*_action.py`); `facepipe VERB --help` has
+examples.
 
-An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or what `facepipe
-export` makes of that. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the
-report, which the function returns) and `--edit RESULT`: done again from the recipe of a result, with what else is given
-changed. One that makes another file says which; it has no recipe, and so no `--edit` and no `--flatten`. One that works
-in place changes its first file, unless it is given OUT. One that has no OUT shows what there is.
+- An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or an export of
+  it. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report, which the
+  function returns) and `--edit RESULT`: do it again from the recipe of a result, with the other given options changed.
+- An action that makes another file names it. It has no recipe, and so no `--edit` and no `--flatten`.
+- An action that works in place changes its first file, unless it has OUT.
+- An action without OUT only prints.
 
 Every command takes `-q` (`--quiet`: nothing on stderr but errors; warnings are in the report of `--json`) and `-v`
 (`--verbose`: debug lines with times too, of Python's logger `facepipe`).
