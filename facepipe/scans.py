@@ -31,7 +31,7 @@ class Scan:
     triangles: IntArray = field(default_factory=no_triangles)  # (t, 3) int32, none in a point cloud
     normals: FloatArray | None = None  # (n, 3) unit vectors, outward
     colors: FloatArray | None = None  # (n, 3) linear 0..1
-    warnings: tuple[str, ...] = ()  # what the reader has to say, one line each
+    warnings: tuple[str, ...] = ()  # of the reader, one line each
 
     @property
     def is_cloud(self) -> bool:
@@ -45,7 +45,7 @@ def no_landmarks() -> FloatArray:
 
 
 def no_sigmas() -> FloatArray:
-    """(68,) NaN: a fit's options say how far off landmarks are."""
+    """(68,) NaN: a fit takes the sigma of its options."""
     return np.full(LANDMARK_COUNT, np.nan)
 
 
@@ -55,7 +55,7 @@ class ScanLandmarks:
 
     scheme: str = LANDMARK_SCHEME
     points: FloatArray = field(default_factory=no_landmarks)  # (68, 3) float64, rows of NaN where unknown
-    # (68,) mm: how far off each may be, the standard deviation of each coordinate; NaN: as a fit's options say.
+    # (68,) mm: how far off each may be, the standard deviation of each coordinate; NaN: that of a fit's options.
     sigma_mm: FloatArray = field(default_factory=no_sigmas)
     markers: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (3,)
 

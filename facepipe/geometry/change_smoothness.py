@@ -1,4 +1,4 @@
-"""What a surface that moves in part asks of it: neighbouring triangles change alike, and no more than they need to."""
+"""The smoothness of a surface that moves in part: neighbouring triangles change alike, and as little as they need."""
 
 from __future__ import annotations
 

@@ -97,26 +97,26 @@ def closest_among(
     return nearest
 
 
-def place_shares(found: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
+def place_shares(nearest: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
     """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1.
 
     A corner's share is the signed area of the triangle of the place and the other two corners, over the whole one's; on
     an edge and at a corner from that alone, so that shares are exactly 0 where rounding would leave some.
     """
-    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[found.triangles]]
-    opposite = corners[:, [1, 2, 0]] - found.places[:, None], corners[:, [2, 0, 1]] - found.places[:, None]
+    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[nearest.triangles]]
+    opposite = corners[:, [1, 2, 0]] - nearest.places[:, None], corners[:, [2, 0, 1]] - nearest.places[:, None]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.maximum(np.einsum("mci,mi->mc", np.cross(*opposite), normal), 0.0)
-    edge = (found.features >= EDGE) & (found.features < INSIDE)
+    edge = (nearest.features >= EDGE) & (nearest.features < INSIDE)
     rows = np.flatnonzero(edge)
-    first = found.features[rows] - EDGE
+    first = nearest.features[rows] - EDGE
     starts, ends = corners[rows, first], corners[rows, (first + 1) % 3]
     sides = ends - starts
-    along = ((found.places[rows] - starts) * sides).sum(axis=1) / np.maximum((sides * sides).sum(axis=1), 1e-300)
+    along = ((nearest.places[rows] - starts) * sides).sum(axis=1) / np.maximum((sides * sides).sum(axis=1), 1e-300)
     areas[rows] = 0.0
     areas[rows, first], areas[rows, (first + 1) % 3] = 1.0 - np.clip(along, 0.0, 1.0), np.clip(along, 0.0, 1.0)
-    corner = np.flatnonzero(found.features < EDGE)
-    areas[corner] = np.eye(3)[found.features[corner] - CORNER]
+    corner = np.flatnonzero(nearest.features < EDGE)
+    areas[corner] = np.eye(3)[nearest.features[corner] - CORNER]
     total = areas.sum(axis=1, keepdims=True)
     return np.where(total > 0, areas / np.where(total > 0, total, 1.0), 1.0 / 3.0)
 

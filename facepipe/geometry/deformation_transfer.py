@@ -31,7 +31,7 @@ class Transfer:
     Only where the sources turn along is the result turned. A piece that the source turns and uniformly scales as a
     whole is turned and scaled alike (general affine maps are not: the scaled normal does not follow them).
 
-    Where the gradients say nothing, displacements are taken from the sources: the weighted mean, each multiplied by
+    Where gradients leave displacements open, they are those of the sources: the weighted mean, each multiplied by
     this face's size over the source's (size: RMS distance of all points from their centroid).
 
     - A piece without fixed points (connected through triangles that have an area here: an eyeball, a tooth, a point

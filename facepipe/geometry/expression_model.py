@@ -89,7 +89,7 @@ class ExpressionModel:
 
         The most likely one, where vectors are as spread as those of the people here, and points are off by Gaussian
         noise. How much of it in the neutral and in the expressions is what best predicts the expressions of each
-        person here from the others: a neutral that says little about how its owner smiles counts little.
+        person here from the others: a neutral that predicts little of its owner's smile counts little.
 
         :param start: (e, n, 3) deltas in the place of the mean person's, as for `shapes`
         :raises InputError: no expression of that name, or another number of points
@@ -214,7 +214,7 @@ _WEIGHTS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times
 
 @dataclass(frozen=True)
 class Block:
-    """Numbers of m people, as what their inner products say of them."""
+    """Numbers of m people, by their inner products."""
 
     products: FloatArray  # (m, m), of numbers whose mean over people is 0
 

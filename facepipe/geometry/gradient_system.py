@@ -84,8 +84,8 @@ class MovingSystem:
     def __init__(self, system: GradientSystem, moving: Mask) -> None:
         self._anchor, edge_count = system._anchor, len(system.edges)
         self.pinned = bool(moving[system._main.points].all())
-        given = self._anchor if self.pinned else None
-        self._main = _Held(system._main, moving, edge_count, system.solver, given=given)
+        held = self._anchor if self.pinned else None
+        self._main = _Held(system._main, moving, edge_count, system.solver, held)
         self._loose = _Held(system._loose, moving, edge_count, system.solver)
         self.edges = np.concatenate([self._main.edges, self._loose.edges])
         self.bridges = self._loose.bridges
@@ -113,10 +113,10 @@ class MovingSystem:
 class _Held:
     """One block of a moving system."""
 
-    def __init__(self, block: _Block, moving: Mask, edge_count: int, solver: Solver, given: int | None = None) -> None:
+    def __init__(self, block: _Block, moving: Mask, edge_count: int, solver: Solver, held: int | None = None) -> None:
         free = moving[block.points].copy()
-        if given is not None:
-            free[given] = False
+        if held is not None:
+            free[held] = False
         self.columns = np.flatnonzero(free)
         self.points = block.points[self.columns]
         equations = block.laplacian[self.columns]  # symmetric: rows are columns
@@ -126,7 +126,7 @@ class _Held:
         touched = _used(divergence)
         self.edges, self.bridges = touched[touched < edge_count], touched[touched >= edge_count] - edge_count
         self._divergence = divergence[:, touched].tocsr()
-        self._given = None if given is None else block.laplacian[rows][:, [given]].tocsr()
+        self._given = None if held is None else block.laplacian[rows][:, [held]].tocsr()
         self._factor: Factor = factorise(self._squeezed @ self._squeezed.T, solver)
 
     def solve(self, vectors: FloatArray, anchored: FloatArray | None = None) -> FloatArray:

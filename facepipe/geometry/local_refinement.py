@@ -72,7 +72,7 @@ def refine_locally(
     options: RefinementOptions | None = None,
     progress: Callable[[int], None] = lambda step: None,
 ) -> Registered:
-    """Draw a face that lies about right on a scan closer to it. The scan stays where the view says it is.
+    """Draw a face that lies about right on a scan closer to it. The scan stays where the view has it.
 
     :param surface: at rest, without modes
     :param follow: (n,) 0 to 1, the share of the way that a point may go: points of 0 stay to the bit

@@ -1,4 +1,4 @@
-"""How a painted map is looked up."""
+"""How a painted map is sampled."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def tile_number(text: str) -> int | None:
 
 @dataclass(frozen=True, kw_only=True)
 class MapSampling:
-    """How a map is looked up.
+    """How a map is sampled.
 
     :raises InputError: an option out of range
     """

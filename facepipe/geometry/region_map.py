@@ -44,7 +44,7 @@ def region_masks(
     """Masks of the regions whose colours a map shows at the points of a mesh.
 
     A corner takes the texel that its UV lies in, v up: column ``floor(u w)``, row ``floor((1 - v) h)``; or the mean
-    over a footprint of texels around it. `texel_shares` says what a texel counts for. Corners belong to the tile in
+    over a footprint of texels around it. `texel_shares` gives what a texel counts for. Corners belong to the tile in
     which the middle of their face lies. A point takes the mean over its corners, those in other tiles or on unpainted
     texels left out; one without any corner left is not covered.
 
@@ -105,7 +105,7 @@ class _Lookup:
 def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
     """Places (corners, 2) in 0..1 of the map, and the corners (corners,) that lie on it.
 
-    A face's middle says which tile its corners belong to: those on the line between two tiles lie in either.
+    The middle of a face decides which tile its corners belong to: those on the line between two tiles lie in either.
     """
     face = np.repeat(np.arange(len(counts)), counts)
     sums = np.stack([np.bincount(face, axis, minlength=len(counts)) for axis in uv.T], axis=1)
@@ -194,7 +194,7 @@ class Palette:
 
 
 def texel_shares(image: Image8, texels: IntArray, palette: Palette) -> TexelShares:
-    """What some texels of `image` (h, w, 3|4) say.
+    """The regions that some texels of `image` (h, w, 3|4) stand for.
 
     A colour of the palette is that one. Another is the nearest within the tolerance; but where that one is not found
     at most `edge` texels away, and a mix of those that are is within the tolerance, it is the mix, as antialiasing

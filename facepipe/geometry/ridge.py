@@ -79,7 +79,7 @@ class Examples:
         return PointMaps(by_input=by_input, by_own=by_own)
 
     def normal(self, slopes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
-        """What all points say together on unknowns that they share, where each also has maps of its own.
+        """Normal equations of all points for unknowns that they share, where each also has maps of its own.
 
         Generalised least squares of ``moved + slopes unknowns``: the covariance of a point's examples is that of its
         maps and of the noise (Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, section 2.7).
@@ -109,7 +109,7 @@ class Examples:
         return float(noises[int(np.argmin(sum(self._missed(one, points, noises) for one in parts)))])
 
     def _missed(self, left_out: IntArray, points: IntArray, noises: FloatArray) -> FloatArray:
-        """For each noise the sum of distances, at left-out examples, from what the others say."""
+        """For each noise the sum of distances, at left-out examples, from what the others predict."""
         kept = np.setdiff1d(np.arange(len(self.inputs)), left_out)
         products, across = self._products(kept, kept, points), self._products(left_out, kept, points)
         moved = self.moved[left_out][:, points].transpose(1, 0, 2)

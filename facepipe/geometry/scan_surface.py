@@ -12,7 +12,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.merged_points import merge_points
 
 _THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
-_TELLING = 0.02  # outwardness below which a sheet says nothing about its outside; a sphere's is 0.28
+_LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphere's is 0.28
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def _inward(points: FloatArray, sheets: Sheets) -> BoolArray:
     triangles = np.where(sheets.turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
     bulge = outwardness(points[sheets.source], triangles, sheets.component)
     mostly_turned = np.bincount(sheets.component, np.where(sheets.turned, 1.0, -1.0)) > 0
-    inward = np.where(np.abs(bulge) >= _TELLING, bulge < 0, mostly_turned)
+    inward = np.where(np.abs(bulge) >= _LEAST_BULGE, bulge < 0, mostly_turned)
     return np.asarray(inward[sheets.component])
 
 

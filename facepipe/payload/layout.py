@@ -37,7 +37,7 @@ def most_values(frames: int, stored: int) -> int:
 
 
 class Header(NamedTuple):
-    """What a payload says about itself."""
+    """The header of a payload."""
 
     precision: Precision
     joints: int  # m, of the skeleton

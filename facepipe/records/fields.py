@@ -184,7 +184,7 @@ def _dataclass(kind: Any, data: object, arrays: ArrayReader, where: str) -> Any:
     hints = _hints(kind)
     unknown = sorted(set(data) - set(hints))
     if unknown:
-        raise InputError(where, f"has '{ascii(unknown[0])[1:40]}', which this version does not know")
+        raise InputError(where, f"unknown field '{ascii(unknown[0])[1:40]}': made by a newer version?")
     values = {name: _read(hints[name], inner, arrays, f"{where}.{name}") for name, inner in data.items()}
     try:
         return kind(**values)

@@ -77,7 +77,7 @@ def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = N
     paths = animation.joints if joints is None else [animation.joints[i] for i in joints]
     missing = [joint for joint in paths if joint not in place]
     if missing:
-        raise InputError(animation.name, f"'{missing[0]}' is no joint of the skeleton")
+        raise InputError(animation.name, f"'{missing[0]}' is not a joint of the skeleton")
     return np.array([place[joint] for joint in paths], dtype=np.int64)
 
 

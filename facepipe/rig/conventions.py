@@ -169,8 +169,8 @@ def unknown_names(parts: FaceParts, names: Mapping[str, str]) -> str | None:
     missing = sorted({*names} - {*known})
     if not missing:
         return None
-    like = f"like '{missing[0][:60]}'{did_you_mean(missing[0], known)}"
-    return f"{len(missing)} of {len(names)} names are not on the face, {like}"
+    example = f"such as '{missing[0][:60]}'{did_you_mean(missing[0], known)}"
+    return f"{len(missing)} of {len(names)} names are not on the face, {example}"
 
 
 def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FaceParts:
@@ -248,11 +248,11 @@ def convention_of(shapes: Sequence[str]) -> dict[str, Any] | None:
     }
 
 
-def convention_text(found: Mapping[str, Any] | None) -> str:
+def convention_text(match: Mapping[str, Any] | None) -> str:
     """The convention for people, with what gives its names where the face spells them otherwise."""
-    if found is None:
+    if match is None:
         return "of no known convention"
-    text = f"{found['title']}, {found['names']} of {found['of']}"
-    if not found["exact"]:
-        return f"{text} in another spelling (--rename {found['convention']} gives its own)"
-    return f"{text} (--rename arkit gives {found['arkit']} of them ARKit's names)" if found["arkit"] else text
+    text = f"{match['title']}, {match['names']} of {match['of']}"
+    if not match["exact"]:
+        return f"{text} in another spelling (--rename {match['convention']} gives its own)"
+    return f"{text} (--rename arkit gives {match['arkit']} of them ARKit's names)" if match["arkit"] else text

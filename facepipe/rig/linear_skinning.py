@@ -19,7 +19,7 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
     if not names:
         return ()
     owners = names[0] if len(names) == 1 else f"{len(names)} meshes"
-    line = f"{owners}: skinned by dual quaternions, which the format has not: linearly in the file"
+    line = f"{owners}: skinned by dual quaternions, which the format lacks: skinned linearly in the file"
     rig = build(parts)
     linear = replace(rig, dual=None)
     apart, poses = 0.0, 0
@@ -34,5 +34,5 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
             apart = max(apart, float(np.linalg.norm(pair[0] - pair[1], axis=1).max(initial=0.0)))
             poses += 1
     if not poses:
-        return (f"{line}; the face has no pose that would show how far off",)
-    return (f"{line}, up to {apart * parts.meters_per_unit * 1000:.3g} mm off over {poses} poses of its own",)
+        return (f"{line}; the face has no animation to measure the difference on",)
+    return (f"{line}, up to {apart * parts.meters_per_unit * 1000:.3g} mm off over {poses} poses of its animations",)

@@ -136,10 +136,10 @@ def with_orthonormal_shapes(rig: NeuralRig) -> NeuralRig:
     flat = rig.shapes.reshape(len(rig.shapes), -1)
     if np.allclose(flat @ flat.T, np.eye(len(flat)), atol=_ORTHONORMAL):
         return rig
-    return over(rig, rig.shapes, np.zeros((len(rig.controls), *rig.rest.shape)), 0.0, len(rig.shapes))
+    return with_basis(rig, rig.shapes, np.zeros((len(rig.controls), *rig.rest.shape)), 0.0, len(rig.shapes))
 
 
-def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: float, most: int) -> NeuralRig:
+def with_basis(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: float, most: int) -> NeuralRig:
     """The rig with other shapes for its activations, and shapes that its controls bring, over an orthonormal basis.
 
     :param shapes: (r, n, 3) in place of the rig's own
@@ -148,7 +148,7 @@ def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: 
     :param most: shapes of the basis
     """
     count = len(shapes)
-    sizes = np.concatenate([reach(rig)[:count], np.ones(len(by_control))])
+    sizes = np.concatenate([output_reach(rig)[:count], np.ones(len(by_control))])
     rows = np.concatenate([shapes, by_control])
     basis, amounts = motion_basis(rows * sizes[:, None, None], tolerance, most)
     amounts = amounts / sizes[:, None]
@@ -162,7 +162,7 @@ def over(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, tolerance: 
     )
 
 
-def reach(rig: NeuralRig) -> FloatArray:
+def output_reach(rig: NeuralRig) -> FloatArray:
     """(r + m,) how far each output goes: each control at its limits alone, all at random, all at random limits."""
     low, high, rest = (
         np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")

@@ -20,12 +20,12 @@ _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
 
 
 def implausible(parts: FaceParts) -> tuple[str, ...]:
-    """One line for each thing that no real head shows, with what mends it.
+    """One line for each thing that no real head shows, with what fixes it.
 
-    Landmarks (`multipie68`) say how large the head is, body or not: it is too small or too large where both 2.5
+    Landmarks (`multipie68`) measure the head, with a body or without: it is too small or too large where both 2.5
     times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
     Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body has not,
-    nor has a part of a face. Landmarks alone say where up and front are.
+    nor has a part of a face. Up and front are known from landmarks alone.
     """
     rig = build(parts)
     points = rig.evaluate()
@@ -61,7 +61,7 @@ def _size(heights: FloatArray, meters_per_unit: float, how: str, room: float) ->
     power = 10.0 ** np.round(np.log10(np.sqrt(low * high) / height))
     unit = f" {meters_per_unit * power:.6g}" if low <= height * power <= high else ""
     what = f"the head is {_length(height)} {how}, expected {low:g} to {high:g} mm"
-    return (f"{what}; `facepipe import` with --meters-per-unit{unit} mends a wrong unit",)
+    return (f"{what}; `facepipe import` with --meters-per-unit{unit} fixes a wrong unit",)
 
 
 def _length(mm: float) -> str:
@@ -74,10 +74,10 @@ def _stance(marks: FloatArray, up_axis: str) -> tuple[str, ...]:
     own_up, own_front = eyes - marks[_CHIN], marks[_NOSE_TIP] - ears
     if _along(own_up, up) < _STRAIGHT:
         nearest = _nearest(own_up)
-        mend = f"`facepipe import` with --up-axis {nearest[1]}" if nearest in ("+Y", "+Z") else "turning its source"
-        return (f"the face doesn't stand upright: its eyes lie {nearest} of the chin, expected {up}; {mend} mends it",)
+        fix = f"`facepipe import` with --up-axis {nearest[1]}" if nearest in ("+Y", "+Z") else "turning its source"
+        return (f"the face doesn't stand upright: its eyes lie {nearest} of the chin, expected {up}; {fix} fixes it",)
     if _along(own_front, front) < _STRAIGHT - 0.2:  # the nose lies below the ears
-        return (f"the face looks along {_nearest(own_front)}, expected {front}; turning its source mends it",)
+        return (f"the face looks along {_nearest(own_front)}, expected {front}; turning its source fixes it",)
     return ()
 
 

@@ -1,7 +1,7 @@
 """The rig of one face as flat arrays, and its evaluation.
 
 ``point = sum_i w_i world_i inverse(bind_i) geomBind (point_0 + sum_k b_k delta_k)`` (DESIGN section 7): blendshapes
-first, then linear blend skinning, in float64; dual quaternions where a mesh asks for them.
+first, then linear blend skinning, in float64; dual quaternions where a mesh has them as its method.
 """
 
 from __future__ import annotations
@@ -133,14 +133,14 @@ class Rig:
         return np.asarray(blended)
 
     def require_linear(self, reader: str) -> None:
-        """:raises InputError: points that are skinned by dual quaternions, which `what` does not know"""
+        """:raises InputError: points that are skinned by dual quaternions, which `reader` does not support"""
         if self.dual is None:
             return
         bounds = zip(self.mesh_names, self.mesh_offsets[:-1], self.mesh_offsets[1:], strict=True)
         names = [name for name, start, end in bounds if self.dual[start:end].any()]
         raise InputError(
             f"{self.name} -> {names[0]}",
-            f"skinned by dual quaternions, which {reader} does not know; expected skel:skinningMethod classicLinear",
+            f"skinned by dual quaternions, which {reader} does not support; expected skel:skinningMethod classicLinear",
         )
 
     def unskin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
@@ -186,7 +186,7 @@ class Rig:
     def local_transforms(
         self, coefficients: FloatArray | None = None, joint_transforms: FloatArray | None = None
     ) -> FloatArray:
-        """(j, 4, 4) local joint transforms: rest, or what coefficients or transforms say."""
+        """(j, 4, 4) local joint transforms: rest, or those of coefficients or transforms."""
         if coefficients is not None and joint_transforms is not None:
             raise InputError(self.name, "bone coefficients and joint transforms, expected only one of them")
         if joint_transforms is not None:
@@ -207,10 +207,10 @@ class Rig:
         bounds = self.mesh_offsets
         return {name: points[bounds[i] : bounds[i + 1]] for i, name in enumerate(self.mesh_names)}
 
-    def _checked(self, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
+    def _checked(self, values: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
         array = np.asarray(values, dtype=np.float64)
         if array.shape != shape:
-            raise InputError(self.name, f"{what} of shape {array.shape}, expected {shape}")
+            raise InputError(self.name, f"{name} of shape {array.shape}, expected {shape}")
         if not np.isfinite(array).all():
-            raise InputError(self.name, f"{what} hold NaN or infinity, expected finite numbers")
+            raise InputError(self.name, f"{name} hold NaN or infinity, expected finite numbers")
         return array

@@ -128,12 +128,12 @@ def curve_fault(curve: Curve) -> str | None:
 
 def curves_fault(slider: Slider) -> str | None:
     """What is wrong with the curves of a slider; None where they are whole."""
-    for what, entries, curves in (
+    for kind, entries, curves in (
         ("channels", slider.channels, slider.channel_curves),
         ("shapes", slider.shapes, slider.shape_curves),
     ):
         if curves and len(curves) != len(entries):
-            return f"{len(curves)} curves of {what}, expected none or {len(entries)}"
+            return f"{len(curves)} curves of {kind}, expected none or {len(entries)}"
         for curve in curves:
             fault = None if curve is None else curve_fault(curve)
             if fault:
@@ -149,7 +149,7 @@ def mirror_fault(slider: Slider, sliders: Sequence[Slider]) -> str | None:
     if other is None or other.name == slider.name:
         return f"mirror '{slider.mirror}', expected the name of another slider"
     if other.mirror != slider.name:
-        return f"mirror '{slider.mirror}', whose own is '{other.mirror or ''}', expected them to name each other"
+        return f"mirror '{slider.mirror}', whose mirror is '{other.mirror or ''}', expected them to name each other"
     return None
 
 

@@ -166,7 +166,7 @@ def _in_skeleton_order(
     place = {joint: i for i, joint in enumerate(joints)}
     missing = [joint for joint in own if joint not in place]
     if missing:
-        raise SchemaError(f"{where}.skel:joints", f"'{missing[0]}' is no joint of the skeleton")
+        raise SchemaError(f"{where}.skel:joints", f"'{missing[0]}' is not a joint of the skeleton")
     table = np.array([place[joint] for joint in own], dtype=np.int32)
     return np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
 

@@ -104,7 +104,7 @@ def test_the_unit_that_is_offered_makes_a_head(sample: FaceParts) -> None:
         offered = line.partition("--meters-per-unit ")[2].partition(" ")[0]
         assert implausible(replace(sample, meters_per_unit=float(offered))) == ()
         assert offered == "0.01"
-    assert "--meters-per-unit mends" in implausible(replace(sample, meters_per_unit=0.3048))[0]
+    assert "--meters-per-unit fixes" in implausible(replace(sample, meters_per_unit=0.3048))[0]
 
 
 def test_inspect_validate_and_export_say_it(

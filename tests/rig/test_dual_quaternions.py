@@ -90,17 +90,21 @@ def test_writers_say_how_far_off_linear_skinning_is(tmp_path: Path) -> None:
         facepipe_onnx.export(Parts(posed), tmp_path / "face.onnx"),
     ):
         (line,) = [line for line in report.warnings if "dual quaternions" in line]
-        assert line.startswith("Head: skinned by dual quaternions, which the format has not: linearly in the file")
+        assert line.startswith(
+            "Head: skinned by dual quaternions, which the format lacks: skinned linearly in the file"
+        )
         assert f"up to {apart:.3g} mm off over 1 poses" in line
     (line,) = facepipe_onnx.export(Parts(parts), tmp_path / "rest.onnx").warnings
-    assert "no pose" in line
+    assert "no animation to measure" in line
     assert facepipe_onnx.export(Parts(rich_face()), tmp_path / "linear.onnx").warnings == ()
 
 
 def test_what_knows_linear_skinning_alone_refuses() -> None:
     parts = dual_face()
     rig = build(parts)
-    message = r"Head: skinned by dual quaternions, which .* does not know; expected skel:skinningMethod classicLinear"
+    message = (
+        r"Head: skinned by dual quaternions, which .* does not support; expected skel:skinningMethod classicLinear"
+    )
     with pytest.raises(InputError, match=message):
         check_rig("face.usda", parts, rig)
     with pytest.raises(InputError, match=message):
@@ -110,5 +114,5 @@ def test_what_knows_linear_skinning_alone_refuses() -> None:
 @pytest.mark.slow
 def test_the_differentiable_rig_refuses() -> None:
     learn = pytest.importorskip("facepipe.learn.rig", reason="needs torch")
-    with pytest.raises(InputError, match="which the differentiable rig does not know"):
+    with pytest.raises(InputError, match="which the differentiable rig does not support"):
         learn.DifferentiableRig(build(dual_face()))

@@ -175,4 +175,4 @@ def test_names_that_are_not_there_are_named_with_the_nearest(capsys: pytest.Capt
     Path("names.json").write_text(json.dumps({"jawOpn": "a", "mouthSmileLeft": "b"}))
     code, _, err = run(capsys, "export", face, "-o", "x.glb", "--rename", "names.json")
     assert code == 0
-    assert "1 of 2 names are not on the face, like 'jawOpn', did you mean 'jawOpen'?" in err
+    assert "1 of 2 names are not on the face, such as 'jawOpn', did you mean 'jawOpen'?" in err

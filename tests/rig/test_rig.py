@@ -197,7 +197,7 @@ def test_coefficients_of_a_sample_win_and_other_joints_rest() -> None:
     expected[1] = expected[1] @ coefficient_matrices(values[0])
     np.testing.assert_allclose(local, expected)
     assert sample_weights(animation) == {"jawOpen": 0.25}
-    with pytest.raises(InputError, match="no joint"):
+    with pytest.raises(InputError, match="is not a joint of the skeleton"):
         sample_transforms(parts.skeleton, replace(animation, joints=("nose",)))
 
 

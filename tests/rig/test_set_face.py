@@ -379,7 +379,7 @@ def test_an_animation_of_a_joint_that_is_not_there_is_refused(how: str) -> None:
     (person,) = parts.animations
     other = replace(person, joints=("root/nobody", *person.joints[1:]), name="other")
     assert other.joints != person.joints
-    with pytest.raises(InputError, match="other: 'root/nobody' is no joint of the skeleton"):
+    with pytest.raises(InputError, match="other: 'root/nobody' is not a joint of the skeleton"):
         set_face(replace(parts, animations=(person, other)), "set" if how == "clip" else "other")
 
 

@@ -184,9 +184,9 @@ def test_curves_that_are_not_parallel_are_refused() -> None:
     ("sliders", "message"),
     [
         ((LEFT,), "browLeft: mirror 'browRight', expected the name of another slider"),
-        ((LEFT, replace(RIGHT, mirror=None)), "browLeft: mirror 'browRight', whose own is ''"),
+        ((LEFT, replace(RIGHT, mirror=None)), "browLeft: mirror 'browRight', whose mirror is ''"),
         ((replace(LEFT, mirror="browLeft"),), "expected the name of another slider"),
-        ((LEFT, replace(RIGHT, name="other"), replace(RIGHT, mirror="other")), "whose own is 'other'"),
+        ((LEFT, replace(RIGHT, name="other"), replace(RIGHT, mirror="other")), "whose mirror is 'other'"),
     ],
 )
 def test_mirrors_are_mutual(sliders: tuple[Slider, ...], message: str, tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ READ_FAULTS: dict[str, tuple[Callable[[Face], None], str]] = {
     "turning": (damaged(knotAmounts=[0.0, 1.0] * 4), "rises and falls"),
     "NaN": (damaged(knotAmounts=[NAN] * 8), "NaN or infinity"),
     "unknown mirror": (damaged(mirror="nobody"), "mirror 'nobody', expected the name of another slider"),
-    "not mutual": (damaged(mirror="browLeft"), "mirror 'browLeft', whose own is 'browRight'"),
+    "not mutual": (damaged(mirror="browLeft"), "mirror 'browLeft', whose mirror is 'browRight'"),
 }
 
 

@@ -17,34 +17,34 @@ class SplitOptions:
     :raises InputError: a number out of range
     """
 
-    shared_gain: float = option(0.2, "spread of how much more or less than the template all shapes move", 0.0, 100.0)
-    own_gain: float = option(0.2, "spread of how much more or less each shape moves by itself", 0.0, 100.0)
-    shared_turn: float = option(0.15, "spread of how far the directions of all shapes are turned", 0.0, 100.0, "rad")
-    own_turn: float = option(
-        0.15, "spread of how far the direction of each shape is turned by itself", 0.0, 100.0, "rad"
+    shared_gain: float = option(
+        0.2, "spread of how much more or less than their templates all shapes move together", 0.0, 100.0
     )
+    own_gain: float = option(0.2, "spread of how much more or less each shape moves by itself", 0.0, 100.0)
+    shared_turn: float = option(0.15, "spread of the angle by which all shapes are turned together", 0.0, 100.0, "rad")
+    own_turn: float = option(0.15, "spread of the angle by which each shape is turned by itself", 0.0, 100.0, "rad")
     field_length: float = option(
         25.0, "distance over which gains and turns vary: about half of a muscle's length", 1e-6, 1e6, "mm"
     )
     detail: float = option(
         0.2,
-        "spread of what gains and turns don't hold, as a share of the template's motion; larger follows "
+        "spread of the detail beyond gains and turns, as a share of the template's motion; larger values follow "
         "the scans more closely, and their errors too",
         0.0,
         1e6,
     )
     detail_length: float = option(
-        15.0, "distance over which such detail varies, and over which points hold gradients in place", 1e-6, 1e6, "mm"
+        15.0, "distance over which detail varies, and over which points hold gradients in place", 1e-6, 1e6, "mm"
     )
-    noise: float = option(0.1, "error expected of the composites' points, in each coordinate", 1e-9, 1e6, "mm")
+    noise: float = option(0.1, "expected error of the composites' points, in each coordinate", 1e-9, 1e6, "mm")
     noise_length: float = option(
         15.0, "distance over which that error varies: points closer together share it", 1e-6, 1e6, "mm"
     )
     weight_spread: float = option(
-        0.1, "error expected of the given weights; 0 keeps them. Weights of 0 always stay 0", 0.0, 10.0
+        0.1, "expected error of the given weights; 0 keeps them. Weights of 0 always stay 0", 0.0, 10.0
     )
-    largest_weight: float = option(1.2, "weights found stay between 0 and this, or the given one", 0.0, 100.0)
-    alternations: int = option(3, "times that shapes and weights are solved for", 1, 100)
+    largest_weight: float = option(1.2, "fitted weights stay between 0 and this, or the given one", 0.0, 100.0)
+    alternations: int = option(3, "rounds of solving for shapes and weights", 1, 100)
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -154,10 +154,10 @@ def _warnings(
     warnings = []
     unexcited = np.flatnonzero(~examples.weights.any(axis=0)).tolist()
     if unexcited:
-        warnings.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: the template's are kept")
+        warnings.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: kept from the template")
     hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _UNSEEN]
     if hidden:
-        warnings.append(f"scans hardly show {', '.join(names[shape] for shape in hidden)}")
+        warnings.append(f"the scans hardly show {', '.join(names[shape] for shape in hidden)}")
     if rank.together:
         pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in rank.together[:_NAMED])
         more = f" and {len(rank.together) - _NAMED} more pairs" if len(rank.together) > _NAMED else ""
@@ -166,7 +166,7 @@ def _warnings(
         stopped = ", ".join(f"{names[shape]} in composite {composite}" for composite, shape in solution.held)
         warnings.append(f"weights at their bounds: {stopped}")
     if not solution.settled:
-        warnings.append("gains and turns were not settled after the last step")
+        warnings.append("gains and turns did not converge")
     return tuple(warnings)
 
 

@@ -33,7 +33,7 @@ _OPEN = 1e-9  # share of the system's trace that keeps what nothing determines f
 
 @dataclass(frozen=True, kw_only=True)
 class Pull:
-    """What one scan says in one step."""
+    """What pulls at the surface in one step: the matches and anchors of one scan."""
 
     seen: IntArray  # (m,) points of the surface that have matches
     matches: Matches  # of those
@@ -76,7 +76,7 @@ def solve_model_step(surface: DeformableSurface, pulls: Sequence[Pull]) -> Step:
 
 @dataclass(frozen=True, kw_only=True)
 class _Rows:
-    """What one scan asks of the unknowns: columns are the offset, coefficients, own weights, and the scan's place."""
+    """Equations of one scan: columns are the offset, coefficients, own weights, and the scan's place."""
 
     planes: FloatArray  # (m, 1 + k + q)
     fixed: FloatArray  # (l, 3, 1 + k + q) of the anchors

@@ -1,4 +1,4 @@
-"""One scan in a registration: where it lies, what it shows, how far to trust it, what it asks of the next step."""
+"""One scan in a registration: where it lies, what it shows, how far to trust it, and what pulls in the next step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class View:
     anchors: Anchors  # in the scan's own coordinates
     start: Similarity  # from those to the face's, about right
     shown: Shown | None = None  # what it shows besides the surface
-    sigmas: FloatArray | None = None  # (n,) mm, of the points' distances; None: all alike, as the options say
+    sigmas: FloatArray | None = None  # (n,) mm, of the points' distances; None: all alike, that of the options
     name: str = "scan"  # what errors call it
 
 
@@ -75,7 +75,7 @@ class ViewState:
         return np.asarray(points + np.tensordot(self._weights, self._shown.modes, axes=1))
 
     def pull(self, surface: DeformableSurface, points: FloatArray, demand: Demand) -> Pull:
-        """What the scan asks for.
+        """The matches and anchors that pull at the surface now.
 
         :param points: (n, 3) of the surface
         :raises FitError: hardly a point of the face finds a place on the scan

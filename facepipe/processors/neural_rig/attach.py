@@ -29,7 +29,7 @@ from facepipe.processors.neural_rig.kept_motion import (
 from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world
 from facepipe.rig import build, mesh_spaces
-from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, reach, with_influences
+from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, output_reach, with_influences
 from facepipe.rig.sliders import with_mutual_mirrors
 
 _SAME = 2.0**-22  # of the largest coordinate: two roundings to float32
@@ -143,7 +143,7 @@ def _spaces(parts: FaceParts, rig: NeuralRig) -> list[FloatArray]:
 
 def _kept(rig: NeuralRig, tolerance: float) -> tuple[NeuralRig, FloatArray, npt.NDArray[np.bool_]]:
     """The rig with the shapes that move some point, (r,) their largest activations, and (r, n) whether they move it."""
-    scales = reach(rig)[: len(rig.shapes)]
+    scales = output_reach(rig)[: len(rig.shapes)]
     moved = _moves(rig, scales) > tolerance
     used = moved.any(axis=1)
     outputs = np.concatenate([used, np.ones(len(rig.channels), bool)])
@@ -164,7 +164,7 @@ def _moves(rig: NeuralRig, scales: FloatArray) -> FloatArray:
 
 def _left_out(rig: NeuralRig, tolerance: float) -> float:
     """Millimetres, of the point that lacks most, all shapes together."""
-    moves = _moves(rig, reach(rig)[: len(rig.shapes)])
+    moves = _moves(rig, output_reach(rig)[: len(rig.shapes)])
     return float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0))
 
 

@@ -14,7 +14,7 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build
 from facepipe.rig.bone_coefficients import CHANNELS
-from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, over, reach, with_influences
+from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, output_reach, with_basis, with_influences
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         bones = with_influences(subject.bones, most_influences(rig.bones))
     rest = subject.rest if bones is None else bones.points
     transfer = Transfer(rest, subject.topology.triangles, np.zeros(len(rest), bool))
-    sizes = reach(rig)[: len(rig.shapes)]
+    sizes = output_reach(rig)[: len(rig.shapes)]
     shapes = np.empty_like(rig.shapes)
     for number, (shape, size) in enumerate(zip(rig.shapes, sizes, strict=True)):
         there = rig.rest + size * shape
@@ -76,7 +76,7 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         last=rig.last * scale[:, None],
         last_bias=rig.last_bias * scale,
     )
-    return over(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
+    return with_basis(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
 
 
 def _size(points: FloatArray) -> float:

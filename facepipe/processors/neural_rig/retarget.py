@@ -17,7 +17,7 @@ from facepipe.processors.neural_rig.options import RetargetOptions
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
 from facepipe.processors.neural_rig.subject_examples import subject_examples
-from facepipe.rig.neural_rig import NeuralRig, over
+from facepipe.rig.neural_rig import NeuralRig, with_basis
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
 
@@ -106,7 +106,7 @@ class RetargetNeuralRig:
         noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
         maps = examples.maps(max(noise, 1e-6))
         shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_own)
-        return over(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
+        return with_basis(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
 
     def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:
         one = self.options

@@ -11,7 +11,7 @@ from facepipe.geometry.shape_basis import motion_basis
 from facepipe.processors.neural_rig.options import SampleMotionOptions
 from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
 from facepipe.processors.neural_rig.plan_frames import plan
-from facepipe.rig.neural_rig import NeuralRig, from_default, over
+from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
 
 _INPUTS = 256  # coordinates of a deformation, at most
 _SMALLEST = 1e-3  # of the largest deviation: less is no coordinate
@@ -52,7 +52,7 @@ def learned_by_network(
     )
     added = network((base.outputs(sampled) @ metric - middle) @ axes)
     both = _with_units(base, own, sampled, added)
-    return over(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
+    return with_basis(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
 
 
 def _with_units(base: NeuralRig, own: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:

@@ -305,7 +305,7 @@ def test_joints_of_a_clip_that_the_face_lacks(tmp_path: Path) -> None:
     file = save_loose_clip(talk, small(), tmp_path / "clip.usda")
     text = file.read_text().replace('"root/jaw/lip"', '"root/jaw/tongue"')
     file.write_text(text)
-    with pytest.raises(InputError, match=r"clip.usda -> talk: 'root/jaw/tongue' is no joint of the skeleton"):
+    with pytest.raises(InputError, match=r"clip.usda -> talk: 'root/jaw/tongue' is not a joint of the skeleton"):
         one(rig_face(tmp_path), f"{file}:talk")
 
 
@@ -323,7 +323,7 @@ ROOT = {
         ({"translations": "float3[] translations = [(nan, 0, 0)]"}, "/A -> translations: NaN or infinity"),
         ({"scales": "half3[] scales = [(inf, 1, 1)]"}, "/A -> scales: NaN or infinity"),
         ({"rotations": "quatf[] rotations = [(0, 0, 0, 0)]"}, "A -> root: a rotation quaternion of length 0"),
-        ({"joints": 'uniform token[] joints = ["nose"]'}, "A: 'nose' is no joint of the skeleton"),
+        ({"joints": 'uniform token[] joints = ["nose"]'}, "A: 'nose' is not a joint of the skeleton"),
         ({"joints": 'uniform token[] joints = ["root", "root"]'}, "1 values at a time sample, expected 2"),
         (
             {

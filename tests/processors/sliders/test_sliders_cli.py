@@ -186,7 +186,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "itself as mirror": ('[slider.a]\nmirror = "a"', "slider a: mirror 'a', expected the name of another slider"),
     "a mirror of another": (
         '[slider.a]\nmirror = "jawLeft"',
-        "slider a: mirror 'jawLeft', whose own is 'jawRight', expected them to name each other",
+        "slider a: mirror 'jawLeft', whose mirror is 'jawRight', expected them to name each other",
     ),
     "unknown joints": ('[slider.a]\nchannels = { "nose:tx" = 1 }', "nose:tx: 'nose' matches none of 3 joints"),
     "unknown shapes": ("[slider.a]\nshapes = { frown = 1 }", "frown: 'frown' matches none of 2 shapes"),
