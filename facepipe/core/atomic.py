@@ -7,6 +7,7 @@ import logging
 import os
 import secrets
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
@@ -18,7 +19,9 @@ from facepipe.core.placing import (
     Move,
     Role,
     exchange,
+    flush,
     identity,
+    patiently,
     place,
     settle,
     sync_file,
@@ -189,7 +192,8 @@ class _Group:
             (hidden_folders.release if self._left else hidden_folders.remove)(home)
 
     def home(self, parent: Path) -> Path:
-        """The hidden folder in `parent`, which is without links."""
+        """The hidden folder in `parent`, which is without links; macOS may know it in another case too."""
+        parent = next((one for one in self._homes if one.samefile(parent)), parent)
         if parent not in self._homes:
             if parent != self._main.parent:
                 collect(parent)
@@ -222,7 +226,7 @@ class _Group:
     def _in_one_step(self, move: Move) -> bool:
         if move.former is not None and move.target.is_dir():
             return exchange(move.source, move.target)
-        move.source.replace(move.target)
+        patiently(move.source.replace, move.target)
         return True
 
     def _journaled(self, moves: list[Move]) -> None:
@@ -271,7 +275,7 @@ def _real(path: AnyPath) -> Path:
     :raises InputError: it points at nothing, or out of the roots
     """
     target = Path(path)
-    if target.name.startswith(PREFIX):
+    if target.name.casefold().startswith(PREFIX):  # systems may not tell case apart
         raise InputError(path, f"names of '{PREFIX}...' are for facepipe's passing files, expected another")
     if target.is_symlink():
         if not target.exists():
@@ -284,7 +288,7 @@ def _real(path: AnyPath) -> Path:
 def _finish_file(temporary: Path, target: Path) -> None:
     with temporary.open("rb+") as file:
         _lend_mode(target, temporary)
-        os.fsync(file.fileno())
+        flush(file.fileno())
 
 
 def _finish_folder(temporary: Path, target: Path) -> None:
@@ -296,5 +300,6 @@ def _finish_folder(temporary: Path, target: Path) -> None:
 
 
 def _lend_mode(old: Path, new: Path) -> None:
-    if old.exists():
+    """On Windows a mode says read-only alone: such a file can't be replaced, and a passing one could not be removed."""
+    if sys.platform != "win32" and old.exists():
         new.chmod(old.stat().st_mode & 0o777)

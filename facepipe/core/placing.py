@@ -7,13 +7,15 @@ in the folder around, and only over what its writer saw there.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
 import re
 import stat
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -26,6 +28,7 @@ Role = Literal["main", "beside", "stale"]
 _JOINED = f"{PREFIX}joined"
 _MAX_TEXT = 1 << 22  # bytes
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD; RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
+_PATIENCE, _PAUSE = 1.0, 0.02  # seconds that a step is tried for on Windows, and between two tries
 _NOT_FOR_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF, errno.EACCES, errno.EPERM}
 
 
@@ -81,13 +84,30 @@ def place(moves: Sequence[Move]) -> None:
     for move in moves:
         if move.role == "beside" and move.former is not None and identity(move.target) == move.former:
             move.aside.parent.mkdir(exist_ok=True)
-            move.target.rename(move.aside)
+            patiently(move.target.rename, move.aside)
     for move in moves:
         if move.waits:
-            move.source.replace(move.target)
+            patiently(move.source.replace, move.target)
     for move in moves:
         if move.role == "stale" and identity(move.target) == move.former:
             move.target.unlink(missing_ok=True)
+
+
+def patiently(step: Callable[[Path], object], target: Path) -> None:
+    """Rename to `target`; on Windows again for a while, where scanners and indexers hold files for a moment.
+
+    :raises OSError: it is not possible
+    """
+    until = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            step(target)
+        except PermissionError:
+            if sys.platform != "win32" or time.monotonic() > until:
+                raise
+            time.sleep(_PAUSE)
+        else:
+            return
 
 
 def undo(moves: Sequence[Move]) -> bool:
@@ -96,7 +116,7 @@ def undo(moves: Sequence[Move]) -> bool:
         return False
     for move in reversed(moves):
         if move.role != "stale" and not move.waits:
-            move.target.rename(move.source)
+            patiently(move.target.rename, move.source)
     _restore(moves)
     return True
 
@@ -110,7 +130,7 @@ def _restore(moves: Sequence[Move]) -> None:
     """Put back what is aside where its place is free."""
     for move in moves:
         if os.path.lexists(move.aside) and not os.path.lexists(move.target):
-            move.aside.rename(move.target)
+            patiently(move.aside.rename, move.target)
 
 
 def write_journal(moves: Sequence[Move], folders: Sequence[Path]) -> None:
@@ -178,7 +198,7 @@ def _move(folders: Sequence[Path], number: Any, name: Any, former: Any, role: An
     """:raises ValueError: what `write_journal` doesn't write"""
     plain = isinstance(name, str) and name and not re.search(r"[/\\:\0]", name) and name not in (".", "..")
     known = former is None or (len(former) == 3 and all(type(one) is int for one in former))
-    if not plain or name.startswith(PREFIX) or not known or role not in get_args(Role):
+    if not plain or name.casefold().startswith(PREFIX) or not known or role not in get_args(Role):
         raise ValueError(name)
     return Move(folders[number], name, None if former is None else tuple(former), role)
 
@@ -232,7 +252,18 @@ def _write(path: Path, text: str) -> None:
 def sync_file(path: Path) -> None:
     """Have the system write a file's bytes to the disk."""
     with path.open("rb+") as file:
-        os.fsync(file.fileno())
+        flush(file.fileno())
+
+
+def flush(descriptor: int) -> None:
+    """Have the system write what is open to the disk; macOS else leaves it in the disk's own memory."""
+    if sys.platform == "darwin":
+        import fcntl
+
+        with contextlib.suppress(OSError):  # on storage that has no such call
+            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+            return
+    os.fsync(descriptor)
 
 
 def sync_folder(path: Path) -> None:
@@ -242,7 +273,7 @@ def sync_folder(path: Path) -> None:
     try:
         descriptor = os.open(path, os.O_RDONLY)
         try:
-            os.fsync(descriptor)
+            flush(descriptor)
         finally:
             os.close(descriptor)
     except OSError as error:
