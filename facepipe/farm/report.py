@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import os
 from collections import Counter
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.atomic import together, write_bytes
+from facepipe.core.markup import Markup, heading, joined, page, ruled_table, tag
 from facepipe.core.reports import Report
 from facepipe.farm.remote import is_url
 
@@ -110,7 +110,7 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
     content = {**json.loads(report.to_json()), "records": tasks}
     with together(state / "report.html"):
         write_bytes(state / "report.json", json.dumps(content, sort_keys=True, indent=1, default=str).encode())
-        write_bytes(state / "report.html", _page(report, run, state).encode())
+        write_bytes(state / "report.html", _page(report, run, state))
 
 
 def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
@@ -127,54 +127,42 @@ def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-_STYLE = """
-body{font:14px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1200px;padding:0 1em;color:#222;background:#fff}
-h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:collapse}td,th{padding:.25em .8em;
-text-align:left;border-bottom:1px solid #ddd;vertical-align:top}th{color:#666;font-weight:600}
-.faces{display:flex;flex-wrap:wrap;gap:10px}.face{width:150px;font-size:12px;color:#555}.face b{color:#222}
-.face img{width:100%;border-radius:4px;display:block}.bad{color:#b00020}code{font-size:.95em;word-break:break-all}
-@media(prefers-color-scheme:dark){body{background:#181a1b;color:#ddd}.face b{color:#eee}td,th{border-color:#333}}
-"""
-
-
-def _page(report: BatchReport, run: Run, state: Path) -> str:
-    steps = "".join(
-        f"<tr><td>{_safe(name)}<td>{_safe(', '.join(f'{n} {s}' for s, n in sorted(one['counts'].items())))}"
-        f"<td>{one.get('seconds_mean', 0):.2f}<td>{one.get('peak_mb', 0):.0f}"
-        for name, one in report.steps.items()
-    )
-    failures = "".join(f"<li><code>{_safe(line)}</code>" for line in report.failures[:_MOST_LINES])
-    attributions = "".join(f"<li>{_safe(line)}" for line in report.attributions)
+def _page(report: BatchReport, run: Run, state: Path) -> bytes:
+    title = Path(run.plan.where).name
     counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
-    parts = [
-        f"<h1>{_safe(Path(run.plan.where).name)}</h1><p>{report.faces} faces, {report.tasks} tasks: {counts}; "
-        f"{report.seconds:.1f} s, of which giving tasks out {report.scheduling_seconds:.1f} s.",
-        f"<h2>Steps</h2><table><tr><th>step<th>tasks<th>seconds each<th>peak MB{steps}</table>",
-        f"<h2 class=bad>Not done</h2><ul>{failures}</ul>" if failures else "",
-        f"<h2>Faces</h2><div class=faces>{''.join(_faces(run, state))}</div>",
-        f"<h2>Licences and attributions</h2><ul>{attributions}</ul>" if attributions else "",
-    ]
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{_safe(Path(run.plan.where).name)}</title>'
-    return f'{head}<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>{"".join(parts)}'
+    facts = f"{report.faces} faces, {report.tasks} tasks: {counts}; {report.seconds:.1f} s, "
+    facts += f"of which giving tasks out {report.scheduling_seconds:.1f} s"
+    steps = [
+        (name, ", ".join(f"{count} {status}" for status, count in sorted(figures["counts"].items())),
+         f"{figures.get('seconds_mean', 0):.2f}", f"{figures.get('peak_mb', 0):.0f}")
+        for name, figures in report.steps.items()
+    ]  # fmt: skip
+    parts = [tag("h1", title), tag("p", facts, class_="muted"), heading("Steps")]
+    parts.append(ruled_table(("step", "tasks", "seconds each", "peak MB"), steps, numbers=(2, 3)))
+    if report.failures:
+        lines = (tag("li", tag("code", line)) for line in report.failures[:_MOST_LINES])
+        parts.append(joined(tag("h2", "Not done", class_="bad"), tag("ul", *lines)))
+    parts += [heading("Faces"), tag("div", *_faces(run, state), class_="cards")]
+    if report.attributions:
+        parts += [heading("Licences and attributions"), tag("ul", *(tag("li", line) for line in report.attributions))]
+    return page(title, *parts)
 
 
-def _faces(run: Run, state: Path) -> Iterator[str]:
+def _faces(run: Run, state: Path) -> Iterator[Markup]:
     """A card each: picture, errors, times, what went wrong."""
     names = [step.name for step in run.plan.steps if not step.once]
     for row in run.plan.rows:
-        own = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
-        pictures = [path for one in own for path in one.get("writes", ()) if path.endswith(".png") and not is_url(path)]
-        image = f'<img loading="lazy" src="{_address(run, state, pictures[-1])}" alt="">' if pictures else ""
-        errors = {name: value for one in own for name, value in errors_mm(one.get("report") or {}).items()}
-        figures = [f"{_safe(name)} {value:.3g} mm" for name, value in list(errors.items())[:_MOST_FIGURES]]
-        seconds = sum(one.get("seconds", 0.0) for one in own)
+        tasks = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
+        written = [path for task in tasks for path in task.get("writes", ())]
+        pictures = [path for path in written if path.endswith(".png") and not is_url(path)]
+        image = [tag("img", loading="lazy", src=_address(run, state, pictures[-1]), alt="")] if pictures else []
+        errors = {name: value for task in tasks for name, value in errors_mm(task.get("report") or {}).items()}
+        seconds = sum(task.get("seconds", 0.0) for task in tasks)
         bad = [
-            f'<span class="bad" title="{_safe(one["error"])}">{_safe(one["task"])}</span>'
-            for one in own
-            if one["status"] not in _DONE
+            tag("div", task["task"], class_="bad", title=task["error"]) for task in tasks if task["status"] not in _DONE
         ]
-        lines = "<br>".join([*bad, *figures])
-        yield f"<div class=face>{image}<b>{_safe(row.name)}</b> {seconds:.1f} s<br>{lines}</div>"
+        figures = [tag("div", f"{name} {value:.3g} mm") for name, value in list(errors.items())[:_MOST_FIGURES]]
+        yield tag("div", *image, tag("b", row.name), f" {seconds:.1f} s", *bad, *figures, class_="card")
 
 
 def _address(run: Run, state: Path, path: str) -> str:
@@ -182,7 +170,3 @@ def _address(run: Run, state: Path, path: str) -> str:
     from urllib.parse import quote
 
     return quote(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix())
-
-
-def _safe(text: object) -> str:
-    return html.escape(str(text))

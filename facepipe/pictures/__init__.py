@@ -7,7 +7,7 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.pictures.face_picture import PictureOptions, picture, poses, save_png
     from facepipe.pictures.heatmap import HeatMap
-    from facepipe.pictures.photo_sheets import PhotoSheet, SheetPhoto, photo_sheet
+    from facepipe.pictures.photo_report import PhotoSheet, SheetPhoto, photo_page
     from facepipe.pictures.regions import RegionColors
     from facepipe.pictures.sheet import contact_sheet
 else:
@@ -20,7 +20,7 @@ __all__ = [
     "RegionColors",
     "SheetPhoto",
     "contact_sheet",
-    "photo_sheet",
+    "photo_page",
     "picture",
     "poses",
     "save_png",

@@ -10,12 +10,13 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.parts import FaceParts
-from facepipe.pictures.typesetting import Color, Shapes
 from facepipe.pictures.wireframe import wireframe
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+
+Color = tuple[int, int, int]
 
 GROUND: Color = (236, 237, 240)  # where there is no photo
 GIVEN: Color = (255, 255, 255)  # rings
@@ -24,6 +25,7 @@ ERROR: Color = (255, 214, 64)  # lines between the two
 CASING: Color = (24, 26, 32)  # dark outline that keeps light marks legible
 WIRE: Color = (196, 240, 255)
 CLOSE, HEAD, FAR = 0.16, 0.42, 0.9  # margins around the landmarks, shares of their size
+FINE = 4  # marks are drawn this many times as large, in both directions
 AROUND = 0.03  # margin around the points of a head, share of their size
 
 
@@ -200,3 +202,39 @@ def _image(pixels: FloatArray) -> Image:
 
     filled = np.where(np.isnan(pixels), np.array(GROUND) / 255, pixels)
     return Image.fromarray((np.clip(filled, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+class Shapes:
+    """Lines, discs and rings gathered on a fine grid, then painted in one colour with smooth edges.
+
+    Coordinates are pixels of the picture, (0, 0) its top left corner.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        from PIL import Image, ImageDraw
+
+        self.mask = Image.new("L", (size[0] * FINE, size[1] * FINE), 0)
+        self.pen = ImageDraw.Draw(self.mask)
+
+    def line(self, points: FloatArray, width: float) -> None:
+        """A line with round corners and ends through points (m, 2); one point gives a disc."""
+        fine = np.asarray(points, dtype=np.float64) * FINE - 0.5
+        if len(fine) > 1:
+            self.pen.line([tuple(each) for each in fine.tolist()], fill=255, width=round(width * FINE), joint="curve")
+        for end in (points[0], points[-1]):
+            self.disc((float(end[0]), float(end[1])), width / 2)
+
+    def disc(self, center: tuple[float, float], radius: float, fill: int = 255) -> None:
+        """A disc; with `fill` 0 it takes away what is there."""
+        x, y, reach = center[0] * FINE - 0.5, center[1] * FINE - 0.5, radius * FINE
+        self.pen.ellipse((x - reach, y - reach, x + reach, y + reach), fill=fill)
+
+    def ring(self, center: tuple[float, float], radius: float, width: float) -> None:
+        """A circle whose line has its middle at `radius`; what is inside stays as it is."""
+        x, y, reach = center[0] * FINE - 0.5, center[1] * FINE - 0.5, (radius + width / 2) * FINE
+        self.pen.ellipse((x - reach, y - reach, x + reach, y + reach), outline=255, width=round(width * FINE))
+
+    def paint(self, image: Image, color: Color, opacity: float = 1.0) -> None:
+        """Put the shapes onto a picture of the size given at first."""
+        cover = self.mask.reduce(FINE).point([round(level * opacity) for level in range(256)])
+        image.paste(color, (0, 0), cover)

@@ -1,6 +1,9 @@
-"""Quick pictures of one surface for networks to look at: one lamp, no shadows, and the depth of every pixel."""
+"""Quick pictures of one surface, for networks to look at, and with landmarks for people: one lamp, no shadows."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +13,12 @@ from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.pictures.camera import Camera
+from facepipe.pictures.landmarks import DOT
+from facepipe.pictures.overlay import INK, font
 from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _CLAY = (0.50, 0.40, 0.345)  # linear; of surfaces without colours
 _BEHIND = 0.5  # linear grey
@@ -18,6 +26,9 @@ _LAMP = np.array([0.0, 0.447, 0.894])  # camera axes, unit length
 _INSIDE = -0.15  # of a normal towards the viewer: below, the surface is seen from inside
 _FLAT = 0.05  # brightness there
 _SAMPLES = 2  # a pixel and direction
+_FINE = 2  # pixels drawn for one of the sheet, so that dots have smooth edges
+_HIDDEN = (240, 170, 170)
+_SLACK = 0.02  # of the depth: a landmark this far behind the surface still shows
 
 
 def draw_surface(look: Look, view: Pinhole) -> tuple[FloatArray, FloatArray]:
@@ -55,3 +66,33 @@ def _lit(look: Look, axes: FloatArray, weights: FloatArray, corners: npt.NDArray
     colors = np.einsum("mk,mkc->mc", weights, look.colors[corners]) * (0.5 + 0.5 * shade[:, None])
     colors[inside] = _FLAT * look.colors.mean(axis=0)
     return np.asarray(colors)
+
+
+def scan_sheet(look: Look, views: Sequence[Pinhole], landmarks: FloatArray) -> Image:
+    """Pictures side by side, of the views' size, with numbered dots; those behind the surface are pale.
+
+    :param landmarks: (l, 3), rows of NaN are left out
+    """
+    from PIL import Image
+
+    pictures = [np.asarray(_picture(look, view, landmarks)) for view in views]
+    return Image.fromarray(np.hstack(pictures))
+
+
+def _picture(look: Look, view: Pinhole, landmarks: FloatArray) -> Image:
+    from PIL import Image, ImageDraw
+
+    fine = Pinhole(axes=view.axes, eye=view.eye, focal=view.focal * _FINE, size=view.size * _FINE)
+    pixels, depth = draw_surface(look, fine)
+    image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
+    pen, letters, radius = ImageDraw.Draw(image), font(fine.size / 60), fine.size / 220
+    for number, (place, far) in enumerate(zip(*fine.project(landmarks), strict=True)):
+        if not np.isfinite(place).all() or not ((place >= 0) & (place < fine.size)).all():
+            continue
+        x, y = place.tolist()
+        hidden = far > depth[int(y), int(x)] * (1 + _SLACK)
+        box = (x - radius, y - radius, x + radius, y + radius)
+        pen.ellipse(box, fill=_HIDDEN if hidden else DOT, outline=(255, 255, 255), width=_FINE)
+        if not hidden:
+            pen.text((x + 1.5 * radius, y), str(number), fill=INK, font=letters, anchor="lm")
+    return image.reduce(_FINE)

@@ -90,7 +90,7 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
         done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
-    assert {"sheet.png", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
+    assert {"report.html", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
     assert (tmp_path / "me.glb").stat().st_size > 0
 
 

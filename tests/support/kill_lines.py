@@ -69,12 +69,12 @@ def quicken() -> None:
     """What takes long and writes nothing is done once: sample heads; pixels of rendered faces are black."""
     import facepipe.heads
     import facepipe.pictures.face_picture
-    import facepipe.pictures.scan_sheet
+    import facepipe.pictures.surface_view
 
     facepipe.heads.make = functools.cache(facepipe.heads.make)
     facepipe.heads.make(0)
     facepipe.pictures.face_picture.draw = lambda shader, size, *_: np.zeros((size, size, 3), np.uint8)
-    facepipe.pictures.scan_sheet.draw_surface = lambda look, view: (
+    facepipe.pictures.surface_view.draw_surface = lambda look, view: (
         np.zeros((view.size, view.size, 3)),
         np.zeros((view.size, view.size)),
     )
@@ -220,7 +220,7 @@ LINES: dict[str, Line] = {
         *("--iterations", "0", "--size", "64", "--content", "0", "--identity", "0", "--attributes", "0"),
         *("--expression", "jawOpen"),
         uses=("front.*", *_HEAD),
-        more=("report/report.json", "report/sheet.png", "report/old.render.png"),
+        more=("report/report.json", "report/report.html", "report/old.render.png"),
         early=True,
     ),
     "train-photo": _out(
@@ -307,7 +307,7 @@ LINES: dict[str, Line] = {
         each=("out.training",),
     ),
     "neural-rig train plot": Line(
-        words=(*_TRAIN, "--plot", "out.png", "--force"), uses=("turning.usda",), outputs=("out.fpnr", "out.png")
+        words=(*_TRAIN, "--plot", "out.svg", "--force"), uses=("turning.usda",), outputs=("out.fpnr", "out.svg")
     ),
     "neural-rig apply": _out(
         "neural-rig", "apply", "turning.usda", "head.fpnr", "-o", "out.usda", uses=("turning.usda", "head.fpnr")

@@ -67,7 +67,7 @@ class Train(
     checkpoint: Path | None = option(
         None, "file that keeps where the training stands: killed, the same command goes on from there", metavar="FILE"
     )
-    plot: Path | None = beside("picture of what is left of the motion, step by step", ".png", "draw")
+    plot: Path | None = beside("picture of what is left of the motion, step by step", ".svg", "draw")
 
     def check(self) -> None:
         for flag, given, other, expected in (
@@ -132,9 +132,10 @@ class Train(
 
     def draw(self, report: NeuralRigReport, path: Path) -> None:
         """The picture of the training."""
-        from facepipe.pictures.training_curve import draw_training_curve
+        from facepipe.core.atomic import write_bytes
+        from facepipe.pictures.figures import training_chart
 
-        draw_training_curve(report.curve, path)
+        write_bytes(path, training_chart(report.curve))
 
     def text(self, report: NeuralRigReport, out: Path) -> str:
         rows = [("mm, on frames held out", "mean", "largest")]

@@ -13,7 +13,7 @@ models of yours: ONNX, or torch.export programs from people you trust.
 
 OUT is an override layer over FACE and needs that file; hand on what --flatten writes. It holds the slider values, which
 can be set further (`facepipe sliders`), the neutral, which its skeleton plays, and for each photo a camera and the pose
-with the photo's expression. --report makes a folder: sheet.png, report.json, and for each photo the render from its
+with the photo's expression. --report makes a folder: report.html, report.json, and for each photo the render from its
 camera, the overlay of mesh and landmarks, and the landmarks as JSON for --landmarks, to be mended by hand. Exit code 1:
 done, but the landmarks are off by more than the threshold, or the loss was not finite and the best until then is kept.
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 _NETWORK = "network for {}, .onnx or .pt2 (default facepipe's own)"
-_REPORT = r"report\.json|sheet\.png|[^/]+\.(landmarks\.json|render\.png|overlay\.png)"
+_REPORT = r"report\.(html|json)|[^/]+\.(landmarks\.json|render\.png|overlay\.png)"
 
 
 def _indices(words: Sequence[str]) -> tuple[int, ...]:
@@ -98,9 +98,7 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         metavar="PERCENT",
     )
     landmark_weight: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
-    report: Path | None = beside(
-        "folder to make: sheet, report, pictures, landmarks", "", "write_report", holds=_REPORT
-    )
+    report: Path | None = beside("folder to make: report, pictures, landmarks", "", "write_report", holds=_REPORT)
 
     own_flags = ("face", "photos")  # words without a flag, of which the last is the face
 

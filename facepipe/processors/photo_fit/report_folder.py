@@ -11,8 +11,8 @@ from PIL import Image
 
 from facepipe.core.atomic import write_bytes
 from facepipe.geometry.colors import to_srgb
+from facepipe.pictures import photo_page, save_png
 from facepipe.pictures import photo_pictures as pictures
-from facepipe.pictures import photo_sheet, save_png
 from facepipe.processors.photo_fit.landmark_file import write_landmarks
 from facepipe.processors.photo_fit.report_sheet import report_sheet
 
@@ -27,17 +27,17 @@ _LEAST = 1.5  # pixels of that
 
 
 def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
-    """Write sheet.png, report.json and, called as the poses of the photos, their renders, overlays and landmarks."""
+    """Write report.html, report.json and, called as the poses of the photos, their renders, overlays and landmarks."""
     photos, names = fitted.inputs.photos, [one.animation for one in report.photos.values()]
     sheet = report_sheet(fitted.parts, fitted.fit, photos)
     for name, one, photo, marks in zip(names, sheet.photos, photos, fitted.inputs.landmarks, strict=True):
         save_png(render_image(one), folder / f"{name}.render.png")
         save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")
         write_landmarks(folder / f"{name}.landmarks.json", marks, photo)
-    save_png(photo_sheet(sheet), folder / "sheet.png")
-    said = json.loads(report.to_json())
-    del said["seconds"]  # the same input gives the same bytes
-    write_bytes(folder / "report.json", f"{json.dumps(said, sort_keys=True, indent=2)}\n".encode())
+    write_bytes(folder / "report.html", photo_page(sheet))
+    figures = json.loads(report.to_json())
+    del figures["seconds"]  # the same input gives the same bytes
+    write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
 
 
 def render_image(one: SheetPhoto) -> Image.Image:

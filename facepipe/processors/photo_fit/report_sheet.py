@@ -1,4 +1,4 @@
-"""What the report sheet of a photo fit shows, from the fit."""
+"""What the report page of a photo fit shows, from the fit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def report_sheet(
     parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo], *, seconds: float | None = None
 ) -> PhotoSheet:
-    """The sheet of a fit, ready for `facepipe.pictures.photo_sheet`.
+    """What `facepipe.pictures.photo_page` shows of a fit.
 
     :param parts: the face that was fitted, without the result
     :param photos: that were fitted, one a view

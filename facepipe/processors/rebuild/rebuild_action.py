@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from facepipe.processors.rebuild.rebuild_report import RebuildReport
     from facepipe.stage import Face
 
-_NAMES = r"report\.json|(neutral|shapes|shapes_heat)\.png|expressions(/\w+\.png)?"
+_NAMES = r"report\.(html|json)|neutral\.png|expressions(/\w+\.png)?"
 
 
 @action("rebuild", "make an actor's neutral and own shapes from scans")
@@ -121,9 +121,9 @@ class RebuildAction(StageAction["RebuildReport"]):
     def draw(self, face: Face, report: RebuildReport, path: Path) -> None:
         """The folder of the report, with what `--json` prints."""
         if report.pictures is not None and report.job is not None:
-            told = {"path": str(report.job.out), **json.loads(report.to_json()), "report": str(self.report)}
+            result = {"path": str(report.job.out), **json.loads(report.to_json()), "report": str(self.report)}
             with report.job.watch("report", report.pictures.count) as bar:
-                report.pictures.write(path, told, bar.update)
+                report.pictures.write(path, result, bar.update)
 
     def text(self, report: RebuildReport, out: Path) -> str:
         from facepipe.processors.rebuild.rebuild_text import rebuild_text

@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 from facepipe.core.reports import Report, unsaid
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
+
     from facepipe.core.arrays import FloatArray
+    from facepipe.core.markup import Markup
     from facepipe.kinds import Job
-    from facepipe.pictures.shapes_table import ShapeRow
-    from facepipe.pictures.turntable import Turntable
+    from facepipe.pictures.rebuild_pictures import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template
     from facepipe.scans import Scan
 
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
-_NAMED = 8  # weights of an expression that its picture tells
+_NAMED = 8  # weights of an expression that the page gives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,24 +61,44 @@ class RebuildPictures:
         return 2 * len(self._scans()) + 2
 
     def write(self, folder: Path, result: Mapping[str, Any], drawn: Callable[[], object] = lambda: None) -> None:
-        """Write report.json, neutral.png, expressions/NAME.png, shapes.png and shapes_heat.png into `folder`.
+        """Write report.html, report.json, neutral.png and expressions/NAME.png into `folder`.
 
         :param result: JSON
         :param drawn: called after each step
         :raises FacepipeError: a scan that can't be read any more, or files that can't be written
         """
         from facepipe.core.atomic import write_bytes
+        from facepipe.core.markup import page, tag
         from facepipe.pictures import save_png
-        from facepipe.pictures.turntable import turntable
+        from facepipe.pictures.rebuild_pictures import stacked, turntable
+        from facepipe.processors.rebuild.rebuild_page import scans_table
 
+        title = f"Rebuild: {self.project.path.stem}"
+        parts = [tag("h1", title), *(tag("p", line, class_="bad") for line in result.get("missed", ()))]
+        parts.append(
+            scans_table({scan.name: self.rebuilt.reports[stage] for stage, (scan, _) in self._scans().items()})
+        )
         for stage, shown in self._turntables(drawn):
             path = folder / f"{stage}.png"
             path.parent.mkdir(exist_ok=True)
-            save_png(turntable(shown), path)
+            rows = turntable(shown)
+            save_png(stacked([*rows.values()]), path)
+            parts += self._scan_figures(stage, rows, shown.largest_mm)
             drawn()
-        self._draw_shapes(folder, drawn)
+        parts += self._shapes(drawn)
         text = json.dumps(result, sort_keys=True, indent=2, default=str)
         write_bytes(folder / "report.json", f"{text}\n".encode())
+        write_bytes(folder / "report.html", page(title, *parts))
+
+    def _scan_figures(self, stage: str, rows: Mapping[str, Image], largest_mm: float) -> Iterator[Markup]:
+        from facepipe.core.markup import heading, tag
+        from facepipe.pictures.figures import color_scale, figure
+
+        scan, _ = self._scans()[stage]
+        yield heading(scan.name, scan.scan.name)
+        yield from (tag("p", note) for note in self._notes(stage))
+        yield tag("div", *(figure(image, name) for name, image in rows.items()), class_="grid")
+        yield color_scale((0.0, largest_mm), "distance of the registered face from the scan", "no place on the scan")
 
     def _scans(self) -> dict[str, tuple[ProjectScan, FloatArray]]:
         """Stage -> its scan, and the whole points (n, 3) that were found."""
@@ -89,7 +111,7 @@ class RebuildPictures:
         import numpy as np
 
         from facepipe.pictures.fit_sheet import round_above
-        from facepipe.pictures.turntable import Turntable
+        from facepipe.pictures.rebuild_pictures import Turntable
         from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
 
@@ -103,9 +125,6 @@ class RebuildPictures:
             yield (
                 stage,
                 Turntable(
-                    title=one.name,
-                    source=one.scan.name,
-                    notes=self._notes(stage),
                     parts=whole_parts(self.template.parts, points),
                     scan=in_place(_read(one), places[stage]),
                     distances=distances[stage],
@@ -144,18 +163,18 @@ class RebuildPictures:
             lines.append("corrected by hand: numbers are of the mesh before, colours of the corrected one")
         return tuple(lines)
 
-    def _draw_shapes(self, folder: Path, drawn: Callable[[], object]) -> None:
-        from facepipe.pictures import save_png
-        from facepipe.pictures.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
-        from facepipe.pictures.shapes_table import shapes_table
+    def _shapes(self, drawn: Callable[[], object]) -> Iterator[Markup]:
+        from facepipe.core.markup import heading, tag
+        from facepipe.pictures.figures import color_scale, figure
+        from facepipe.pictures.rebuild_pictures import ChangedShapes, change_mm, changed_pictures, most_changed
         from facepipe.processors.database.whole_faces import whole_parts
+        from facepipe.processors.rebuild.rebuild_page import shape_rows, shapes_table
 
         rebuilt, template = self.rebuilt, self.template
         if "shapes" in rebuilt.reports:
-            save_png(shapes_table(shape_rows(rebuilt)), folder / "shapes.png")
+            yield from shapes_table(shape_rows(rebuilt))
         drawn()
         changed = ChangedShapes(
-            title="Shapes that changed most",
             parts=whole_parts(template.parts, rebuilt.neutral),
             neutral=rebuilt.neutral,
             shapes=rebuilt.shapes,
@@ -165,28 +184,17 @@ class RebuildPictures:
         )
         names = most_changed(changed)
         if names:
-            save_png(shapes_sheet(changed, names), folder / "shapes_heat.png")
-        drawn()
-
-
-def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
-    """A row for each shape that the split of expressions reports, in the order of the face's shapes."""
-    from facepipe.pictures.shapes_table import ShapeRow
-
-    report, rows = rebuilt.reports["shapes"], []
-    for name in rebuilt.shapes:
-        one, corrected = report["shapes"][name], f"shapes/{name}" in rebuilt.corrected
-        rows.append(
-            ShapeRow(
-                name=name,
-                observed=one["observed"],
-                gain=one["gain"],
-                change_mm=one["change_mm"],
-                scans=(*(["corrected by hand"] if corrected else []), *one["scans"]),
-                unseen=name in report["unseen"] and not corrected,
+            images, limits = changed_pictures(changed, names)
+            figures = [
+                figure(image, name, f"to {change_mm(changed, name):.1f} mm")
+                for name, image in zip(names, images, strict=True)
+            ]
+            yield heading("Shapes that changed most", "at weight 1")
+            yield tag("div", *figures, class_="grid", style="grid-template-columns:repeat(4,minmax(0,1fr))")
+            yield color_scale(
+                limits, "distance from the personal template's shape; the last colour stands for more too"
             )
-        )
-    return rows
+        drawn()
 
 
 def _read(one: ProjectScan) -> Scan:

@@ -51,7 +51,7 @@ class ScanLandmarks(FileAction["ScanLandmarksReport"]):
     def draw(self, report: ScanLandmarksReport, path: Path) -> None:
         """The picture of the landmarks."""
         from facepipe.pictures import save_png
-        from facepipe.pictures.scan_sheet import scan_sheet
+        from facepipe.pictures.surface_view import scan_sheet
 
         found = report.landmarks
         views = [found.frame.view(yaw, 0.0, _SIZE, 1.4) for yaw in _TURNS]

@@ -122,7 +122,7 @@ def test_a_cook_fits_again_where_landmarks_were_mended(studio: Path, capsys: pyt
 
 def test_the_report_is_a_folder_of_what_was_found(fitted: Path) -> None:
     folder = fitted / "report"
-    expected = {"report.json", "sheet.png", "front.landmarks.json", "front.render.png", "front.overlay.png"}
+    expected = {"report.json", "report.html", "front.landmarks.json", "front.render.png", "front.overlay.png"}
     assert {one.name for one in folder.iterdir()} == expected
     report = json.loads((folder / "report.json").read_text())
     assert report["photos"]["front.png"]["landmark_error_px"] < 1.5
@@ -198,7 +198,7 @@ def test_existing_files_need_force_and_the_same_input_gives_the_same_bytes(perso
     assert fit_photo(*ONE, "-o", "other.usda", "--report", "report", *SOON) == 2
     assert contents(person) == before
     (person / "person.usda").write_text("old")
-    (person / "report" / "sheet.png").write_text("old")
+    (person / "report" / "report.html").write_text("old")
     assert fit_photo(*ONE, "-o", "person.usda", "--report", "report", "--force", *FAST) == 0
     assert contents(person) == before
 

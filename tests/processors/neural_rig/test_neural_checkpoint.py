@@ -85,7 +85,7 @@ def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, tmp_path: Path
 def test_the_command_goes_on_in_the_encoder(
     face: Path, motion: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept, plot = tmp_path / "head.training", tmp_path / "curve.png"
+    kept, plot = tmp_path / "head.training", tmp_path / "curve.svg"
     killed_in_the_encoder(motion, kept)
     words = ("neural-rig", "train", face, *WORDS)
     done(capsys, *words, "-o", tmp_path / "new.fpnr", "--checkpoint", kept, "--plot", plot)

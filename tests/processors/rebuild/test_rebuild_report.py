@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,19 +23,24 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.shapes_sheet import ChangedShapes, most_changed, shapes_sheet
-from facepipe.pictures.shapes_table import ShapeRow, shapes_table, some_of
-from facepipe.pictures.slider_table import ABOVE, ROW
-from facepipe.pictures.turntable import Turntable, turntable
-from facepipe.pictures.typesetting import SMALL, text_width
+from facepipe.pictures.rebuild_pictures import (
+    ChangedShapes,
+    Turntable,
+    change_mm,
+    changed_pictures,
+    most_changed,
+    stacked,
+    turntable,
+)
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
-from facepipe.processors.rebuild.rebuild_report import RebuildPictures, shape_rows
+from facepipe.processors.rebuild.rebuild_page import ShapeRow, shape_rows, shapes_table
+from facepipe.processors.rebuild.rebuild_report import RebuildPictures
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 
 PERSON = 9  # none of the database's
-FILES = ["expressions", "expressions/open.png", "neutral.png", "report.json", "shapes.png", "shapes_heat.png"]
+FILES = ["expressions", "expressions/open.png", "neutral.png", "report.html", "report.json"]
 
 
 def _open(weight: float) -> tuple[Scan, ScanLandmarks]:
@@ -105,13 +111,18 @@ def test_rows_and_columns_of_a_turntable(made: Made) -> None:
     """Scan and registered face look alike; distances have the colours of a heat map alone, from violet."""
     pixels = np.asarray(Image.open(made.folder / "report" / "expressions" / "open.png").convert("RGB")).astype(int)
     violet = (pixels[..., 2] - pixels[..., 1] > 25) & (pixels[..., 0] - pixels[..., 1] > 10)
-    share = violet.mean(axis=1)
-    height = len(share)
-    assert share[: int(0.6 * height)].max() < 0.02
-    heat = share[int(0.62 * height) : int(0.9 * height)]
-    assert heat.max() > 0.1
-    thirds = np.array_split(violet[int(0.62 * height) : int(0.9 * height)], 3, axis=1)
-    assert min(third.mean() for third in thirds) > 0.03
+    scan, face, heat = np.array_split(violet, 3)
+    assert max(scan.mean(axis=1).max(), face[:-8].mean(axis=1).max()) < 0.02
+    assert heat.mean(axis=1).max() > 0.1
+    assert min(third.mean() for third in np.array_split(heat, 3, axis=1)) > 0.03
+
+
+def test_the_page_has_each_scan_and_shape(made: Made) -> None:
+    page = (made.folder / "report" / "report.html").read_text(encoding="utf-8")
+    for words in ("neutral.ply", "open.ply", "shown by the scans", "jawOpen"):
+        assert words in page
+    assert page.count("<img ") >= 6 + 1  # three rows a scan, and shapes that changed
+    assert not re.search(r'(src|href)="(?!data:)', page)  # no other file
 
 
 def test_the_table_names_each_shape_once(made: Made) -> None:
@@ -166,7 +177,8 @@ def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -
     )
     steps: list[None] = []
     alone.write(tmp_path, {}, lambda: steps.append(None))
-    assert names(tmp_path) == ["neutral.png", "report.json"]
+    assert names(tmp_path) == ["neutral.png", "report.html", "report.json"]
+    assert "changed most" not in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert len(steps) == alone.count
 
 
@@ -184,11 +196,8 @@ def _shown(distances: np.ndarray) -> np.ndarray:
     mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
     parts = replace(parts, meshes=(mesh,), meters_per_unit=0.001, materials=())
     scan = Scan(name="scan", points=mesh.points, triangles=mesh.face_vertex_indices.reshape(-1, 3))
-    given = Turntable(
-        title="t", parts=parts, scan=scan, distances=distances, largest_mm=1.0, framing=mesh.points, size=160
-    )
-    pixels = np.asarray(turntable(given)).astype(float)
-    return pixels[int(0.63 * len(pixels)) : int(0.84 * len(pixels))]
+    given = Turntable(parts=parts, scan=scan, distances=distances, largest_mm=1.0, framing=mesh.points, size=160)
+    return np.asarray(turntable(given)["distance from the scan"]).astype(float)
 
 
 def test_no_distance_is_one_colour() -> None:
@@ -222,7 +231,6 @@ def _changes(count: int, moved: dict[str, float]) -> ChangedShapes:
     before = {f"s{number}": np.zeros_like(mesh.points) for number in range(count)}
     shapes = {name: delta + moved.get(name, 0.0) * np.array([0.0, 0.0, 1.0]) for name, delta in before.items()}
     return ChangedShapes(
-        title="t",
         parts=replace(parts, meshes=(mesh,), meters_per_unit=0.001),
         neutral=mesh.points,
         shapes=shapes,
@@ -239,39 +247,28 @@ def test_the_most_changed_shapes_are_drawn() -> None:
     assert most_changed(given) == ["s4", "s5", "s1"]
     assert most_changed(given, most=2) == ["s4", "s5"]
     assert most_changed(_changes(3, {})) == []
-    with pytest.raises(InputError, match="no shapes"):
-        shapes_sheet(given, [])
-    alike = np.asarray(shapes_sheet(_changes(2, {"s0": 1.0, "s1": 1.0}), ["s0", "s1"])).astype(int)
-    cells = [alike[:, start : start + 128] for start in (28, 28 + 138)]
-    top = next(row for row in range(70, len(alike)) if (cells[0][row].max(axis=1) < 245).all())
-    np.testing.assert_array_equal(cells[0][top : top + 128], cells[1][top : top + 128])
+    assert change_mm(given, "s4") == pytest.approx(2.0)
+    (one, other), limits = changed_pictures(_changes(2, {"s0": 1.0, "s1": 1.0}), ["s0", "s1"])
+    np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+    assert limits == (0.0, 1.0)
 
 
 def _row(name: str, observed: float, *, unseen: bool = False) -> ShapeRow:
     return ShapeRow(name=name, observed=observed, gain=1.0, change_mm=0.1, scans=("one",), unseen=unseen)
 
 
-def test_bars_are_as_long_as_what_was_told() -> None:
-    def length(*rows: ShapeRow) -> int:
-        pixels = np.asarray(shapes_table(rows))
-        return int((pixels == ABOVE).all(axis=2).sum(axis=1).max())
-
-    whole = length(_row("a", 1.0))
-    assert length(_row("a", 0.5)) == pytest.approx(whole / 2, abs=2)
-    assert length(_row("a", 1.0, unseen=True)) == 0
-    assert length(_row("a", 1.0, unseen=True), _row("b", 0.25)) == pytest.approx(whole / 4, abs=2)
-
-
-def test_a_table_grows_by_a_row_a_shape() -> None:
-    heights = [shapes_table([_row(f"s{number}", 0.5) for number in range(count)]).height for count in (1, 2, 9)]
-    assert np.diff(heights).tolist() == [ROW, 7 * ROW]
+def test_the_table_of_shapes_shows_what_changed_most_first() -> None:
+    rows = [_row("a", 0.5), replace(_row("b", 0.25), change_mm=0.2), _row("<c>", 1.0, unseen=True)]
+    table = "".join(shapes_table(rows))
+    assert table.index("<td>b</td>") < table.index("<td>a</td>")
+    assert [float(width) for width in re.findall(r'width="([\d.]+)" height="8" fill="var\(--above\)', table)] == [
+        25,
+        50,
+    ]
+    assert "2 of 3 shown by the scans" in table
+    assert "<li>&lt;c&gt;</li>" in table
 
 
-def test_names_that_find_no_room_are_counted() -> None:
-    names = [f"expression_{number}" for number in range(12)]
-    assert some_of(names[:2], 1e6) == "expression_0, expression_1"
-    shown = some_of(names, 400.0)
-    kept = shown.count("expression")
-    assert shown.endswith(f" + {12 - kept}")
-    assert text_width(shown, SMALL) <= 400.0
-    assert some_of([], 400.0) == ""
+def test_pictures_of_one_size_stand_on_top_of_each_other() -> None:
+    tall = stacked([Image.new("RGB", (8, 5), color) for color in ("red", "blue")])
+    assert (tall.width, tall.getpixel((0, 0)), tall.getpixel((7, tall.height - 1))) == (8, (255, 0, 0), (0, 0, 255))

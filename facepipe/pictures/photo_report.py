@@ -1,0 +1,220 @@
+"""The report page of a fit to photos: what was found, and how well it shows what the photos do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, require_finite
+from facepipe.core.errors import InputError
+from facepipe.core.markup import Markup, heading, joined, page, tag
+from facepipe.parts import FaceParts, Slider
+from facepipe.pictures import photo_pictures as pictures
+from facepipe.pictures.camera import View
+from facepipe.pictures.face_picture import PictureOptions, picture
+from facepipe.pictures.figures import TOTAL, bar, figure, loss_chart, table_of_bars
+from facepipe.pictures.rasterise import NEAR
+
+SIZE = 640  # pixels of a picture
+ACTIVE = 0.02  # share of the range (of 1 for a weight) beyond which a control counts as moved
+FRAMED = 0.85  # a crop smaller than this share of the photo is framed in it
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheetPhoto:
+    """One photo, and what the fit makes of it. Pixels count from the photo's top left corner, y down."""
+
+    name: str
+    photo: FloatArray  # (h, w, 3) sRGB 0..1
+    render: FloatArray  # (rh, rw, 4) linear colour on black and coverage 0..1, of all that the photo shows, any size
+    screen: FloatArray  # (n, 3) pixel x, y and depth of the posed points of all meshes, in mesh order
+    targets: FloatArray  # (l, 2) landmarks that the fit was given, pixels
+    landmarks: FloatArray  # (l, 2) landmarks of the fitted face, pixels
+    landmark_error: float  # mean, pixels
+    eye_distance: float  # pixels between the outer eye corners, what the error is a percentage of
+    expressions: Mapping[str, float]  # shape -> weight, of the shapes that were free
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoSheet:
+    """All that a report page shows."""
+
+    parts: FaceParts
+    neutral: FloatArray  # (n, 3) world points of the person without expression
+    photos: tuple[SheetPhoto, ...]
+    sliders: Mapping[str, float]  # name -> value, of the sliders that were free
+    history: Sequence[Mapping[str, float]]  # by step: "total" and each weighted term; NaN: not known
+    kept: int = 0  # step that the face is of
+    stages: tuple[tuple[int, str], ...] = ()  # step at which a part of the fit begins, its name
+    seconds: float | None = None
+    note: str = ""  # how the fit ended
+    title: str = "Photo fit"
+
+
+def photo_page(sheet: PhotoSheet) -> bytes:
+    """One HTML page: pictures of every photo, the neutral, expressions, losses and sliders.
+
+    :raises InputError: no photo, arrays that don't fit each other, sliders that the face does not have, or values that
+        are not finite (but for losses)
+    :raises TopologyError: a mesh refers to points or materials that it does not have
+    """
+    _check(sheet)
+    title = f"{sheet.title}: {sheet.parts.name}"
+    beside = tag("div", tag("section", *_expressions(sheet)), tag("section", *_losses(sheet)), class_="columns")
+    head = joined(tag("h1", title), tag("p", "  ·  ".join(facts(sheet)), class_="muted"))
+    return page(title, head, *_pictures(sheet), beside, *_sliders(sheet))
+
+
+def facts(sheet: PhotoSheet) -> list[str]:
+    """What one wants to know first."""
+    known = [_count(len(sheet.photos), "photo"), _count(max(len(sheet.history) - 1, 0), "step")]
+    kept = [step.get(TOTAL, np.nan) for step in sheet.history[sheet.kept : sheet.kept + 1]]
+    if np.isfinite(kept).any():
+        known.append(f"loss {kept[0]:.3g} at step {sheet.kept}")
+    if sheet.seconds is not None:
+        known.append(f"{sheet.seconds:.1f} s")
+    errors = [photo.landmark_error for photo in sheet.photos]
+    shares = [photo.landmark_error / photo.eye_distance for photo in sheet.photos]
+    known.append(
+        f"landmark error {np.mean(errors):.2f} px, {np.mean(shares):.1%} of the distance of the outer eye corners"
+    )
+    return known + ([sheet.note] if sheet.note else [])
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _pictures(sheet: PhotoSheet) -> Iterator[Markup]:
+    """One photo: two rows of three with the neutral. Several: the neutral, and a row of five for each."""
+    neutral = [_neutral(sheet, "front"), _neutral(sheet, "three-quarter")]
+    if len(sheet.photos) == 1:
+        yield _grid([*_of_photo(sheet, sheet.photos[0]), neutral[0]], 3)
+        return
+    yield from (_grid(_of_photo(sheet, photo), 5) for photo in sheet.photos)
+    yield joined(heading("Without expression"), _grid(neutral, 5))
+
+
+def _grid(figures: Sequence[Markup], columns: int) -> Markup:
+    style = f"grid-template-columns:repeat({columns},minmax(0,1fr));margin-top:24px"
+    return tag("div", *figures, class_="grid", style=style)
+
+
+def _of_photo(sheet: PhotoSheet, one: SheetPhoto) -> list[Markup]:
+    """The five pictures of a photo, with captions."""
+    height, width = one.photo.shape[:2]
+    whole = pictures.whole(width, height, SIZE)
+    marks = np.concatenate([one.targets, one.landmarks])
+    near = pictures.portrait(marks, one.screen[one.screen[:, 2] > NEAR, :2], width, height, SIZE)
+    close = pictures.close_up(marks, width, height, SIZE)
+    photo = pictures.photo_picture(one.photo, whole)
+    if near.side < FRAMED * max(width, height):
+        photo = pictures.framed(photo, whole, near)
+    landmarks = pictures.landmark_picture(one.photo, close, one.targets, one.landmarks)
+    error = f"{one.landmark_error:.2f} px, {one.landmark_error / one.eye_distance:.1%}"
+    return [
+        figure(photo, one.name, f"{width} x {height}"),
+        figure(landmarks, joined(_mark(given=True), " given ", _mark(given=False), " fitted"), error),
+        figure(pictures.wireframe_picture(one.photo, near, sheet.parts, one.screen), "fitted mesh"),
+        figure(pictures.render_picture(one.render, one.photo, near, on_photo=False), "render, same camera"),
+        figure(pictures.render_picture(one.render, one.photo, near, on_photo=True), "render on the photo"),
+    ]
+
+
+def _mark(*, given: bool) -> Markup:
+    """A landmark as the picture has it, for its legend."""
+    casing = tag("circle", cx=7, cy=7, r=5, fill="none", stroke="rgb(24,26,32)", stroke_width=4)
+    ring = tag("circle", cx=7, cy=7, r=5, fill="none", stroke="#fff", stroke_width=2)
+    dot = tag("circle", cx=7, cy=7, r=4, fill="rgb(226,40,52)")
+    return tag("svg", *((casing, ring) if given else (dot,)), width=14, height=14, style="vertical-align:-2px")
+
+
+def _neutral(sheet: PhotoSheet, view: View) -> Markup:
+    ground = (pictures.GROUND[0] / 255, pictures.GROUND[1] / 255, pictures.GROUND[2] / 255)
+    options = PictureOptions(size=SIZE, view=view, background=ground, samples=2)
+    return figure(picture(sheet.parts, sheet.neutral, options), "without expression")
+
+
+def _expressions(sheet: PhotoSheet) -> Iterator[Markup]:
+    """Weights, the largest first: one row a shape, one bar a photo."""
+    weights = [photo.expressions for photo in sheet.photos]
+    names = sorted({name for each in weights for name in each})
+    largest = {name: max(abs(each.get(name, 0.0)) for each in weights) for name in names}
+    used = sorted((name for name in names if largest[name] > ACTIVE), key=lambda name: -largest[name])
+    yield heading("Expression", f"{len(used)} of {len(names)} shapes in use" if names else "none fitted")
+    values = [each[name] for each in weights for name in used if name in each]
+    limits = min([0.0, *values]), max([1.0, *values])
+    rows = [
+        (name, [(bar(limits, 0.0, each[name]), each[name]) if name in each else None for each in weights])
+        for name in used
+    ]
+    titles = [photo.name for photo in sheet.photos] if len(weights) > 1 else []
+    yield table_of_bars(rows, titles=titles)
+    yield _counted({f"at {ACTIVE:g} or less": len(names) - len(used)})
+
+
+def _losses(sheet: PhotoSheet) -> Iterator[Markup]:
+    yield heading("Losses", "weighted terms, by step")
+    yield loss_chart(sheet.history, sheet.stages)
+
+
+def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:
+    """The sliders that have moved, by group; the others are counted."""
+    sliders = sheet.parts.sliders
+    free = [slider for slider in sliders if slider.name in sheet.sliders]
+    moved = [slider for slider in free if _moved(slider, sheet.sliders[slider.name]) > ACTIVE]
+    yield heading("Sliders", f"{len(moved)} of {len(free)} moved from the default" if free else "none fitted")
+    tables = []
+    for group in dict.fromkeys(slider.group for slider in moved):
+        rows = [
+            (slider.name, [(_slider_bar(slider, sheet.sliders[slider.name]), sheet.sliders[slider.name])])
+            for slider in moved
+            if slider.group == group
+        ]
+        tables.append(table_of_bars(rows, group or "other"))
+    yield tag("div", *tables, class_="flow")
+    still = f"within {ACTIVE:.0%} of the range from their default"
+    yield _counted({still: len(free) - len(moved), "not fitted": len(sliders) - len(free)})
+
+
+def _slider_bar(slider: Slider, value: float) -> Markup:
+    return bar((slider.minimum, slider.maximum), slider.default, value)
+
+
+def _moved(slider: Slider, value: float) -> float:
+    """Distance from the default as a share of the range."""
+    reach = slider.maximum - slider.minimum
+    return abs(value - slider.default) / reach if reach > 0 else 0.0
+
+
+def _counted(counts: Mapping[str, int]) -> Markup:
+    """How many controls are not in the table, and why."""
+    return tag("p", "; ".join(f"{count} {why}" for why, count in counts.items() if count), class_="muted")
+
+
+def _check(sheet: PhotoSheet) -> None:
+    """:raises InputError: see `photo_page`"""
+    if not sheet.photos:
+        raise InputError("photo report", "no photos, expected one or more")
+    unknown = sorted(set(sheet.sliders) - {slider.name for slider in sheet.parts.sliders})
+    if unknown:
+        raise InputError(f"{sheet.parts.name} -> sliders", f"no slider {unknown[0]!r}")
+    require_finite(dict(sheet.sliders), "sliders")
+    count = sum(len(mesh.points) for mesh in sheet.parts.meshes)
+    for one in sheet.photos:
+        require_finite(one, one.name)
+        if one.photo.ndim != 3 or one.photo.shape[2] != 3 or not one.photo.size:
+            raise InputError(f"{one.name} -> photo", f"shape {one.photo.shape}, expected (height, width, 3)")
+        if one.photo.min() < 0 or one.photo.max() > 1:
+            raise InputError(f"{one.name} -> photo", f"values up to {one.photo.max():g}, expected sRGB in 0..1")
+        if one.render.ndim != 3 or one.render.shape[2] != 4 or not one.render.size:
+            raise InputError(f"{one.name} -> render", f"shape {one.render.shape}, expected (height, width, 4)")
+        if one.screen.shape != (count, 3):
+            raise InputError(f"{one.name} -> screen", f"shape {one.screen.shape}, expected ({count}, 3)")
+        if one.targets.shape != one.landmarks.shape or one.targets.shape[1:] != (2,) or not len(one.targets):
+            shapes = f"{one.targets.shape} given and {one.landmarks.shape} fitted"
+            raise InputError(f"{one.name} -> landmarks", f"{shapes}, expected (l, 2) of both")
+        if one.eye_distance <= 0:
+            raise InputError(f"{one.name} -> eye distance", f"{one.eye_distance} pixels, expected more than 0")
