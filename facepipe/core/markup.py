@@ -21,7 +21,7 @@ h2 small{float:right;font-weight:400;font-size:13px;line-height:24px;margin-left
 small,.muted,caption,th{color:var(--muted)}
 p{margin:6px 0}a{color:var(--above)}code{font-size:.95em;word-break:break-all}.bad{color:var(--bad)}
 table{border-collapse:collapse}th,td{padding:3px 14px 3px 0;text-align:left;vertical-align:top}
-th{font-weight:400;font-size:13px}.ruled td,.ruled th{border-bottom:1px solid var(--rule);padding:5px 18px 5px 0}
+th{font-weight:400;font-size:13px}.ruled{margin:16px 0}.ruled td,.ruled th{vertical-align:middle;border-bottom:1px solid var(--rule);padding:5px 18px 5px 0}
 .bars{width:100%}.bars td,.bars th{vertical-align:middle}.bars td:first-child{overflow-wrap:anywhere}
 .bars caption{text-align:left;font-size:13px;padding:8px 0 2px}
 td.number,th.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
@@ -29,7 +29,7 @@ td.track{width:45%;min-width:110px}.bar{display:block;width:100%;height:10px}
 .grid{display:grid;gap:20px}.columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:0 56px}
 .flow{columns:2 420px;column-gap:56px}.names{columns:4 200px;list-style:none;padding:0;margin:8px 0}
 .flow table,.names li{overflow-wrap:anywhere}
-figure{margin:0}figure img{display:block;width:100%;border-radius:4px}
+figure{margin:0}figure img{display:block;width:100%;height:auto;border-radius:4px}
 figcaption{display:flex;justify-content:space-between;gap:12px;padding-top:6px;overflow-wrap:anywhere}
 figcaption small{white-space:nowrap}.scale{max-width:640px;margin:16px 0 8px}
 .cards{display:flex;flex-wrap:wrap;gap:10px}.card{width:150px;font-size:12px;color:var(--muted)}

@@ -62,15 +62,26 @@ def color_scale(limits: tuple[float, float], text: str, none: str = "") -> Marku
     ]
     name = "heat"  # the same gradient wherever it stands
     marks = [
-        tag("text", figures, x=f"{(value - low) / (high - low) * 560:.1f}", y=34, text_anchor="middle")
+        tag(
+            "text",
+            figures,
+            x=f"{(value - low) / (high - low) * 560:.1f}",
+            y=34,
+            text_anchor=_anchor((value - low) / (high - low)),
+        )
         for value, figures in ticks(low, high)
     ]
     gradient = tag("defs", tag("linearGradient", *stops, id=name))
     strip = tag("rect", width=560, height=14, rx=2, fill=f"url(#{name})")
-    drawn = tag("svg", gradient, strip, *marks, viewBox="-12 0 600 40", font_size=12, fill="currentColor")
+    drawn = tag("svg", gradient, strip, *marks, viewBox="0 0 560 40", font_size=12, fill="currentColor")
     grey = ",".join(str(round(255 * level)) for level in NO_VALUE)
     square = tag("svg", tag("rect", width=12, height=12, rx=2, fill=f"rgb({grey})"), width=12, height=12)
     return tag("div", tag("small", text, ", mm", *((" · ", square, " ", none) if none else ())), drawn, class_="scale")
+
+
+def _anchor(share: float) -> str:
+    """Numbers below a scale stay within it."""
+    return "start" if share < 0.01 else "end" if share > 0.99 else "middle"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +156,7 @@ def training_chart(curve: FloatArray) -> bytes:
 
 def _chart(height: int, *content: Markup) -> Markup:
     return tag(
-        "svg", *content, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {_WIDTH} {height}", width=_WIDTH,
+        "svg", *content, xmlns="http://www.w3.org/2000/svg", viewBox=f"-4 0 {_WIDTH + 8} {height}", width=_WIDTH,
         font_family="system-ui,sans-serif", font_size=12, fill="currentColor",
     )  # fmt: skip
 

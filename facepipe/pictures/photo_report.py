@@ -125,8 +125,8 @@ def _of_photo(sheet: PhotoSheet, one: SheetPhoto) -> list[Markup]:
 
 def _mark(*, given: bool) -> Markup:
     """A landmark as the picture has it, for its legend."""
-    casing = tag("circle", cx=7, cy=7, r=5, fill="none", stroke="rgb(24,26,32)", stroke_width=4)
-    ring = tag("circle", cx=7, cy=7, r=5, fill="none", stroke="#fff", stroke_width=2)
+    casing = tag("circle", cx=7, cy=7, r=7, fill="rgb(24,26,32)")
+    ring = tag("circle", cx=7, cy=7, r=4.5, fill="none", stroke="#fff", stroke_width=2)
     dot = tag("circle", cx=7, cy=7, r=4, fill="rgb(226,40,52)")
     return tag("svg", *((casing, ring) if given else (dot,)), width=14, height=14, style="vertical-align:-2px")
 
