@@ -21,7 +21,9 @@ h2 small{float:right;font-weight:400;font-size:13px;line-height:24px;margin-left
 small,.muted,caption,th{color:var(--muted)}
 p{margin:6px 0}a{color:var(--above)}code{font-size:.95em;word-break:break-all}.bad{color:var(--bad)}
 table{border-collapse:collapse}th,td{padding:3px 14px 3px 0;text-align:left;vertical-align:top}
-th{font-weight:400;font-size:13px}.ruled{margin:16px 0}.ruled td,.ruled th{vertical-align:middle;border-bottom:1px solid var(--rule);padding:5px 18px 5px 0}
+th{font-weight:400;font-size:13px}.ruled{margin:16px 0}
+.ruled td,.ruled th{vertical-align:middle;border-bottom:1px solid var(--rule);padding:5px 18px 5px 0}
+.single{table-layout:fixed}.single td:first-child{width:36%}.single td.number{width:70px}
 .bars{width:100%}.bars td,.bars th{vertical-align:middle}.bars td:first-child{overflow-wrap:anywhere}
 .bars caption{text-align:left;font-size:13px;padding:8px 0 2px}
 td.number,th.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}

@@ -23,7 +23,7 @@ COLORS = (  # that colour-blind readers tell apart too, in this order
 )  # fmt: skip
 _LOGARITHMIC = 20.0  # the largest over the smallest loss from which a logarithmic axis is used
 _DECADES = 6.0  # a logarithmic axis shows at most these below the largest loss
-_WIDTH, _HEIGHT, _LEFT, _TOP, _LEGEND, _LINE = 640, 330, 52, 36, 170, 19  # units of a chart
+_WIDTH, _HEIGHT, _LEFT, _TOP, _LEGEND, _LINE = 660, 330, 48, 36, 214, 19  # units of a chart
 
 
 def figure(image: Image, caption: object, note: str = "", *, alt: str = "") -> Markup:
@@ -241,7 +241,7 @@ def table_of_bars(
         for name, places in rows
     ]
     above = tag("caption", caption) if caption else ""
-    return tag("table", above, head, *lines, class_="bars")
+    return tag("table", above, head, *lines, class_="bars" if titles else "bars single")
 
 
 def _cell(drawn: Markup, value: float) -> Markup:
