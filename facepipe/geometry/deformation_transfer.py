@@ -19,7 +19,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.triangle_frames import duals, frames, hat_gradients, pieces
-from facepipe.geometry.vectors import group_sums
+from facepipe.geometry.vectors import finite, group_sums
 
 
 class Transfer:
@@ -47,7 +47,7 @@ class Transfer:
     """
 
     def __init__(self, points: FloatArray, triangles: IntArray, fixed: BoolArray) -> None:
-        self._points = _finite("points", points)
+        self._points = finite("points", points)
         self._triangles = _checked_triangles(triangles, self._points)
         self._fixed = np.array(fixed, dtype=bool)
         if self._fixed.shape != (len(self._points),):
@@ -71,7 +71,7 @@ class Transfer:
         :raises InputError: NaN or infinity, or weights that can't be used
         :raises TopologyError: arrays that don't fit each other
         """
-        neutrals, deformed = _finite("neutrals", neutrals), _finite("deformed", deformed)
+        neutrals, deformed = finite("neutrals", neutrals), finite("deformed", deformed)
         for name, points in (("neutrals", neutrals), ("deformed", deformed)):
             if points.ndim != 3 or points.shape[1:] != self._points.shape or points.shape != neutrals.shape:
                 expected = f"(sources, {len(self._points)}, 3), the same for both"
@@ -142,13 +142,6 @@ def _shares(weights: FloatArray | None, count: int) -> FloatArray:
     if given.shape != (count,) or count == 0 or not np.isfinite(given).all() or (given < 0).any() or not given.any():
         raise InputError("weights", f"expected {max(count, 1)} finite numbers of 0 or more, one above 0")
     return np.asarray(given / given.max() / (given / given.max()).sum())
-
-
-def _finite(name: str, points: FloatArray) -> FloatArray:
-    exact = np.array(points, dtype=np.float64)
-    if not np.isfinite(exact).all():
-        raise InputError(name, "NaN or infinity, expected finite numbers")
-    return exact
 
 
 def _checked_triangles(triangles: IntArray, points: FloatArray) -> IntArray:

@@ -10,6 +10,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.merged_points import merge_points
+from facepipe.geometry.polygons import components
 
 _THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
 _LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphere's is 0.28
@@ -184,7 +185,7 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     Stitching: Converting Sets of Polygons to Manifold Surfaces", TVCG 2001.
     """
     pairs, crowded = _pairs(triangles)
-    component = _linked(len(triangles), pairs.triangles)
+    component = components(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
     whole = _Pairs(pairs.triangles[~broken], pairs.sides[~broken], pairs.alike[~broken])
     moved, source = _fan_points(triangles, whole)
@@ -227,15 +228,6 @@ def _pairs(triangles: IntArray) -> tuple[_Pairs, int]:
     return _Pairs(sides // 3, sides, start[sides[:, 0]] == start[sides[:, 1]]), int((uses > 2).sum())
 
 
-def _linked(count: int, links: IntArray) -> IntArray:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    links = links.astype(np.int32)
-    graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
 def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolArray, BoolArray]:
     """Triangles (t,) to turn, and edges (e,) across which no turning makes them agree.
 
@@ -246,7 +238,7 @@ def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolAr
     a, b = pairs.triangles.T
     other = np.where(pairs.alike, count, 0)
     links = np.concatenate([np.stack([a, b + other], 1), np.stack([a + count, b + count - other], 1)])
-    reached = _linked(2 * count, links)
+    reached = components(2 * count, links)
     first = np.zeros(int(component.max()) + 1, np.int64)
     first[component[::-1]] = np.arange(count)[::-1]
     turned = reached[count:] == reached[first][component]
@@ -285,7 +277,7 @@ def _fan_points(triangles: IntArray, pairs: _Pairs) -> tuple[IntArray, IntArray]
     starts = np.where(pairs.alike, second, following[second])
     ends = np.where(pairs.alike, following[second], second)
     links = np.concatenate([np.stack([first, starts], 1), np.stack([following[first], ends], 1)])
-    fan = _linked(len(corners), links)
+    fan = components(len(corners), links)
     _, at, point = np.unique(fan, return_index=True, return_inverse=True)
     order = np.lexsort((at, corners[at]))  # by the input's point
     rank = np.empty(len(order), np.int64)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.geometry.polygons import components
 
 _FLAT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
 
@@ -81,8 +82,6 @@ def gradient_operator(points: FloatArray, triangles: IntArray) -> tuple[Any, Flo
 
 def pieces(count: int, triangles: IntArray) -> IntArray:
     """(count,) number of the piece that each point belongs to, connected through triangles."""
-    from facepipe.geometry.polygons import components
-
     return components(count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
 
 

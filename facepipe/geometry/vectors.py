@@ -1,10 +1,10 @@
-"""Rows of vectors: their directions, sums by group, distances from a segment."""
+"""Rows of vectors: their directions, sums by group, distances from a segment, and that they are finite."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
 
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:
@@ -26,3 +26,13 @@ def to_segment(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatA
     along = end - start
     t = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - start - t[:, None] * along, axis=1))
+
+
+def finite(name: str, values: FloatArray) -> FloatArray:
+    """A float64 copy of `values`.
+
+    :raises InputError: NaN or infinity in what is called `name`
+    """
+    copy = np.array(values, dtype=np.float64)
+    require_finite(copy, name)
+    return copy

@@ -104,29 +104,30 @@ class NeuralRig:
 
 def from_default(controls: tuple[Control, ...], values: FloatArray) -> FloatArray:
     """(..., c) shares of their ranges that values (..., c), clamped to them, are from their controls' defaults."""
-    low, high, rest = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum", "default"))
+    low, high, rest = _ranges(controls)
     return np.asarray((np.clip(values, low, high) - rest) / (high - low))
 
 
 def inputs(controls: tuple[Control, ...], values: FloatArray) -> FloatArray:
     """(..., c) from -1 to 1: values (..., c) over their controls' ranges, clamped to them."""
-    low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
+    low, high, _ = _ranges(controls)
     return np.asarray(2.0 * (np.clip(values, low, high) - low) / (high - low) - 1.0)
 
 
 def share_limits(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray]:
     """(c,) lowest shares, 0 or less, and (c,) highest, 0 or more."""
-    low, high, rest = _columns(controls)
+    low, high, rest = _ranges(controls)
     return (low - rest) / (high - low), (high - rest) / (high - low)
 
 
 def values_of(controls: Sequence[Control], x: FloatArray) -> FloatArray:
     """(..., c) values, within limits, of (..., c) shares: the inverse of `from_default`."""
-    low, high, rest = _columns(controls)
+    low, high, rest = _ranges(controls)
     return np.asarray(np.clip(rest + x * (high - low), low, high))
 
 
-def _columns(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _ranges(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(c,) minima, maxima and defaults."""
     rows = np.array([(one.minimum, one.maximum, one.default) for one in controls], dtype=np.float64).reshape(-1, 3)
     return rows[:, 0], rows[:, 1], rows[:, 2]
 
@@ -164,9 +165,7 @@ def with_basis(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, toler
 
 def output_reach(rig: NeuralRig) -> FloatArray:
     """(r + m,) how far each output goes: each control at its limits alone, all at random, all at random limits."""
-    low, high, rest = (
-        np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum", "default")
-    )
+    low, high, rest = _ranges(rig.controls)
     shares = np.random.default_rng(0).random((2 * _PROBES, len(rest)))
     shares[_PROBES:] = shares[_PROBES:] < 0.5
     alone = np.repeat(rest[None], 2 * len(rest), axis=0)

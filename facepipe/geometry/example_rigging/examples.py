@@ -9,6 +9,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_areas
+from facepipe.geometry.vectors import finite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,7 @@ def checked(
     stiff: IntArray | None,
 ) -> Examples:
     """The examples; arguments and errors as those of `split_shapes`."""
-    points: FloatArray = _finite("neutral", neutral)
+    points: FloatArray = finite("neutral", neutral)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise TopologyError("neutral", f"shape {points.shape}, expected (n, 3) with n at least 1")
     count = len(points)
@@ -74,20 +75,13 @@ def checked(
     )
 
 
-def _finite(name: str, values: FloatArray) -> FloatArray:
-    exact = np.array(values, dtype=np.float64)
-    if not np.isfinite(exact).all():
-        raise InputError(name, "NaN or infinity, expected finite numbers")
-    return exact
-
-
 def _sized(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> FloatArray:
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(b in (None, a) for a, b in zip(array.shape, shape, strict=True))
     if not fits or not len(array):
         expected = ", ".join("1 or more" if size is None else str(size) for size in shape)
         raise TopologyError(name, f"shape {array.shape}, expected ({expected})")
-    return _finite(name, array)
+    return finite(name, array)
 
 
 def _corners(triangles: IntArray, count: int) -> IntArray:
