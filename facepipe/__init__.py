@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
 from facepipe.core import __version__ as __version__
-from facepipe.core.loading import keep_old_names, lazy
+from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.api import read, sample
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 else:
     __getattr__, __dir__ = lazy(__name__, "facepipe.api")
-
-keep_old_names()
 
 __all__ = [
     "ExportError",

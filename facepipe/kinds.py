@@ -34,6 +34,14 @@ if TYPE_CHECKING:
 
 FOUND = "found"  # key of a recipe's options for what the action found
 
+
+def found_of(recipe: Recipe | None) -> Mapping[str, Any]:
+    """What the action of a recipe found; nothing where there is no recipe, or it is damaged there."""
+    options = None if recipe is None else recipe.options
+    found = options.get(FOUND) if isinstance(options, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
+
+
 A = TypeVar("A", bound="Action[Any]")
 R = TypeVar("R", bound="Report")
 

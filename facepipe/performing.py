@@ -20,7 +20,6 @@ from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
 from facepipe.kinds import FOUND, Action, FileAction, Job, StageAction, Watch, unwatched
-from facepipe.older_recipes import as_now, verb_now
 from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
@@ -283,11 +282,10 @@ def read_kept(
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
     file = Path(path)
-    recipe, standalone = recipe_of(file, kind.verb, verb_now)
+    recipe, standalone = recipe_of(file, kind.verb)
     where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}
-    options = as_now(recipe)
     try:
-        values = _values(options, fields, where)
+        values = _values(recipe.options, fields, where)
     except InputError as error:
         raise SchemaError(error.where, error.what) from None
     places = _places(file, recipe, fields, {**values, **dict.fromkeys(replaced)}, instead or {})

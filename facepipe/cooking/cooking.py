@@ -20,7 +20,6 @@ from facepipe.core.locks import discard_lock, locked
 from facepipe.core.reports import Report
 from facepipe.core.trust import trust, trusting
 from facepipe.kinds import Watch, unwatched
-from facepipe.older_recipes import verb_now
 from facepipe.performing import again
 
 AnyPath = str | os.PathLike[str]
@@ -145,7 +144,7 @@ class _Run:
         for _ in range(_TRIES):
             before = {source: self._digests.of(source) for source in node.sources}
             try:
-                kind = cookable(verb_now(verb))
+                kind = cookable(verb)
                 if kind is None:
                     raise InputError(node.path, f"a recipe of '{verb[:40]}', expected one that can be cooked")
                 cooked = again(node.path, kind, self._watch)

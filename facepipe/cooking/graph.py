@@ -10,7 +10,6 @@ from pathlib import Path
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.trust import check_readable, is_writable, roots_of
-from facepipe.older_recipes import verb_now
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
@@ -190,7 +189,7 @@ def read_node(path: Path) -> Node:
     where = f"{shown(path)} -> recipe"
     check_recipe(where, recipe)
     try:
-        kind = cookable(verb_now(recipe.verb))
+        kind = cookable(recipe.verb)
     except InputError as error:  # of a plug-in that can't be used
         raise error.under(where) from None
     if kind is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -42,10 +42,9 @@ def file_recipe(path: str | os.PathLike[str]) -> FileRecipe:
     return FileRecipe(recipe, not stage.GetRootLayer().subLayerPaths)
 
 
-def recipe_of(path: Path, verb: str, called: Callable[[str], str] = str) -> tuple[Recipe, bool]:
+def recipe_of(path: Path, verb: str) -> tuple[Recipe, bool]:
     """The recipe on a face that `facepipe VERB` made, and whether its file stands on no other layer.
 
-    :param called: what the verb of a recipe is called now
     :raises InputError: no recipe, or one of another verb
     :raises SchemaError: a damaged recipe, or one of a newer facepipe
     """
@@ -53,7 +52,7 @@ def recipe_of(path: Path, verb: str, called: Callable[[str], str] = str) -> tupl
     expected = f"expected a face made by `facepipe {verb}`"
     if recipe is None:
         raise InputError(path, f"has no recipe, {expected}")
-    if called(recipe.verb) != verb:
+    if recipe.verb != verb:
         raise InputError(path, f"has a recipe of '{recipe.verb[:40]}', {expected}")
     check_recipe(f"{path} -> recipe", recipe)
     return recipe, standalone

@@ -291,10 +291,12 @@ def _fit(model: str) -> None:
     """person.usda, of a.usda, front.png and a model."""
     sources = ("./a.usda", "./front.png", "./net.pt2")
     options: dict[str, Any] = {
+        "face": "./a.usda",
         "photos": ["./front.png"],
-        "landmarks": [None],
-        "files": {"identity_model": "./net.pt2"},
-        "options": {"faces": [None], "expressions": None, "landmark_threshold": 8.0, "fit": {}},
+        "landmarks": [],
+        "identity_model": "./net.pt2",
+        "faces": [],
+        "landmark_threshold": 8.0,
     }
     digests = ("sha256:0",) * 3
     _put("person.usda", Recipe(verb="fit-photo", sources=sources, digests=digests, options=options))

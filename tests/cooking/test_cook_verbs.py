@@ -1,20 +1,16 @@
 """Each verb that can be cooked: its result again from its recipe, to the bytes that its command writes.
 
-So does its --edit, and so do recipes of the release before.
+So does its --edit.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command_line import content, exit_code
 from cook_cases import CASES
 from cook_chain import actions, cook
-
-from facepipe.stage import open_face
-from facepipe.stage.author_skeleton import author_recipe
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -58,21 +54,3 @@ def test_an_edit_gives_the_bytes_of_the_command_with_what_it_changes(name: str, 
     assert Path("edited.usda").read_bytes() == Path("other.usda").read_bytes()
     assert exit_code(*case.command, "--edit", "out.usda", *case.edit, "--force") == case.code
     assert Path("out.usda").read_bytes() == Path("other.usda").read_bytes()
-
-
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.older is not None])
-def test_recipes_of_the_release_before_are_cooked_to_the_same_bytes(name: str, folder: Path, capsys: Capsys) -> None:
-    case = CASES[name]
-    case.put(folder)
-    assert exit_code(*case.line, "-o", "out.usda") == case.code
-    capsys.readouterr()
-    made = Path("out.usda").read_bytes()
-    face = open_face("out.usda")
-    recipe = face.parts().recipe
-    assert recipe is not None
-    author_recipe(face.prim, replace(recipe, verb=case.command[0], options=case.older))
-    face.stage.Save()
-    assert Path("out.usda").read_bytes() != made
-    code, report, _ = cook(capsys, "out.usda", "--force")
-    assert (code, actions(report)) == (case.code, {"out.usda": "cooked"})
-    assert Path("out.usda").read_bytes() == made

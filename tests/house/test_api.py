@@ -5,8 +5,6 @@ from __future__ import annotations
 import inspect
 import pkgutil
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -148,14 +146,3 @@ def test_no_function_is_called_as_a_room() -> None:
     rooms = {one.name for one in pkgutil.iter_modules(facepipe.__path__)}
     assert not rooms & {*facepipe.__all__, *names()}
     assert {*facepipe.__all__, *names()} <= {*dir(facepipe)}
-
-
-def test_a_room_of_the_release_before_does_not_hide_a_function() -> None:
-    program = (
-        "import warnings; warnings.simplefilter('ignore')\n"
-        "from facepipe.sample import make\n"
-        "import facepipe\n"
-        "assert facepipe.sample(seed=1).shapes and make(1)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,7 +31,6 @@ class Case:
     change: Callable[[], object]
     code: int = 0  # of the command
     edit: tuple[str, ...] = ()  # what else its --edit is given
-    older: Mapping[str, object] | None = None  # options of its recipe as the release before kept them
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -112,14 +111,12 @@ CASES = {
         _performed,
         lambda: _text("take.csv", "jawOpen\n0\n0.5\n1\n"),
         edit=("--start", "0.01", "--no-name"),
-        older={"name": "hello", "resample": 24.0, "offset": 0.5},
     ),
     "apply-bones": Case(
         ("apply-bones", "face.usda", "pose.fpb", "--name", "open"),
         _posed,
         lambda: tiny_payload(Path("pose.fpb"), scale=1.1),
         edit=("--clamp", "--no-name"),
-        older={"name": "open", "clamp": False},
     ),
     "blend": Case(("blend", "face.usda", "other.usda", "--lock", "mouth=2"), _two, lambda: _face("other.usda", 2)),
     "fit-bones": Case(
@@ -140,28 +137,24 @@ CASES = {
         _with_json("points.json", {"a": 1, "b": 2}),
         lambda: _text("points.json", '{"a": 3, "b": 2}'),
         edit=("--mesh", "Teeth"),
-        older={"scheme": "mine", "mesh": None},
     ),
     "neural-rig": Case(
         ("neural-rig", "apply", "face.usda", "rig.fpnr", "--offset-tolerance-mm", "0.02"),
         _neural,
         lambda: _rig(1),
         edit=("--no-keep-shapes",),
-        older={"offset_tolerance_mm": 0.02, "keep_shapes": True},
     ),
     "regions": Case(
         ("regions", "face.usda", "--map", "map.png", "--legend", "legend.json", "--edge", "1"),
         _mapped,
         lambda: _text("legend.json", json.dumps(legend_of(["lips", "chin"]))),
         edit=("--tile", "all"),
-        older={"mesh": None, "uv_set": None, "tolerance": 8.0, "edge": 1, "footprint": 1, "tile": 1001},
     ),
     "skin": Case(
         ("skin", "face.usda", "--joints", "joints.json", "--influences", "2"),
         _skinnable,
         lambda: _text("joints.json", _JOINTS.replace("[0, 10", "[0, 20")),
         edit=("--influences", "1"),
-        older={"from": "joints", "optimise": False, "options": {"influences": 2}},
     ),
     "sliders from a table": Case(
         ("sliders", "face.usda", "--from", "table.toml", "--replace"), _tabled, lambda: _text("table.toml", _MORE)

@@ -48,7 +48,7 @@ class Files:
 def put_scans(folder: Path) -> Files:
     files = Files(folder)
     save_parts(expression_domes.face(), files["head.usda"])
-    recipe = Recipe(verb="fit-neutral", options={"quality": QUALITY.__dict__})
+    recipe = Recipe(verb="fit-neutral", options={"found": {"quality": QUALITY.__dict__}})
     save_parts(replace(expression_domes.face(PERSON), recipe=recipe), files["anna.usda"])
     for name, weights in {"anna": {}, **SEEN}.items():
         expression_domes.put(files[f"{name}.ply"], weights)

@@ -6,7 +6,7 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.blend.blend import Blend
-    from facepipe.processors.blend.blend_action import BlendFaces, blend_recipe
+    from facepipe.processors.blend.blend_action import BlendFaces
     from facepipe.processors.blend.matching import MatchReport, match
     from facepipe.processors.blend.options import BlendOptions
     from facepipe.processors.blend.quality import BlendReport
@@ -23,6 +23,5 @@ __all__ = [
     "BlendSession",
     "MatchReport",
     "Weights",
-    "blend_recipe",
     "match",
 ]

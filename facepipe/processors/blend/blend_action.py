@@ -19,22 +19,17 @@ examples:
 
 from __future__ import annotations
 
-import importlib
-import os
 import time
-import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
-from facepipe.declare import JsonValue, beside, option, source, to_json
+from facepipe.declare import JsonValue, beside, option, source
 from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.blend.options import BlendOptions
 
 if TYPE_CHECKING:
-    from facepipe.parts import Recipe
     from facepipe.processors.blend.quality import BlendReport
     from facepipe.processors.blend.weights import Weights
     from facepipe.stage import Face
@@ -137,16 +132,3 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
 
         matched = [] if report.match is None else [match_text(report.match, report.sources)]
         return "\n".join([*matched, as_text(out, report)])
-
-
-def blend_recipe(
-    paths: Sequence[str | os.PathLike[str]],
-    out: str | os.PathLike[str],
-    weights: Weights,
-    options: BlendOptions | None = None,
-) -> Recipe:
-    """The recipe of a blend, as in the release before: `facepipe.performing.recipe_to` of a `BlendFaces` now."""
-    warnings.warn("blend_recipe is facepipe.performing.recipe_to of a BlendFaces now", DeprecationWarning, stacklevel=2)
-    action = BlendFaces(sources=tuple(map(Path, paths)), weights=weights, **to_json(options or BlendOptions()))
-    recipe: Recipe = importlib.import_module("facepipe.performing").recipe_to(action, out)  # which stands above
-    return recipe

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from facepipe.core.errors import InputError
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.processors.database.face_database import FaceDatabase
 from facepipe.processors.database.quality import Quality, quality_from
 from facepipe.processors.database.whole_faces import Topology, WholeFace, whole_face

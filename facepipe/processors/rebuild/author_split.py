@@ -11,7 +11,7 @@ import numpy as np
 from facepipe.core.errors import InputError
 from facepipe.declare import to_json
 from facepipe.geometry.polygons import flipped_triangles
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, quality_from
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport

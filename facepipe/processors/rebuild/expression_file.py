@@ -19,7 +19,6 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, SchemaError, TopologyError
 from facepipe.core.tokens import SCANNED
-from facepipe.older_recipes import as_now
 from facepipe.parts import Recipe
 from facepipe.processors.database import WholeFace, whole_face
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
@@ -84,7 +83,7 @@ def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> Expressio
 
 def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
     """Name and weights in a recipe."""
-    options = as_now(recipe)
+    options = recipe.options
     name, weights = (options.get(one) if isinstance(options, Mapping) else None for one in ("name", "weights"))
     if not isinstance(name, str) or not isinstance(weights, Mapping) or not weights:
         raise SchemaError(where, "expected the expression's name and weights")
@@ -96,7 +95,7 @@ def _asked(recipe: Recipe, where: str) -> tuple[str, dict[str, float]]:
 
 def _changes(path: Path, recipe: Recipe, personal: Path) -> tuple[str, ...]:
     """What to say where the personal template is not what the expression was registered with."""
-    seen = str(as_now(recipe).get("personal"))
+    seen = str(recipe.options.get("personal"))
     known = dict(zip(recipe.sources, recipe.digests, strict=True)).get(seen)
     if known == source_digest(personal):
         return ()

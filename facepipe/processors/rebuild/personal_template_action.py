@@ -39,7 +39,7 @@ class PersonalTemplateAction(PersonalTemplateOptions, StageAction["PersonalRepor
 
     def author(self, face: Face, job: Job) -> PersonalReport:
         from facepipe.importers import read_face
-        from facepipe.older_recipes import found_of
+        from facepipe.kinds import found_of
         from facepipe.processors.database import load_database
         from facepipe.processors.rebuild.author_personal import AuthorPersonal
         from facepipe.processors.rebuild.personal_template import PersonalTemplate

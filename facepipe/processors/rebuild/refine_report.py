@@ -11,7 +11,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report
 from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.registration import Registered
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import Quality
 from facepipe.processors.rebuild.template import Template

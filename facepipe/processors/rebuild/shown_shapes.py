@@ -11,7 +11,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.registration import Shown
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.parts import Recipe
 from facepipe.processors.database import FaceDatabase, whole_face
 from facepipe.processors.rebuild.composites import resolved

@@ -24,7 +24,7 @@ from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
 from facepipe.parts import Recipe
 from facepipe.performing import read_kept, recipe_to
-from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights, blend_recipe
+from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights
 from facepipe.processors.blend.weights import weights_from_json, weights_to_json
 from facepipe.stage import save_parts
 
@@ -300,27 +300,3 @@ def test_layers_that_a_source_stands_on_are_not_overwritten(folder: Path, capsys
     done(capsys, "blend", "c.usda", "b.usda", "-o", "d.usda")
     assert "needed by" in failed(capsys, "blend", "d.usda", "b.usda", "-o", "a.usda", "--force")
     assert "needed by" in failed(capsys, "blend", "--edit", "c.usda", "--replace", "2=d.usda", "--force")
-
-
-def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
-    weights = {"regions": {"mouth": [0.75, 0.25]}, "default": None, "gains": None, "locked": {"neck": 2}}
-    old = Recipe(
-        verb="blend",
-        sources=("./a.usda", "./b.usda"),
-        digests=("sha256:1", "sha256:2"),
-        options={"weights": weights, "options": {"edges": "cotangent", "static_mm": 0.5}},
-        version="0.1.0",
-    )
-    save_parts(dataclasses.replace(made(0), recipe=old), Path("c.usda"))
-    values = read_kept("c.usda", BlendFaces).values
-    assert values["sources"] == (folder.resolve() / "a.usda", folder.resolve() / "b.usda")
-    assert weights_to_json(values["weights"]) == weights
-    assert (values["edges"], values["static_mm"]) == ("cotangent", 0.5)
-
-
-def test_the_function_of_the_release_before_gives_the_same_recipe(folder: Path) -> None:
-    weights, options = Weights(default=(0.5, 0.5)), BlendOptions(edges="cotangent")
-    with pytest.warns(DeprecationWarning, match="recipe_to"):
-        old = blend_recipe(["a.usda", "b.usda"], "c.usda", weights, options)
-    sources = (Path("a.usda"), Path("b.usda"))
-    assert old == recipe_to(BlendFaces(sources=sources, weights=weights, edges="cotangent"), "c.usda")

@@ -37,7 +37,7 @@ def database(faces: list[Path], capsys: pytest.CaptureFixture[str]) -> Path:
 
 
 def rebuilt(path: Path, quality: dict[str, float] | None) -> Path:
-    options: dict[str, object] = {} if quality is None else {"quality": quality}
+    options: dict[str, object] = {} if quality is None else {"found": {"quality": quality}}
     save_parts(replace(person(8), recipe=Recipe(verb="rebuild", options=options, version="0.1.0")), path)
     return path
 

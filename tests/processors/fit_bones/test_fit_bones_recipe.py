@@ -21,7 +21,7 @@ from layers import with_options
 
 import facepipe
 from facepipe.declare import from_json, to_json
-from facepipe.parts import Animation, FaceParts, Recipe
+from facepipe.parts import Animation, FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.performing import perform, read_kept, recipe_to
 from facepipe.processors.fit_bones import (
@@ -120,38 +120,6 @@ def test_a_fit_from_the_recipe_in_python_has_the_same_bytes(folder: Path, capsys
     assert not kept.standalone
     perform(FitBonesToTargets(**kept.values), Path("b.usda"))
     assert same("a.usda", "b.usda")
-
-
-def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
-    options = {
-        "targets": ["./goal.usda", "talk"],
-        "options": {"threshold_mm": 0.5, "residual": True},
-        "limits": RULES.to_json(),
-        "regions": {"mouth": 2.0},
-        "mask": ["mouth"],
-        "initial": "./start.fpb",
-    }
-    names = ("rig.usda", "goal.usda", "start.fpb")
-    old = Recipe(
-        verb="fit-bones",
-        sources=tuple(f"./{name}" for name in names),
-        digests=tuple(source_digest(Path(name)) for name in names),
-        options=options,
-        version="0.1.0",
-    )
-    save_parts(replace(small(), recipe=old), Path("a.usda"))
-    kept, home = read_kept("a.usda", FitBonesToTargets), folder.resolve()
-    assert kept.warnings == ()
-    assert FitBonesToTargets(**kept.values) == FitBonesToTargets(
-        rig=home / "rig.usda",
-        targets=(str(home / "goal.usda"), "talk"),
-        initial=str(home / "start.fpb"),
-        threshold_mm=0.5,
-        residual=True,
-        limits=RULES,
-        regions={"mouth": 2.0},
-        mask=("mouth",),
-    )
 
 
 def test_the_same_target_by_two_paths_is_refused(folder: Path, capsys: Capsys) -> None:

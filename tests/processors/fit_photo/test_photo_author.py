@@ -30,7 +30,6 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Recipe, Slider
 from facepipe.performing import read_kept, recipe_to
-from facepipe.photo_options import PhotoFitOptions
 from facepipe.processors.photo_fit import AuthorPhotoFit, FitPhoto, Photo
 from facepipe.processors.sliders import SetSliders
 from facepipe.stage import Face, save_parts
@@ -466,29 +465,6 @@ def test_changed_and_lost_sources_of_a_recipe(folder: Path) -> None:
         read_kept(out, FitPhoto)
     kept = read_kept(out, FitPhoto, ["identity_model"]).values
     assert kept["photos"][1].read_bytes() == b"another"
-
-
-OLD = {"faces": [None, None], "expressions": ["jawOpen"], "landmark_threshold": 5.0}
-
-
-@pytest.mark.parametrize("given", [True, False])
-def test_recipes_of_the_release_before_are_read(folder: Path, given: bool) -> None:
-    photos = ["../in/a.png", "../in/b.png"]
-    marks = ["../in/a.json", "../in/b.json"] if given else [None, None]
-    named = ["../face.usda", *photos, *(marks if given else ()), "../in/net.onnx"]
-    options = {
-        "photos": photos,
-        "landmarks": marks,
-        "files": {"identity_model": "../in/net.onnx"},
-        "options": {**OLD, "fit": {"iterations": 20, "landmarks": 2.0}},
-    }
-    digests = ("sha256:0",) * len(named)
-    old = Recipe(verb="fit-photo", sources=tuple(named), digests=digests, options=options, version="0.1.0")
-    kept = read_kept(recorded(old), FitPhoto).values
-    own = {"faces": (), "expressions": ("jawOpen",), "landmark_threshold": 5.0}
-    own |= {"iterations": 20, "landmark_weight": 2.0} | ({} if given else {"landmarks": ()})
-    assert kept == {**files(folder), **own}
-    assert FitPhoto(**kept).options == PhotoFitOptions(iterations=20, landmarks=2.0)
 
 
 def edited(*words: str) -> FitPhoto:

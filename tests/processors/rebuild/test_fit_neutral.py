@@ -16,14 +16,13 @@ from database_faces import person, source
 from faces import with_meshes
 from import_data import shared
 from neutral_files import PERSON, Files
-from old_stages import QUALITY, old_recipe
 from PIL import Image
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.declare import to_json
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.performing import read_kept
 from facepipe.processors.database import (
     Topology,
@@ -87,16 +86,6 @@ def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.Captu
     assert recipe.digests == tuple(source_digest(out.parent / one) for one in recipe.sources)
     assert {**to_json(FitNeutralOptions(unit="cm")), "prior": 0.2}.items() <= recipe.options.items()
     assert found_of(recipe)["quality"] == json.loads(text)["quality"]
-
-
-def test_a_recipe_of_the_release_before_is_read(files: Files) -> None:
-    made_of = {"template": "head.usda", "scan": "scan.ply", "database": "faces.fpdb"}
-    given = {"options": {"unit": "cm"}, "weights": {"jawOpen": 0.1}, "found": {"jawOpen": 0.12}}
-    old = old_recipe("fit-neutral", made_of, **given)
-    assert found_of(old) == {"quality": QUALITY, "weights": {"jawOpen": 0.12}}
-    save_parts(replace(scan_domes.face(), recipe=old), files["old.usda"])
-    kept = read_kept(files["old.usda"], FitNeutralAction).values
-    assert kept == {**{what: files[name] for what, name in made_of.items()}, "unit": "cm", "weights": {"jawOpen": 0.1}}
 
 
 def test_edit_changes_what_is_given(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from expression_domes import OWN, PERSON, SIDE
 import facepipe
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.processors.database import save_database, whole_face, whole_points
 from facepipe.processors.rebuild import (
     ExpressionScan,

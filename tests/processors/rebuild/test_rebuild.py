@@ -10,19 +10,15 @@ import numpy as np
 import pytest
 import scan_domes
 from command_line import done, failed, run
-from old_stages import QUALITY
 from rebuild_project import PERSON, PROJECT, motion, rebuilt
 from solids import ball
 
 import facepipe
 from facepipe.checks import validate
 from facepipe.importers.scan_ply import write_ply
-from facepipe.older_recipes import found_of
-from facepipe.parts import Recipe
-from facepipe.performing import read_kept
+from facepipe.kinds import found_of
 from facepipe.processors.database import whole_face
 from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.rebuild.rebuild_action import RebuildAction
 from facepipe.processors.rebuild.work_folder import KIND
 from facepipe.scans import Scan
 from facepipe.stage import save_parts
@@ -48,19 +44,6 @@ def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixtur
     assert recipe is not None
     assert (recipe.verb, recipe.sources[0], len(recipe.sources)) == ("rebuild", "./anna.toml", 7)
     assert found_of(recipe)["quality"] == told["quality"]
-
-
-def test_a_recipe_of_the_release_before_is_read(project: Path) -> None:
-    old = Recipe(
-        verb="rebuild",
-        sources=("./head.usda", "./anna.toml"),
-        digests=("sha256:0",) * 2,
-        options={"project": "./anna.toml", "joint": True, "quality": QUALITY},
-        version="0.1.0",
-    )
-    save_parts(replace(scan_domes.face(), recipe=old), project.parent / "old.usda")
-    assert read_kept(project.parent / "old.usda", RebuildAction).values == {"project": project, "joint": True}
-    assert found_of(old) == {"quality": QUALITY}
 
 
 def test_edit_changes_what_is_given(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 from command_line import done, failed, run
 from faces import with_meshes
-from old_stages import old_recipe
 from rebuild_stages import QUALITY, SEEN, Files
 
 import facepipe
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.performing import read_kept
 from facepipe.processors.database import quality_from
 from facepipe.processors.rebuild.personal_template_action import PersonalTemplateAction
-from facepipe.processors.rebuild.split_shapes_action import SplitShapesAction
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 
@@ -39,21 +37,6 @@ def test_the_recipes_tell_what_the_stages_were_made_of(stages: Files) -> None:
     assert recipes["actor"].sources == ("./personal.usda", "./open.usda", "./both.usda")  # type: ignore[union-attr]
     kept = quality_from(found_of(recipes["actor"])["quality"], "recipe")
     assert kept == QUALITY  # of the neutral; no shape of this person turns a triangle over
-
-
-def test_recipes_of_the_release_before_are_read(files: Files) -> None:
-    person = {"neutral": "anna.usda", "template": "head.usda"}
-    old = old_recipe("personal-template", person, options={"shapes_from": "template"})
-    save_parts(replace(expression_domes.face(), recipe=old), files["old.usda"])
-    kept = read_kept(files["old.usda"], PersonalTemplateAction).values
-    assert kept == {**{what: files[name] for what, name in person.items()}, "shapes_from": "template"}
-    shown = {"personal": "personal.usda", "expressions": ["open.usda", "both.usda"]}
-    old = old_recipe("split-shapes", shown, options={"noise": 0.3}, weights={"open": {"jawOpen": 0.9}})
-    save_parts(replace(expression_domes.face(), recipe=old), files["old.usda"])
-    kept = read_kept(files["old.usda"], SplitShapesAction).values
-    expressions = (files["open.usda"], files["both.usda"])
-    assert kept == {"personal": files["personal.usda"], "expressions": expressions, "noise": 0.3}
-    assert found_of(old) == {"quality": QUALITY.__dict__, "weights": {"open": {"jawOpen": 0.9}}}
 
 
 def test_edit_changes_what_is_given(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

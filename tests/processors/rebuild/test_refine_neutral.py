@@ -11,7 +11,6 @@ import pytest
 import scan_domes
 from command_line import done, failed
 from faces import with_head, with_meshes
-from old_stages import old_recipe
 from rebuild_project import opening
 from scan_domes import POSE, dome, grid
 
@@ -22,12 +21,10 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.older_recipes import found_of
+from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe
-from facepipe.performing import read_kept
 from facepipe.processors.database import Quality, whole_points
 from facepipe.processors.rebuild import RefineNeutral, RefineNeutralOptions, Template
-from facepipe.processors.rebuild.refine_neutral_action import RefineNeutralAction
 from facepipe.processors.rebuild.refine_report import flipped_before
 from facepipe.processors.rebuild.region_weights import region_weights
 from facepipe.processors.rebuild.shown_shapes import shown_before
@@ -56,7 +53,7 @@ def _neutral() -> FaceParts:
     right = (1.0 - bump) * (_OWN[:, 0] > -30.0)
     regions = {"bump": bump, "right": right, "left": 1.0 - bump - right}
     regions = {name: mask.astype(np.float32) for name, mask in regions.items()}
-    recipe = Recipe(verb="fit-neutral", options={"quality": _QUALITY.__dict__})
+    recipe = Recipe(verb="fit-neutral", options={"found": {"quality": _QUALITY.__dict__}})
     return replace(with_head(parts, regions=regions), recipe=recipe)
 
 
@@ -112,13 +109,11 @@ def test_the_recipe_tells_what_was_refined(folder: Path, capsys: pytest.CaptureF
     assert found_of(recipe)["quality"]["flipped_triangles"] == _QUALITY.flipped_triangles
 
 
-def test_a_recipe_of_the_release_before_is_read(folder: Path) -> None:
-    made_of = {"neutral": "anna.usda", "scan": "anna.ply", "landmarks": "anna.landmarks.json"}
-    old = old_recipe("refine-neutral", made_of, regions=["bump"], options={"detail_mm": 7.0}, found={"jawOpen": 0.4})
-    save_parts(replace(_neutral(), recipe=old), folder / "old.usda")
-    kept = read_kept(folder / "old.usda", RefineNeutralAction).values
-    assert kept == {**{what: folder / name for what, name in made_of.items()}, "regions": ("bump",), "detail_mm": 7.0}
-    assert (flipped_before(old), shown_before(old)) == (3, {"jawOpen": 0.4})
+def test_a_recipe_gives_what_an_earlier_step_found() -> None:
+    found = {"quality": _QUALITY.__dict__, "weights": {"jawOpen": 0.4}}
+    recipe = Recipe(verb="refine-neutral", options={"regions": ["bump"], "found": found})
+    assert (flipped_before(recipe), shown_before(recipe)) == (_QUALITY.flipped_triangles, {"jawOpen": 0.4})
+    assert (flipped_before(None), shown_before(None)) == (0, {})
 
 
 def test_edit_changes_what_is_given(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,6 @@ import pytest
 import scan_domes
 from command_line import done, failed, run
 from expression_domes import OWN, PERSON
-from old_stages import old_recipe
 from rebuild_stages import DOME, SEEN, Files
 
 import facepipe
@@ -27,7 +26,6 @@ from facepipe.processors.rebuild import Template
 from facepipe.processors.rebuild.neutral_place import placed_neutral
 from facepipe.processors.rebuild.register_scan_action import RegisterScanAction
 from facepipe.scans import Scan
-from facepipe.stage.author_skeleton import author_recipe
 
 
 def test_an_expression_is_a_shape_over_the_personal_template(stages: Files) -> None:
@@ -136,22 +134,6 @@ def test_a_scan_named_as_a_composite_shows_it(files: Files, capsys: pytest.Captu
     done(capsys, *words)
     found, known = (files.delta(*one) for one in (("new.usda", "jaw_open"), ("open.usda", "open")))
     assert np.array_equal(found, known)
-
-
-def test_a_recipe_of_the_release_before_is_read_and_split(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
-    made_of = {"personal": "personal.usda", "scan": "open.ply", "landmarks": "open.landmarks.json"}
-    asked = {"name": "open", "weights": SEEN["open"], "found": {"jawOpen": 0.9}, "options": {"variation": 0.5}}
-    with facepipe.open(files["open.usda"]).deriving(files["old.usda"]) as face:
-        author_recipe(face.prim, old_recipe("register-scan", made_of, **asked))
-    kept = read_kept(files["old.usda"], RegisterScanAction).values
-    expected = {**{what: files[name] for what, name in made_of.items()}, "name": "open", "weights": SEEN["open"]}
-    assert kept == {**expected, "variation": 0.5}
-    done(capsys, *files.split(), quiet=False)
-    known = files.delta("actor.usda", "jawOpen")
-    files["old.usda"].rename(files["older.usda"])
-    words = [files["older.usda"] if word == files["open.usda"] else word for word in files.split("--force")]
-    assert "personal.usda is not what older.usda was registered with" in run(capsys, *words)[2]
-    assert np.array_equal(files.delta("actor.usda", "jawOpen"), known)
 
 
 def test_edit_changes_what_is_given(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

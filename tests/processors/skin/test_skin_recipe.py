@@ -116,22 +116,6 @@ def test_damaged_recipes_are_refused_in_one_line(folder: Path) -> None:
         perform(Skin(face=folder / "face.usda"), folder / "bad.usda")
 
 
-def test_recipes_of_the_release_before_are_read(folder: Path) -> None:
-    for way, file in (("joints", "joints.json"), ("face", "other.usdc")):
-        old = Recipe(
-            verb="skin",
-            sources=("./face.usda", f"./{file}"),
-            digests=("sha256:1", "sha256:2"),
-            options={"from": way, "optimise": True, "options": {"influences": 3}},
-            version="0.1.0",
-        )
-        save_parts(replace(plain(without_joints(head("sample"))), recipe=old), folder / "old.usda")
-        field = "joints" if way == "joints" else "source"
-        kept = read_kept(folder / "old.usda", Skin)
-        assert kept.values == {"face": folder / "face.usda", field: folder / file, "optimise": True, "influences": 3}
-        assert len(kept.warnings) == 2
-
-
 def test_edit_changes_what_is_given(folder: Path) -> None:
     out = skin(folder, "--joints", str(folder / "joints.json"), "--influences", "3")
     assert exit_code("skin", "--edit", out, "--sharpness", "2", "--force") == 0

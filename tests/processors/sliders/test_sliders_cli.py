@@ -17,13 +17,11 @@ from places import REPOSITORY
 from small_head import make
 
 import facepipe
-from facepipe.parts import Animation, BoneLimits, FaceParts, Recipe, Slider
+from facepipe.parts import Animation, BoneLimits, FaceParts, Slider
 from facepipe.performing import perform, read_kept
-from facepipe.processors.fit_bones import LimitRules
 from facepipe.processors.sliders import SetSliders, SlidersOfFace, read_table
 from facepipe.rig import CHANNELS, slide
 from facepipe.stage import Face, save_parts
-from facepipe.stage.recipes import source_digest
 
 Capsys = pytest.CaptureFixture[str]
 DOCS = (REPOSITORY / "docs/sliders.md").read_text(encoding="utf-8")
@@ -386,37 +384,6 @@ def test_edit_changes_what_is_given(folder: Path, capsys: Capsys) -> None:
     done(capsys, "sliders", *words)
     done(capsys, "sliders", "face.usda", "--from", "table.toml", "-o", "fresh.usda")
     assert Path("made.usda").read_bytes() == Path("fresh.usda").read_bytes()
-
-
-OLD: list[tuple[tuple[str, ...], dict[str, Any], dict[str, Any]]] = [
-    (("face.usda", "table.toml"), {"drop": True}, {"table": "table.toml", "drop": True}),
-    (("face.usda", "net.npz"), {"network": True}, {"network": "net.npz"}),
-    (
-        ("face.usda",),
-        {"shapes": "a*", "drop": False, "limits": LimitRules().to_json(), "options": {"residual": True}},
-        {"shapes": "a*", "drop": False, "limits": LimitRules(), "residual": True},
-    ),
-    (
-        ("face.usda",),
-        {"values": {"open": 1.0}, "mirror": False, "reset": True, "name": "pose"},
-        {"values": {"open": 1.0}, "mirror": False, "reset": True, "name": "pose"},
-    ),
-]
-
-
-@pytest.mark.parametrize(("sources", "options", "expected"), OLD)
-def test_recipes_of_the_release_before_are_read(
-    folder: Path, sources: tuple[str, ...], options: dict[str, Any], expected: dict[str, Any]
-) -> None:
-    Path("net.npz").write_bytes(b"")
-    digests = tuple(source_digest(Path(one)) for one in sources)
-    names = tuple(f"./{one}" for one in sources)
-    old = Recipe(verb="sliders", sources=names, digests=digests, options=options, version="0.1.0")
-    save_parts(replace(facepipe.open("face.usda").parts(), recipe=old), Path("old.usda"))
-    kept = read_kept("old.usda", SlidersOfFace)
-    found = {name: value.name if isinstance(value, Path) else value for name, value in kept.values.items()}
-    assert found == {"face": "face.usda", **expected}
-    assert kept.warnings == ()
 
 
 def test_sliders_alone_bound_what_is_posed() -> None:
