@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import dataclasses
+import importlib
 import inspect
+import sys
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,6 +16,7 @@ from typing import Any
 
 import facepipe
 from facepipe.actions import find_action, function_name, summaries
+from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, FileAction
 
@@ -28,6 +33,7 @@ examples.
 - An action that makes another file names it. It has no recipe, and so no `--edit` and no `--flatten`.
 - An action that works in place changes its first file, unless it has OUT.
 - An action without OUT only prints.
+- `Report` has the fields of what the function returns; `--json` prints them, with the path of what was written.
 
 Every command takes `-q` (`--quiet`: nothing on stderr but errors; warnings are in the report of `--json`) and `-v`
 (`--verbose`: debug lines with times too, of Python's logger `facepipe`).
@@ -47,18 +53,46 @@ def section(verb: str) -> str:
     if kind is None:
         raise SystemExit(f"{verb}: no action")
     fields = fields_of(kind)
-    of = {role: [one for one in fields if one.role == role] for role in ("source", "option", "beside")}
+    by_role = {role: [field for field in fields if field.role == role] for role in ("source", "option", "beside")}
     result = f" OUT: {kind.output}." if issubclass(kind, FileAction) else ""
     parts = [f"## {verb}", f"{kind.summary[0].upper()}{kind.summary[1:]}.{_call(verb)}{result}"]
-    if of["source"]:
-        parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in of["source"])))
-    options = [_option(one) for one in of["option"] if one.name not in kind.own_flags] + list(_own_flags(kind))
+    if by_role["source"]:
+        parts.append(_table(("source", "Python", "type", "what"), (_source(one) for one in by_role["source"])))
+    options = [_option(one) for one in by_role["option"] if one.name not in kind.own_flags] + list(_own_flags(kind))
     if options:
         parts.append(_table(("option", "Python", "type", "default", "range", "what"), options))
-    if of["beside"]:
-        rows = ((_code(one.shown), _code(one.name), one.suffix or "folder", one.help) for one in of["beside"])
+    if by_role["beside"]:
+        rows = ((_code(one.shown), _code(one.name), one.suffix or "folder", one.help) for one in by_role["beside"])
         parts.append(_table(("beside", "Python", "type", "what"), rows))
+    parts.append(f"Report: {', '.join(map(_code, _report_fields(kind)))}.")
     return "\n\n".join(parts) + "\n"
+
+
+def _report_fields(kind: type[Action[Any]]) -> list[str]:
+    """Names of what its report has in JSON, `warnings` last."""
+    names = [field.name for field in dataclasses.fields(_report(kind)) if field.metadata.get("said", True)]
+    return sorted(names, key=lambda name: name == "warnings")
+
+
+def _report(kind: type[Action[Any]]) -> type[Report]:
+    """The class of its report: what it, or the nearest class that it is made of, gives its base as the parameter."""
+    for owner in kind.__mro__:
+        for base in vars(owner).get("__orig_bases__", ()):
+            for given in typing.get_args(base):
+                found = _imported(owner, given.__forward_arg__) if isinstance(given, typing.ForwardRef) else given
+                if isinstance(found, type) and issubclass(found, Report):
+                    return found
+    raise SystemExit(f"{kind.verb}: no report")
+
+
+def _imported(owner: type, name: str) -> Any:
+    """What a name means in the module of a class, where it may be imported for type checkers alone."""
+    module = sys.modules[owner.__module__]
+    if hasattr(module, name):
+        return getattr(module, name)
+    imports = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.ImportFrom)]
+    (source,) = {node.module for node in imports if any(alias.name == name for alias in node.names)}
+    return getattr(importlib.import_module(str(source)), name)
 
 
 def _call(verb: str) -> str:
