@@ -86,6 +86,7 @@ def killed_again_and_again(show: Path, program: list[str]) -> None:
     assert content(show) == expected
 
 
+@pytest.mark.slow
 def test_made_up_tasks(show: Path) -> None:
     for number in range(40):
         (show / f"heads/{number:03}.bin").write_text(str(number))

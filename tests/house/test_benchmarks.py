@@ -81,6 +81,7 @@ def test_neural_rigs_in_the_engine_are_less_and_nearer_than_dense_blendshapes(tm
     assert corrected["kilobytes"] > 2.0 * sum(row["kilobytes"] for row in small)
 
 
+@pytest.mark.slow
 def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     printed = run("--runs", "1", "--json", out, "--data", tmp_path, benchmark="blend.py")
@@ -102,6 +103,7 @@ def test_blend_benchmark_measures_samples_where_ict_is_not_there(tmp_path: Path)
     assert 0 < whole["border_step_mm"] < 1
 
 
+@pytest.mark.slow
 def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     words = ("--runs", "1", "--joints", "3", "--scipy-targets", "1", "--json", out, "--data", tmp_path)
@@ -121,6 +123,7 @@ def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: P
         assert rigid["plain"]["rms_mm"] <= (1 + 1e-4) * rigid["dem-bones"]["rms_mm"], "the same least squares"
 
 
+@pytest.mark.slow
 def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     out = tmp_path / "out.json"

@@ -368,5 +368,5 @@ def test_every_group_of_the_help_has_a_title_of_its_own() -> None:
     parser = Parser(prog="facepipe blend")
     command_module("blend").configure(parser, [])
     titles = [group.title for group in parser._action_groups if group._group_actions]
-    assert len(set(titles)) == len(titles) == 4
+    assert len(set(titles)) == len(titles) == 5
     assert all(action.help for action in parser._actions if not isinstance(action, argparse._HelpAction))
