@@ -103,9 +103,9 @@ class BoxedQuadratic:
         from scipy.linalg import cho_factor
 
         free = np.flatnonzero(chosen)
-        own = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
+        matrix = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
         # transposed, the same matrix lies as LAPACK wants it
-        self._factor = cho_factor(own.T, lower=True, overwrite_a=own is not self.hessian, check_finite=False)
+        self._factor = cho_factor(matrix.T, lower=True, overwrite_a=matrix is not self.hessian, check_finite=False)
         self._factored = chosen
 
 

@@ -108,8 +108,8 @@ def sparse_blocks(blocks: FloatArray, shared: Any) -> Any:
     from scipy.sparse import bsr_array, eye_array, kron
 
     points = np.arange(len(blocks))
-    own = bsr_array((blocks, points, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks)))
-    return kron(shared, eye_array(3), format="csc") + own.tocsc()
+    diagonal = bsr_array((blocks, points, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks)))
+    return kron(shared, eye_array(3), format="csc") + diagonal.tocsc()
 
 
 class BlockSystem:
@@ -123,7 +123,7 @@ class BlockSystem:
 
     def __init__(self, count: int, links: IntArray) -> None:
         self._links = links
-        self.own = np.zeros((count, 3, 3))
+        self.diagonal = np.zeros((count, 3, 3))
         self.between = np.zeros((len(links), 3, 3))  # rows of the lower point
         self.right = np.zeros((count, 3))
 
@@ -131,14 +131,14 @@ class BlockSystem:
         """A (3n, 3n) sparse, with `shared` (n, n) sparse for each axis on top."""
         from scipy.sparse import coo_array
 
-        count = len(self.own)
+        count = len(self.diagonal)
         low, high = np.divmod(self._links, max(count, 1))
         axes = np.arange(3)
         rows = np.broadcast_to(3 * low[:, None, None] + axes[:, None], self.between.shape)
         columns = np.broadcast_to(3 * high[:, None, None] + axes, self.between.shape)
         entries = (self.between.ravel(), (rows.ravel(), columns.ravel()))
         above = coo_array(entries, shape=(3 * count, 3 * count)).tocsc()
-        return sparse_blocks(self.own, shared) + above + above.T
+        return sparse_blocks(self.diagonal, shared) + above + above.T
 
     def add(self, groups: Groups, jacobian: FloatArray, residual: FloatArray, weights: FloatArray) -> None:
         """Add ``sum_m weight |residual + jacobian x|^2``.
@@ -152,7 +152,7 @@ class BlockSystem:
         squares = (weighted.transpose(0, 2, 1) @ jacobian).reshape(-1, members, 3, members, 3)
         for member in range(members):
             points = groups.points[:, member]
-            _gather(self.own, points, squares[:, member, :, member])
+            _gather(self.diagonal, points, squares[:, member, :, member])
             _gather(self.right, points, -right[:, member])
         for at, (first, second) in zip(groups.between, combinations(range(members), 2), strict=True):
             block = squares[:, first, :, second]

@@ -131,7 +131,7 @@ class _State:
         blocks, right = self._matched(pull, points)
         anchored = pull.anchor_weights * pull.anchors.places(self._follow)
         off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
-        system.own += blocks[free]
+        system.diagonal += blocks[free]
         system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
         shared = self._spread.T @ diags_array(anchored) @ self._spread
         step = factorise(system.matrix(shared)).solve(system.right.ravel()).reshape(-1, 3)

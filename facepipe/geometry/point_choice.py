@@ -86,7 +86,7 @@ def halved(places: FloatArray) -> IntArray:
 def _halves(places: FloatArray, piece: IntArray) -> list[IntArray]:
     if len(piece) < 2:
         return [piece]
-    own = places[piece]
-    ordered = piece[np.argsort(own[:, np.ptp(own, axis=0).argmax()], kind="stable")]
+    here = places[piece]
+    ordered = piece[np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")]
     middle = (len(piece) + 1) // 2
     return [ordered[:middle], ordered[middle:]]

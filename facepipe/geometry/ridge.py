@@ -41,14 +41,16 @@ def ridge(seen: FloatArray, wanted: FloatArray, noise: float | FloatArray) -> tu
 
 @dataclass(frozen=True, kw_only=True)
 class PointMaps:
-    """``x by_input[:, i] + own_i by_own[i]``: what point i is moved."""
+    """``x by_input[:, i] + vector_i by_vector[i]``: what point i is moved."""
 
     by_input: FloatArray  # (c, n, 3)
-    by_own: FloatArray  # (n, 3, 3)
+    by_vector: FloatArray  # (n, 3, 3)
 
-    def __call__(self, inputs: FloatArray, own: FloatArray) -> FloatArray:
+    def __call__(self, inputs: FloatArray, vectors: FloatArray) -> FloatArray:
         """(f, n, 3) of inputs (f, c) and the points' own vectors (f, n, 3)."""
-        return np.asarray(np.tensordot(inputs, self.by_input, axes=1) + np.einsum("fni,nij->fnj", own, self.by_own))
+        return np.asarray(
+            np.tensordot(inputs, self.by_input, axes=1) + np.einsum("fni,nij->fnj", vectors, self.by_vector)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +58,7 @@ class Examples:
     """f examples of c inputs, a vector of each point's own, and where the points went beyond what was expected."""
 
     inputs: FloatArray  # (f, c)
-    own: FloatArray  # (f, n, 3)
+    vectors: FloatArray  # (f, n, 3) of the points' own
     strengths: FloatArray  # (c, n) how far a unit of each input is expected to move each point
     moved: FloatArray  # (f, n, 3)
 
@@ -64,19 +66,19 @@ class Examples:
         """The maps of least squares with noise on inputs; where examples are silent, nothing is moved.
 
         At point i, of examples A in inputs of strengths S and P in the point's own vector, with motions Y:
-        ``D = (A S^2 A^T + P P^T + noise^2)^-1 Y``, then ``by_input = S^2 A^T D`` and ``by_own = P^T D``. In this dual
-        form a system is as large as there are examples, which are few.
+        ``D = (A S^2 A^T + P P^T + noise^2)^-1 Y``, then ``by_input = S^2 A^T D`` and ``by_vector = P^T D``. In this
+        dual form a system is as large as there are examples, which are few.
 
         :param noise: of examples, in shares of `strengths` and in the unit of the points: both scale alike
         """
         by_input = np.empty((self.inputs.shape[1], *self.moved.shape[1:]))
-        by_own = np.empty((self.moved.shape[1], 3, 3))
+        by_vector = np.empty((self.moved.shape[1], 3, 3))
         for points in _chunks(self.moved.shape[1]):
             duals = self._duals(np.arange(len(self.inputs)), points, noise)
             scaled = np.einsum("fc,nfi->cni", self.inputs, duals)
             by_input[:, points] = scaled * self.strengths[:, points, None] ** 2
-            by_own[points] = np.einsum("fni,nfj->nij", self.own[:, points], duals)
-        return PointMaps(by_input=by_input, by_own=by_own)
+            by_vector[points] = np.einsum("fni,nfj->nij", self.vectors[:, points], duals)
+        return PointMaps(by_input=by_input, by_vector=by_vector)
 
     def normal(self, slopes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
         """Normal equations of all points for unknowns that they share, where each also has maps of its own.
@@ -93,8 +95,8 @@ class Examples:
         everything = np.arange(len(self.inputs))
         for points in _chunks(count):
             products = self._products(everything, everything, points) + noise**2 * np.eye(len(everything))
-            own = slopes[:, :, points].transpose(2, 0, 1, 3).reshape(len(points), len(everything), -1)
-            both = np.concatenate([own, self.moved[:, points].transpose(1, 0, 2)], axis=2)
+            by_unknown = slopes[:, :, points].transpose(2, 0, 1, 3).reshape(len(points), len(everything), -1)
+            both = np.concatenate([by_unknown, self.moved[:, points].transpose(1, 0, 2)], axis=2)
             weighed = np.linalg.solve(np.linalg.cholesky(products), both)
             parts = weighed.reshape(len(points), len(everything), unknowns + 1, 3).transpose(2, 0, 1, 3)
             flat = parts.reshape(unknowns + 1, -1)
@@ -129,8 +131,8 @@ class Examples:
         """(p, f, g) inner products of examples at each point."""
         squares = self.strengths[:, points].T ** 2
         products = (self.inputs[rows][None] * squares[:, None]) @ self.inputs[columns].T
-        own = self.own[:, points].transpose(1, 0, 2)
-        return np.asarray(products + own[:, rows] @ own[:, columns].transpose(0, 2, 1))
+        vectors = self.vectors[:, points].transpose(1, 0, 2)
+        return np.asarray(products + vectors[:, rows] @ vectors[:, columns].transpose(0, 2, 1))
 
 
 def _chunks(count: int) -> Iterator[IntArray]:

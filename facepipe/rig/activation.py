@@ -47,4 +47,4 @@ def curves(inbetween_weights: tuple[float, ...]) -> dict[float, Curve]:
     `inbetween_weights` are distinct and neither 0 nor 1.
     """
     knots = sorted({0.0, 1.0, *inbetween_weights})
-    return {own: Curve(tuple((knot, float(knot == own)) for knot in knots)) for own in knots if own != 0.0}
+    return {sculpt: Curve(tuple((knot, float(knot == sculpt)) for knot in knots)) for sculpt in knots if sculpt != 0.0}

@@ -118,7 +118,7 @@ def resampled(skeleton: Skeleton, animation: Animation, fps: float, mm_per_unit:
         weights = np.asarray(animation.shape_weights, dtype=np.float64)
         there_weights = _lines(weights, old, new)
         changed = replace(changed, shape_weights=there_weights)
-        off += _said("weights", np.abs(_lines(there_weights, new, old) - weights).max(initial=0.0), "")
+        off += _unless_tiny("weights", np.abs(_lines(there_weights, new, old) - weights).max(initial=0.0), "")
     return changed, ", ".join(off) or "nothing"
 
 
@@ -128,14 +128,14 @@ def _joints_off(exact: Trs, lines: Trs, mm_per_unit: float) -> list[str]:
     moved = np.linalg.norm(exact.translation - lines.translation, axis=-1).max(initial=0.0)
     scaled = np.abs(exact.scale - lines.scale).max(initial=0.0)
     return [
-        *_said("translation", moved * mm_per_unit, " mm"),
-        *_said("rotation", angle, " rad"),
-        *_said("scale", scaled, ""),
+        *_unless_tiny("translation", moved * mm_per_unit, " mm"),
+        *_unless_tiny("rotation", angle, " rad"),
+        *_unless_tiny("scale", scaled, ""),
     ]
 
 
-def _said(what: str, size: float, unit: str) -> list[str]:
-    return [f"{what} {size:.2g}{unit}"] if size > _NONE else []
+def _unless_tiny(name: str, size: float, unit: str) -> list[str]:
+    return [f"{name} {size:.2g}{unit}"] if size > _NONE else []
 
 
 def _at(trs: Trs, old: FloatArray, new: FloatArray) -> Trs:

@@ -49,8 +49,8 @@ def build(parts: FaceParts) -> Rig:
 
 def _dual(parts: FaceParts) -> npt.NDArray[np.bool_] | None:
     """(n,) which points are skinned by dual quaternions; None where none is."""
-    own = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
-    return np.repeat(own, [len(mesh.points) for mesh in parts.meshes]) if any(own) else None
+    by_mesh = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
+    return np.repeat(by_mesh, [len(mesh.points) for mesh in parts.meshes]) if any(by_mesh) else None
 
 
 def mesh_spaces(parts: FaceParts) -> list[FloatArray]:

@@ -94,8 +94,8 @@ class SkinnedPoints:
         coefficients = self.rig.coefficients(outputs)
         worlds = bones.joint_worlds(bones.rest @ coefficient_matrices(coefficients))
         above = np.concatenate([worlds, bones.parent_world[None]])[bones.parents]  # -1: what roots hang under
-        own = coefficient_derivatives(coefficients[self._joints])[self._of, channels[:, 1]]
-        change = (above @ bones.rest)[channels[:, 0]] @ own
+        derivatives = coefficient_derivatives(coefficients[self._joints])[self._of, channels[:, 1]]
+        change = (above @ bones.rest)[channels[:, 0]] @ derivatives
         skinning = np.concatenate([worlds @ bones.inverse_bind, bones.parent_world[None]])
         return skinning, change @ np.linalg.inv(worlds[self._joints])[self._of]
 

@@ -93,8 +93,8 @@ class NeuralRig:
         frames = self.morphed(flat)
         if bones is not None:
             local = map(bones.local_transforms, self.coefficients(flat))
-            for points, own in zip(frames, local, strict=True):
-                points[:] = bones.skin(points, bones.skinning_matrices(own))
+            for points, transforms in zip(frames, local, strict=True):
+                points[:] = bones.skin(points, bones.skinning_matrices(transforms))
         return frames.reshape(*outputs.shape[:-1], *self.rest.shape)
 
     def points(self, values: FloatArray) -> FloatArray:

@@ -45,8 +45,8 @@ def new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -
     """The person's rest: without the person's scales, or with `in_joints` the transforms alone."""
     local = rig.rest @ person.matrices
     if in_joints:
-        own = np.tile(np.eye(3), (len(local), 1, 1))
-        return NewRest(skeleton=replace(skeleton, rest_transforms=local), stretch=own)
+        unstretched = np.tile(np.eye(3), (len(local), 1, 1))
+        return NewRest(skeleton=replace(skeleton, rest_transforms=local), stretch=unstretched)
     world = rig.joint_worlds(local, np.eye(4))
     before = _stretch(rig.joint_worlds(rig.rest.copy(), np.eye(4)))
     after = _stretch(world)
@@ -98,8 +98,8 @@ def _animation_on(
     coefficients = matrix_coefficients(expression)
     if np.allclose(coefficient_matrices(coefficients), expression, rtol=0, atol=_EXACT * max(1.0, np.abs(rest).max())):
         return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
-    own = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
-    return replace(animation, translations=own.translation, rotations=own.rotation, scales=own.scale)
+    posed = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
+    return replace(animation, translations=posed.translation, rotations=posed.rotation, scales=posed.scale)
 
 
 def _without(parts: FaceParts, animation: Animation, person: Person) -> Animation:
@@ -110,9 +110,9 @@ def _without(parts: FaceParts, animation: Animation, person: Person) -> Animatio
     local[:, places(skeleton, animation)] = local_transforms(skeleton, animation)
     under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices
     given = np.zeros((count, 0)) if animation.shape_weights is None else np.asarray(animation.shape_weights, np.float64)
-    own = dict(zip(animation.shapes, given.T, strict=False))
-    names = tuple(sorted({*own, *person.weights}))
-    columns = [own.get(name, np.zeros(count)) - person.weights.get(name, 0.0) for name in names]
+    given_weights = dict(zip(animation.shapes, given.T, strict=False))
+    names = tuple(sorted({*given_weights, *person.weights}))
+    columns = [given_weights.get(name, np.zeros(count)) - person.weights.get(name, 0.0) for name in names]
     return replace(
         animation,
         joints=joints,
@@ -198,8 +198,8 @@ class _Changes:
         value = clamped_value(slider)
         gains: dict[tuple[str, str, Curve | None], float] = defaultdict(float)
         for (joint, channel, gain), curve in channel_entries(slider):
-            for (own, name), factor in self.channels(joint, channel).items():
-                gains[own, name, _shifted(curve, value, slider.default)] += gain * factor
+            for (moved_joint, name), factor in self.channels(joint, channel).items():
+                gains[moved_joint, name, _shifted(curve, value, slider.default)] += gain * factor
         return replace(
             with_entries(
                 slider,

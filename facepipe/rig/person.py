@@ -80,8 +80,8 @@ def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:
     """Whether an animation is a pose of the person without expression."""
     if animation.times is not None or not set(animation.joints) <= set(parts.skeleton.joints):
         return False
-    weights, own = sample_weights(animation), person.weights
-    apart = [abs(weights.get(name, 0.0) - own.get(name, 0.0)) for name in {*weights, *own}]
+    weights, expected = sample_weights(animation), person.weights
+    apart = [abs(weights.get(name, 0.0) - expected.get(name, 0.0)) for name in {*weights, *expected}]
     local = sample_transforms(parts.skeleton, animation)
     at = np.asarray(parts.skeleton.rest_transforms, dtype=np.float64) @ person.matrices
     tolerance = _SAME * max(1.0, float(np.abs(at).max(initial=0.0)))

@@ -29,8 +29,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     """
     rig = build(parts)
     points = rig.evaluate()
-    own, unit = rig.split(points), parts.meters_per_unit
-    marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, own[mesh.name])) is not None), None)
+    by_mesh, unit = rig.split(points), parts.meters_per_unit
+    marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, by_mesh[mesh.name])) is not None), None)
     if marks is None:
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
         if sides.min() < _HEAD_LIKE * sides.max():

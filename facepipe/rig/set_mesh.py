@@ -50,8 +50,8 @@ def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:
 
 
 def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
-    own = curves(tuple(one.weight for one in shape.inbetweens))
-    amounts = [float(own[at](weight)) for at in (1.0, *(one.weight for one in shape.inbetweens))]
+    by_weight = curves(tuple(one.weight for one in shape.inbetweens))
+    amounts = [float(by_weight[at](weight)) for at in (1.0, *(one.weight for one in shape.inbetweens))]
     total: FloatArray = np.zeros(np.shape(sculpts[0]))
     for amount, sculpt in zip(amounts, sculpts, strict=True):
         total = total + amount * np.asarray(sculpt, dtype=np.float64)

@@ -130,8 +130,8 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
     for weights, expression in [*shapes, *poses]:
         together = person.weights_under(weights)
         exact = before.evaluate(together, joint_transforms=before.rest @ person.under(expression))
-        own = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
-        np.maximum(largest, np.linalg.norm(own - exact, axis=1), out=largest)
+        moved = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
+        np.maximum(largest, np.linalg.norm(moved - exact, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
     return SetError(
         mean_mm=float(largest.mean()) if len(largest) else 0.0,

@@ -100,8 +100,10 @@ def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str
     The others are at their defaults, at their least and at their largest values meanwhile: what two sliders do together
     counts for both. Sliders that the first layer weighs with 0 do nothing.
     """
-    own = {one.name: one for one in sliders}
-    ranges = np.array([[own[name].default, own[name].minimum, own[name].maximum] for name in network.sliders])
+    by_name = {one.name: one for one in sliders}
+    ranges = np.array(
+        [[by_name[name].default, by_name[name].minimum, by_name[name].maximum] for name in network.sliders]
+    )
     changes = {}
     for number, name in enumerate(network.sliders):
         values = np.repeat(ranges.T[:, None], 3, axis=1)  # by what the others and this one are at

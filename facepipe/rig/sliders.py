@@ -42,8 +42,8 @@ def slide(
     clamped: dict[str, float] = {}
     for slider in sliders:
         _check_curves(slider)
-        own = slider.default if slider.value is None else slider.value
-        value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, own))
+        setting = slider.default if slider.value is None else slider.value
+        value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, setting))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
                 raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")

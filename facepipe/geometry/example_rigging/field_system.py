@@ -60,8 +60,8 @@ class FieldSystem:
 
     def fields(self, z: FloatArray, part: int, values: FloatArray) -> FloatArray:
         """(p, 4) gain and turn of one part (that of a shape; last: shared), by basis values (p, k)."""
-        own = z[self.starts[part] : self.starts[part + 1]].reshape(4, -1)
-        return np.asarray(values @ own.T * (self.shared_spread if part == len(self.rows) else self.own_spread))
+        amplitudes = z[self.starts[part] : self.starts[part + 1]].reshape(4, -1)
+        return np.asarray(values @ amplitudes.T * (self.shared_spread if part == len(self.rows) else self.own_spread))
 
     def shape_fields(self, z: FloatArray) -> list[FloatArray]:
         """Per excited shape (p, 4) its whole gain and turn at its sampled points."""

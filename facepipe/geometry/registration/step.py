@@ -60,8 +60,8 @@ def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[P
     rows = [_Rows.from_pull(surface, pull) for pull in pulls]
     system = _System.from_rows(surface, rows)
     right = np.zeros((3 * len(surface.base), 1 + system.count))
-    for pull, row, own in zip(pulls, rows, system.columns, strict=True):
-        right[:, own] += row.right(len(surface.base), pull)
+    for pull, row, columns in zip(pulls, rows, system.columns, strict=True):
+        right[:, columns] += row.right(len(surface.base), pull)
     solved = membrane.factor(pulls).solve(right)
     unknown = system.solve(right.T @ solved)
     residual = solved[:, 0] - solved[:, 1:] @ unknown
@@ -145,8 +145,8 @@ class _System:
     def solve(self, by_residual: FloatArray | float) -> FloatArray:
         """(u,) unknowns, where the residual takes up `by_residual` (1 + u, 1 + u) of the normal matrix."""
         normal = np.zeros((1 + self.count, 1 + self.count))
-        for row, own in zip(self.rows, self.columns, strict=True):
-            normal[np.ix_(own, own)] += row.normal()
+        for row, columns in zip(self.rows, self.columns, strict=True):
+            normal[np.ix_(columns, columns)] += row.normal()
         normal -= by_residual
         matrix, right = normal[1:, 1:], normal[1:, 0] + self.precision * self.expected
         known = np.arange(self.count)
@@ -156,10 +156,10 @@ class _System:
 
     def step(self, unknown: FloatArray, residual: FloatArray) -> Step:
         moves, weights = [], []
-        for row, own in zip(self.rows, self.columns, strict=True):
-            mine = unknown[own[1 + self.modes :] - 1]
-            weights.append(mine[: len(row.shown.expected)])
-            moves.append(_similarity(mine[len(row.shown.expected) :], row.centre))
+        for row, columns in zip(self.rows, self.columns, strict=True):
+            of_scan = unknown[columns[1 + self.modes :] - 1]
+            weights.append(of_scan[: len(row.shown.expected)])
+            moves.append(_similarity(of_scan[len(row.shown.expected) :], row.centre))
         return Step(coefficients=unknown[: self.modes], residual=residual, moves=tuple(moves), weights=tuple(weights))
 
 

@@ -88,9 +88,9 @@ class Anchors:
         shares = np.tile([1.0, 0.0, 0.0], (len(known), 1))
         corners = np.repeat(np.asarray(points)[known, None], 3, axis=1)
         kept = tuple(names[i] for i in known) if names else ()
-        own = no_sigmas() if sigmas is None else np.asarray(sigmas, np.float64)[known]
+        known_sigmas = no_sigmas() if sigmas is None else np.asarray(sigmas, np.float64)[known]
         targets = np.asarray(targets, np.float64)[known]
-        return cls(corners=corners, shares=shares, targets=targets, names=kept, sigmas=own)
+        return cls(corners=corners, shares=shares, targets=targets, names=kept, sigmas=known_sigmas)
 
     def __len__(self) -> int:
         return len(self.targets)

@@ -105,7 +105,7 @@ class RetargetNeuralRig:
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
         noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
         maps = examples.maps(max(noise, 1e-6))
-        shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_own)
+        shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_vector)
         return with_basis(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
 
     def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:

@@ -19,7 +19,7 @@ def subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> 
     own = rig.morphed(outputs) - rig.rest
     return Examples(
         inputs=from_default(rig.controls, values),
-        own=own,
+        vectors=own,
         strengths=_strengths(rig),
         moved=before_bones(rig, outputs, points) - rig.rest - own,
     )

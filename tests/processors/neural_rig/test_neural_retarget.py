@@ -95,7 +95,7 @@ def test_noise_keeps_chance_out() -> None:
     true = np.zeros((30, 6, 3))
     true[:2] = random.normal(size=(2, 6, 3))
     moved = np.tensordot(inputs, true, axes=1) + 0.05 * random.normal(size=(20, 6, 3))
-    examples = Examples(inputs=inputs, own=np.zeros((20, 6, 3)), strengths=strengths, moved=moved)
+    examples = Examples(inputs=inputs, vectors=np.zeros((20, 6, 3)), strengths=strengths, moved=moved)
     others = random.random((200, 30))
     errors = [
         np.abs(examples.maps(noise)(others, np.zeros((200, 6, 3))) - np.tensordot(others, true, axes=1)).mean()
@@ -220,7 +220,7 @@ def test_what_points_share_is_told_beside_what_is_their_own() -> None:
     inputs, ways = random.random((15, 4)), random.normal(size=(200, 3))
     slopes = inputs[:, 0, None, None] * ways + 0.1 * random.normal(size=(15, 200, 3))
     moved = 2.0 * inputs[:, 0, None, None] * ways - 0.7 * slopes
-    examples = Examples(inputs=inputs, own=np.zeros((15, 200, 3)), strengths=np.full((4, 200), 3.0), moved=moved)
+    examples = Examples(inputs=inputs, vectors=np.zeros((15, 200, 3)), strengths=np.full((4, 200), 3.0), moved=moved)
     matrix, away = examples.normal(slopes[:, None], 0.01)
     assert float(-away[0] / matrix[0, 0]) == pytest.approx(0.7, abs=0.02)
     assert float(-(slopes * moved).sum() / np.square(slopes).sum()) < -0.7
