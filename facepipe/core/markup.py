@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-_VOID = ("img", "meta")
+_VOID = ("col", "img", "meta")
 _STYLE = """
 :root{color-scheme:light dark;--ink:#22252b;--muted:#6b7280;--rule:#dfe2e7;--track:#e7e9ed;--above:#2078aa;
 --under:#de7e30;--bad:#b00020;--paper:#fff}
@@ -23,11 +23,10 @@ p{margin:6px 0}a{color:var(--above)}code{font-size:.95em;word-break:break-all}.b
 table{border-collapse:collapse}th,td{padding:3px 14px 3px 0;text-align:left;vertical-align:top}
 th{font-weight:400;font-size:13px}.ruled{margin:16px 0}
 .ruled td,.ruled th{vertical-align:middle;border-bottom:1px solid var(--rule);padding:5px 18px 5px 0}
-.single{table-layout:fixed}.single td:first-child{width:36%}.single td.number{width:70px}
-.bars{width:100%}.bars td,.bars th{vertical-align:middle}.bars td:first-child{overflow-wrap:anywhere}
+.bars{width:100%;table-layout:fixed}.bars td,.bars th{vertical-align:middle}.bars td:first-child{overflow-wrap:anywhere}
 .bars caption{text-align:left;font-size:13px;padding:8px 0 2px}
 td.number,th.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-td.track{width:45%;min-width:110px}.bar{display:block;width:100%;height:10px}
+.ruled td.track{width:45%;min-width:110px}.bar{display:block;width:100%;height:10px}
 .grid{display:grid;gap:20px}.columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:0 56px}
 .flow{columns:2 420px;column-gap:56px}.names{columns:4 200px;list-style:none;padding:0;margin:8px 0}
 .flow table,.names li{overflow-wrap:anywhere}

@@ -241,7 +241,10 @@ def table_of_bars(
         for name, places in rows
     ]
     above = tag("caption", caption) if caption else ""
-    return tag("table", above, head, *lines, class_="bars" if titles else "bars single")
+    columns = max((len(places) for _, places in rows), default=1)
+    widths = [tag("col", style=f"width:{'36%' if columns == 1 else '240px'}")]
+    widths += [tag("col"), tag("col", style="width:70px")] * columns
+    return tag("table", above, tag("colgroup", *widths), head, *lines, class_="bars")
 
 
 def _cell(drawn: Markup, value: float) -> Markup:

@@ -62,7 +62,8 @@ def photo_page(sheet: PhotoSheet) -> bytes:
     """
     _check(sheet)
     title = f"{sheet.title}: {sheet.parts.name}"
-    beside = tag("div", tag("section", *_expressions(sheet)), tag("section", *_losses(sheet)), class_="columns")
+    found = tag("section", *_expressions(sheet)), tag("section", *_losses(sheet))
+    beside = tag("div", *found, class_="columns" if len(sheet.photos) == 1 else None)
     head = joined(tag("h1", title), tag("p", "  ·  ".join(facts(sheet)), class_="muted"))
     return page(title, head, *_pictures(sheet), beside, *_sliders(sheet))
 
