@@ -1,7 +1,11 @@
-"""Training of the encoder of a neural rig on pairs of points and controls."""
+"""Training of the encoder of a neural rig on pairs of points and controls.
+
+Descent can be stopped at any time and continued. The straight map and the last layer are then solved for together.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +13,143 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from facepipe.core.arrays import FloatArray
-from facepipe.learn.encoder_descent import EncoderDescent, EncoderLimits
-from facepipe.learn.encoder_last import last_layer
+from facepipe.geometry.ridge import ridge
 from facepipe.learn.encoder_network import EncoderNetwork, EncoderSize, as_tensor, first_weights
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.training_state import restoring
+from facepipe.learn.training_state import restore_state, restoring, state_of
+
+_DOUBTS = (0.003, 0.01, 0.03, 0.1, 0.3, 10.0)  # noise of reduced features, within -1..1: with the last, none counts
+
+
+def last_layer(
+    taught: tuple[Tensor, Tensor, Tensor], watched: tuple[Tensor, Tensor, Tensor], noise: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The straight map (3 p, c), the last layer (r, c) and the offset (c,) of least squared error, of given features.
+
+    Features were fitted to the frames, so they are trusted less than these say: by as much as is best for the watched
+    frames. The maps are then those of all frames.
+
+    :param taught: offsets (f, p, 3) in millimetres, reduced features (f, r) and controls (f, c) that training saw
+    :param watched: others, that it did not see
+    :param noise: of offsets, millimetres
+    """
+    rows, others = _rows(*taught), _rows(*watched)
+    coordinates = taught[0][0].numel()
+
+    def solved(seen: FloatArray, told: FloatArray, doubt: float) -> tuple[FloatArray, FloatArray]:
+        noises = np.full(seen.shape[1], doubt)
+        noises[:coordinates] = noise
+        return ridge(seen, told, noises)
+
+    def error(doubt: float) -> float:
+        matrix, offset = solved(*rows, doubt)
+        return float(np.square(np.clip(others[0] @ matrix + offset, -1.0, 1.0) - others[1]).mean())
+
+    together = [np.concatenate(pair) for pair in zip(rows, others, strict=True)]
+    matrix, offset = solved(together[0], together[1], min(_DOUBTS, key=error))
+    return matrix[:coordinates], matrix[coordinates:], offset
+
+
+def _rows(offsets: Tensor, features: Tensor, controls: Tensor) -> tuple[FloatArray, FloatArray]:
+    pieces = [one.numpy().astype(np.float64).reshape(len(one), -1) for one in (offsets, features)]
+    return np.concatenate(pieces, axis=1), controls.numpy().astype(np.float64)
+
+
+BATCH = 64
+FIRST_RATE, LAST_RATE = 5e-4, 1e-6
+DECAY = 1.0  # of weights, a step and rate: the network bends no more than the frames ask for
+WARM = 100  # steps over which the rate rises
+CHECK_EVERY, KEEP_EVERY = 50, 100  # steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderLimits:
+    """How long it is trained."""
+
+    steps: int
+    patience: int  # steps without a better check that end it
+
+    def rate(self, step: int) -> float:
+        """Of a step, counted from 1: up over the first, then down along a cosine."""
+        down = LAST_RATE + (FIRST_RATE - LAST_RATE) * (1.0 + math.cos(math.pi * step / self.steps)) / 2.0
+        return down * min(1.0, step / WARM)
+
+
+class EncoderDescent:
+    """Adam with decoupled decay, batch by batch, on frames with other noise each time."""
+
+    def __init__(
+        self,
+        network: EncoderNetwork,
+        samples: tuple[Tensor, Tensor],
+        checked: tuple[Tensor, Tensor],
+        noise: float,
+        random: torch.Generator,
+        limits: EncoderLimits,
+    ) -> None:
+        """
+        :param samples: offsets (f, p, 3) in millimetres and controls (f, c)
+        :param checked: others; the network that is best there is kept
+        :param noise: standard deviation of a coordinate, millimetres
+        """
+        self._network, self._samples, self._checked, self._limits = network, samples, checked, limits
+        self._noise, self._random = noise, random
+        self._optimiser = torch.optim.AdamW(network.learned, lr=FIRST_RATE, weight_decay=DECAY)
+        self._best, self._best_step, self._kept = network.error(*checked), 0, network.copied()
+        self._ended = False
+        self.steps = 0
+
+    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, Array]], object]) -> None:
+        """Go on to the end, and restore the best network.
+
+        :param done: called once for each step, of those before too
+        :param keep: called with the state every `KEEP_EVERY` steps and in the end
+        """
+        for _ in range(self.steps):
+            done()
+        while not self._ended:
+            self._step()
+            if self.steps % CHECK_EVERY == 0 or self.steps == self._limits.steps:
+                self._check()
+            if self.steps % KEEP_EVERY == 0 or self._ended:
+                keep(self.state())
+            done()
+        self._network.restore(self._kept)
+
+    def _step(self) -> None:
+        self.steps += 1
+        self._optimiser.param_groups[0]["lr"] = self._limits.rate(self.steps)
+        offsets, controls = self._samples
+        rows = torch.randint(len(offsets), (BATCH,), generator=self._random)
+        seen = offsets[rows] + self._noise * torch.randn(BATCH, *offsets.shape[1:], generator=self._random)
+        self._optimiser.zero_grad()
+        loss = (self._network(seen) - controls[rows]).square().mean()
+        loss.backward()
+        self._optimiser.step()
+
+    def _check(self) -> None:
+        error = self._network.error(*self._checked)
+        if error < self._best:
+            self._best, self._best_step, self._kept = error, self.steps, self._network.copied()
+        self._ended = self.steps - self._best_step >= self._limits.patience or self.steps == self._limits.steps
+
+    def state(self) -> dict[str, Array]:
+        """All that going on takes."""
+        numbers = np.array([self.steps, self._best, self._best_step, self._ended], dtype=np.float64)
+        return {**state_of(self._network.learned, self._kept, self._optimiser, self._random), "numbers": numbers}
+
+    def go_on(self, state: Mapping[str, Array]) -> None:
+        """Be as `state` says.
+
+        :raises KeyError, RuntimeError, ValueError: the state of another network
+        """
+        steps, self._best, best_step, ended = (float(one) for one in state["numbers"])
+        self.steps, self._best_step, self._ended = int(steps), int(best_step), bool(ended)
+        self._kept = restore_state(state, self._network.learned, self._optimiser, self._random, self.steps)
+
 
 Array = npt.NDArray[Any]
 
@@ -32,7 +166,7 @@ class EncoderSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedEncoder:
-    """Weights by the names of `facepipe.learn.encoder`, float32, and the steps taken."""
+    """Weights by the names of `facepipe.learn.encoder_network`, float32, and the steps taken."""
 
     weights: dict[str, FloatArray]
     steps: int

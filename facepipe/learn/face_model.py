@@ -9,16 +9,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.learn.antialias import antialias
+from facepipe.learn.antialias import Outline, antialias
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.colors import SurfaceColors
-from facepipe.learn.key_light import KeyLight
-from facepipe.learn.light import shade
-from facepipe.learn.normals import PointNormals
-from facepipe.learn.outline import Outline
+from facepipe.learn.light import KeyLight, shade
 from facepipe.learn.rasterise import barycentrics, facing, interpolate, rasterise
 from facepipe.learn.rig import DifferentiableRig
-from facepipe.learn.surfaces import opaque_surfaces
+from facepipe.learn.surfaces import PointNormals, opaque_surfaces
 from facepipe.parts import FaceParts
 from facepipe.rig import build
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.learn.fixed_matrix import FixedMatrix
-from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
-from facepipe.learn.sliders import DifferentiableSliders
+from facepipe.learn.sliders import DifferentiableSliders, PiecewiseLinear, Term
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import Rig
 

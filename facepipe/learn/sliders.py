@@ -1,19 +1,109 @@
-"""Sliders to bone coefficients and shape weights, as `facepipe.rig.slide` defines it, with gradients."""
+"""Sliders to bone coefficients and shape weights, as `facepipe.rig.slide` defines it, with gradients.
+
+That is sums of piecewise-linear functions of single inputs, and the learned network of a face's sliders.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.learn.piecewise_linear import PiecewiseLinear, Term
-from facepipe.learn.slider_network import DifferentiableNetwork
 from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, rest_coefficients
+from facepipe.rig.slider_network import check_network
 from facepipe.rig.sliders import channel_entries, response, shape_entries
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """``base + slope * x[input] + sum(change * max(x[input] - at, 0))``, added to one output."""
+
+    output: int
+    input: int
+    base: float = 0.0
+    slope: float = 0.0
+    bends: tuple[tuple[float, float], ...] = ()  # (at, change of slope)
+
+
+class PiecewiseLinear:
+    """(..., inputs) -> (..., outputs).
+
+    At a bend the derivative is the mean of both sides, as central differences have it, so that a slider whose two
+    halves meet at its default can leave it either way.
+    """
+
+    def __init__(
+        self, terms: Sequence[Term], inputs: int, base: FloatArray, dtype: torch.dtype, device: torch.device | str
+    ) -> None:
+        """:param base: (outputs,) what the terms add to"""
+        bends = sorted({(term.input, at) for term in terms for at, _ in term.bends})
+        column = {bend: inputs + i for i, bend in enumerate(bends)}
+        matrix = np.zeros((inputs + len(bends), len(base)))
+        constant = np.array(base, dtype=np.float64)
+        for term in terms:
+            constant[term.output] += term.base
+            matrix[term.input, term.output] += term.slope
+            for at, change in term.bends:
+                matrix[column[term.input, at], term.output] += change
+        self._matrix = torch.as_tensor(matrix, dtype=dtype, device=device)
+        self._constant = torch.as_tensor(constant, dtype=dtype, device=device)
+        self._bent = torch.as_tensor([own for own, _ in bends], dtype=torch.int64, device=device)
+        self._at = torch.as_tensor([at for _, at in bends], dtype=dtype, device=device)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """(..., outputs) of (..., inputs)."""
+        if len(self._bent):
+            past = x.index_select(-1, self._bent) - self._at
+            x = torch.cat([x, (past + past.abs()) / 2], dim=-1)
+        return x @ self._matrix + self._constant
+
+
+_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
+
+
+class DifferentiableNetwork:
+    """Clamped slider values (..., s) to what the network adds to all bone coefficients and shape weights."""
+
+    def __init__(
+        self,
+        network: SliderNetwork,
+        sliders: Sequence[str],
+        joints: Sequence[str],
+        shapes: Sequence[str],
+        dtype: torch.dtype,
+        device: torch.device | str,
+    ) -> None:
+        """:raises InputError: a damaged network, or one of a slider, joint, channel or shape that is not there"""
+        check_network(network, sliders, joints)
+        for shape in network.shapes:
+            if shape not in shapes:
+                raise InputError("slider network", f"no shape '{shape}'")
+        columns = [9 * list(joints).index(joint) + CHANNELS.index(channel) for joint, channel in network.channels]
+        columns += [9 * len(joints) + list(shapes).index(shape) for shape in network.shapes]
+        self._layers = [
+            tuple(torch.as_tensor(np.asarray(one, dtype=np.float64), dtype=dtype, device=device) for one in layer)
+            for layer in zip(network.weights, network.biases, strict=True)
+        ]
+        self._activation = _ACTIVATIONS[network.activation]
+        self._inputs = torch.as_tensor([list(sliders).index(name) for name in network.sliders], device=device)
+        self._columns = torch.as_tensor(columns, device=device)
+        self._outputs = 9 * len(joints) + len(shapes)
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """(..., 9 j + shapes)."""
+        found = values.index_select(-1, self._inputs)
+        for number, (weight, bias) in enumerate(self._layers):
+            if number:
+                found = self._activation(found)
+            found = found @ weight.T + bias
+        full = found.new_zeros(*found.shape[:-1], self._outputs)
+        return full.index_copy(-1, self._columns, found)
 
 
 class DifferentiableSliders:

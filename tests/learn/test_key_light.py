@@ -10,7 +10,7 @@ import pytest
 from photo_people import joint_loss, model, portrait
 from with_torch import torch
 
-from facepipe.learn.key_light import DARK, KeyLight, hue_cost
+from facepipe.learn.light import DARK, KeyLight, hue_cost
 from facepipe.pictures.lighting import Light, Samples, Studio
 
 DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5

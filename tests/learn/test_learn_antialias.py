@@ -10,12 +10,11 @@ import pytest
 from small_head import make
 from with_torch import tensor, torch
 
-from facepipe.learn.antialias import antialias
+from facepipe.learn.antialias import Outline, antialias, mesh_edges
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, distant, shade
-from facepipe.learn.normals import PointNormals
-from facepipe.learn.outline import Outline, mesh_edges
 from facepipe.learn.rasterise import barycentrics, interpolate, rasterise
+from facepipe.learn.surfaces import PointNormals
 from facepipe.pictures.camera import Frame, portrait
 from facepipe.pictures.scene import Scene, build_scene
 

@@ -10,9 +10,9 @@ from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.learn.camera import Camera, rotation_matrices
+from facepipe.learn.colors import bilinear
 from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.normals import PointNormals
-from facepipe.learn.texture import bilinear
+from facepipe.learn.surfaces import PointNormals
 from facepipe.pictures import textures
 from facepipe.pictures.camera import Frame, portrait
 

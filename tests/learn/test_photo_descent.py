@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from with_torch import torch
 
-from facepipe.learn.key_light import DARK
+from facepipe.learn.light import DARK
 from facepipe.learn.photo.descent import Descent, descend
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.unknowns import Unknowns

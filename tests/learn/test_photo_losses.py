@@ -14,7 +14,7 @@ from with_torch import tensor, torch
 
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.photo.color_loss import color_loss
-from facepipe.learn.photo.feature_losses import FeatureLosses, attributes, content, identity
+from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, content, identity
 
 ALONE = {
     "landmarks": 0.0,

@@ -19,7 +19,7 @@ from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, 
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import Frame, portrait
 from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
-from facepipe.pictures.hidden import hidden
+from facepipe.pictures.layers import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
 from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.pictures.textures import bilinear

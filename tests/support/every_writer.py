@@ -27,7 +27,7 @@ from rebuild_stages import put_scans
 from small_head import make
 
 from facepipe.cli import main
-from facepipe.learn.photo import find_key
+from facepipe.learn.photo import lighting
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.pictures import PictureOptions
 from facepipe.processors.database import save_database
@@ -104,7 +104,7 @@ def work(seed: int) -> None:
     """Write all of it."""
     _list_in_any_order(random.Random(seed))
     PictureOptions.__init__.__kwdefaults__["samples"] = 1
-    find_key._CANDIDATES, find_key._RINGS, shadow_transfer.__defaults__ = 12, (), (12,)
+    lighting._CANDIDATES, lighting._RINGS, shadow_transfer.__defaults__ = 12, (), (12,)
     write_own_wheel(Path())
     for name, put, lines in (("heads", _put_heads, HEADS), ("domes", _put_domes, DOMES)):
         Path(name).mkdir()

@@ -10,8 +10,7 @@ from small_head import make
 from with_torch import torch
 
 from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.key_light import DARK, KeyLight
-from facepipe.learn.light import ambient, distant
+from facepipe.learn.light import DARK, KeyLight, ambient, distant
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import front_axes, landmark_points

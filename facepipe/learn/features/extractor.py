@@ -13,9 +13,8 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import arcface_crop, face_crop
 from facepipe.learn.features.description import DEFAULT_SIZES, Crop, Description, Kind, describe
-from facepipe.learn.features.heads import Features, Heads
 from facepipe.learn.features.programs import Chosen, Program, load_program
-from facepipe.learn.features.signatures import check_features, check_input, check_ranges
+from facepipe.learn.features.signatures import Features, Heads, check_features, check_input, check_ranges
 
 _GREY = 0.5
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.learn.networks.extractors import own_extractors
     from facepipe.learn.networks.face_search import FoundFace, find_landmarks
-    from facepipe.learn.networks.files import feature_model, landmark_model
+    from facepipe.learn.networks.files import feature_model, landmark_model, own_extractors
 else:
     __getattr__, __dir__ = lazy(__name__)
 

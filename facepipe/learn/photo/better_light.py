@@ -12,8 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from facepipe.learn.key_light import KeyLight, hue_cost
-from facepipe.learn.light import shade
+from facepipe.learn.light import KeyLight, hue_cost, shade
 from facepipe.learn.photo.color_loss import color_loss
 from facepipe.learn.photo.descent import Adam
 from facepipe.learn.photo.joint_loss import JointLoss

@@ -1,19 +1,183 @@
-"""The light that photos show on a face of known shape: harmonics, a lamp, shadows, tints of the face's colours."""
+"""The light that photos show on a face of known shape: harmonics, a lamp, shadows, tints of the face's colours.
+
+Harmonics and tints have a closed form where points and camera are known; the lamp is searched for over directions.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
-from facepipe.learn.key_light import DARK
-from facepipe.learn.light import basis
-from facepipe.learn.photo.find_key import find_key
+from facepipe.learn.light import DARK, KeyLight, ambient, basis
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import State
-from facepipe.learn.photo.relight import relight
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp
 from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.learn.self_shadow import sphere, visibility
+
+_ROUNDS = 4
+OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow
+_RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3, 1e-6)  # keeps harmonics that few normals show small
+_DOUBT = 2e-4  # of all the light, with which a material keeps its own colour among the others
+_LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
+
+
+def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Light (k, 3) and factors of the materials' colours (count, 3) that bring a face nearest to a photo.
+
+    Robust least squares, light and colours in turn; the material with the most pixels keeps its own colour, since
+    light and colour can't be told apart but for their ratios.
+
+    :param seen: (p, 3) linear light of the photo at the surface's pixels
+    :param shape: (p, k) how white surfaces there take each number of the light: 9 harmonics, and a lamp where k is 10
+    :param count: of materials
+    """
+    with torch.no_grad():
+        tint = seen.new_ones((count, 3))
+        light = ambient(seen.new_full((3,), 0.5))
+        light = torch.cat([light, light.new_zeros((shape.shape[1] - len(light), 3))])
+        if not len(seen):
+            return light, tint
+        for _ in range(_ROUNDS):
+            light, _ = light_of(shape, surface.colors * tint[surface.materials], seen)
+            lit = surface.colors * (shape @ light).clamp(min=1e-3)
+            tint = _tint(tint, lit, seen, surface.materials, count)
+        main = int(torch.bincount(surface.materials, minlength=count).argmax())
+        return light * tint[main], tint / tint[main]
+
+
+def light_of(
+    shape: Tensor, color: Tensor, seen: Tensor, mirrored: Tensor | None = None, outlier: float = OUTLIER
+) -> tuple[Tensor, Tensor]:
+    """(k, 3) numbers of the light under which surfaces of these colours look as seen, and (m, 3) of what they mirror.
+
+    :param shape: (p, k) how white surfaces take each number
+    :param mirrored: (p, m) light that surfaces mirror whatever their colour; None: none
+    :param outlier: linear light that pixels may be off before they count less
+    """
+    white = seen[:, :0] if mirrored is None else mirrored
+    columns = []
+    for channel in range(3):
+        rows = torch.cat([shape * color[:, channel : channel + 1], white], dim=1)
+        target, trust = seen[:, channel], torch.ones_like(seen[:, channel])
+        ridge = torch.diag(rows.new_tensor(_RIDGE[: rows.shape[1]])) * (rows * rows).sum() / 3
+        for _ in range(3):
+            solution = torch.linalg.solve(rows.T @ (rows * trust[:, None]) + ridge, rows.T @ (trust * target))
+            trust = 1 / (1 + ((rows @ solution - target) / outlier) ** 2)
+        columns.append(solution)
+    light, glint = torch.stack(columns, dim=1).split([shape.shape[1], white.shape[1]])
+    return light, glint
+
+
+def _tint(tint: Tensor, lit: Tensor, seen: Tensor, material: Tensor, count: int) -> Tensor:
+    """(materials, 3) factors of lit colours, robust against single pixels; those hardly seen change as all do."""
+    off = (lit * tint[material] - seen).abs().sum(dim=1, keepdim=True)
+    trust = 1 / (1 + (off / (3 * OUTLIER)) ** 2)
+    above, below = (lit.new_zeros((count, 3)).index_add_(0, material, trust * lit * each) for each in (seen, lit))
+    ratio, doubt = above.sum(dim=0) / below.sum(dim=0).clamp(min=1e-9), _DOUBT * below.sum(dim=0)
+    return ((above + doubt * ratio) / (below + doubt).clamp(min=1e-9)).clamp(_LEAST, _LARGEST)
+
+
+_CANDIDATES = 96
+_BEHIND = -0.2  # cosine to the view below which a lamp hardly lights what the photo shows
+_RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each of eight more
+_SAMPLES = 4000  # pixels
+_OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which tell where a lamp stands
+_SHINE = (0.1, 2.0)  # of a lamp to begin with
+_COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    cost: float
+    numbers: Tensor  # (8,) as `KeyLight`
+
+
+def find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> Tensor | None:
+    """(8,) as `KeyLight`: the lamp that, beside harmonics, explains a photo best; None: none does, or nothing can.
+
+    Directions are tried, all around and then nearer and nearer; colour and highlight are robust least squares. What is
+    compared is the material with the most pixels, the skin: hair and eyes shine otherwise.
+
+    :param points: (n, 3) camera coordinates
+    :param seen: (p, 3) linear light of the photo at the surface's pixels
+    :param harmonics: (p, 9) how white surfaces there take the light that is no lamp
+    :param colors: (p, 3) linear colours of the surface
+    """
+    if not len(seen):
+        return None
+    with torch.no_grad():
+        search = _Search(surface, points, seen, harmonics, colors)
+        without = search.cost_without()
+        if without >= _COVERED:
+            return None
+        found = search.best(one for one in sphere(_CANDIDATES).to(points.dtype) if one[2] > _BEHIND)
+        if found.cost >= without:
+            return None
+        for angle in _RINGS:
+            other = search.best(_around(found.numbers[:3], angle))
+            found = other if other.cost < found.cost else found
+        return found.numbers
+
+
+class _Search:
+    """The pixels that lamps are tried on."""
+
+    def __init__(self, surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> None:
+        main = torch.bincount(surface.materials).argmax()
+        chosen = (surface.materials == main).nonzero()[:, 0]
+        self._chosen = chosen[:: max(1, len(chosen) // _SAMPLES)]
+        self._surface, self._points = surface, points
+        self._normals, self._towards_eye = surface.normals[self._chosen], surface.towards_eye[self._chosen]
+        self._seen, self._harmonics, self._colors = (one[self._chosen] for one in (seen, harmonics, colors))
+
+    def best(self, directions: Iterable[Tensor]) -> _Candidate:
+        """The lamp of the least cost in one of the directions (3,)."""
+        return min((self._lamp(one) for one in directions), key=lambda candidate: candidate.cost)
+
+    def cost_without(self) -> float:
+        """What harmonics alone leave."""
+        light, _ = light_of(self._harmonics, self._colors, self._seen, outlier=_OUTLIER)
+        return self._cost(self._harmonics @ light * self._colors)
+
+    def _lamp(self, towards: Tensor) -> _Candidate:
+        numbers = self._seen.new_tensor(DARK)
+        numbers[:3], numbers[3:7] = towards, 1.0
+        arriving = visibility(self._points, self._surface.triangles, towards)
+        lamp = KeyLight(numbers=numbers, arriving=arriving)
+        here = self._surface.at_pixels(arriving)[self._chosen]
+        matt, mirrored = (one[:, :1] for one in lamp.shade(self._normals, self._towards_eye, here))
+        shape = torch.cat([self._harmonics, matt], dim=1)
+        light, glint = light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
+        if float(light[-1].mean()) <= 0:
+            return _Candidate(math.inf, numbers)
+        numbers[3:6] = light[-1].clamp(min=0)
+        numbers[6] = (glint.mean() / numbers[3:6].mean()).clamp(*_SHINE)
+        shown = shape @ light * self._colors + mirrored * numbers[6] * numbers[3:6]
+        return _Candidate(self._cost(shown), numbers)
+
+    def _cost(self, shown: Tensor) -> float:
+        square = ((shown - self._seen) / _OUTLIER) ** 2
+        return float((square / (1 + square)).mean())
+
+
+def _around(direction: Tensor, angle: float) -> list[Tensor]:
+    """Eight unit directions at an angle from one."""
+    least = torch.zeros_like(direction)
+    least[int(direction.abs().argmin())] = 1
+    across = normalize(torch.linalg.cross(least, direction), dim=0)
+    up = torch.linalg.cross(direction, across)
+    turns = [2 * math.pi * k / 8 for k in range(8)]
+    return [
+        direction * math.cos(angle) + (across * math.cos(turn) + up * math.sin(turn)) * math.sin(angle)
+        for turn in turns
+    ]
 
 
 def lit(loss: JointLoss, state: State) -> Unknowns:

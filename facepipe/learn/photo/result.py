@@ -28,7 +28,7 @@ class FittedView:
     expressions: Mapping[str, float]  # shape -> weight, of the shapes that were free
     camera: FittedCamera
     light: FloatArray  # (9, 3) spherical harmonics in camera coordinates, as `facepipe.learn.light`
-    key: FloatArray  # (8,) a lamp beside them, as `facepipe.learn.key_light.KeyLight`; black where there is none
+    key: FloatArray  # (8,) a lamp beside them, as `facepipe.learn.light.KeyLight`; black where there is none
     landmarks: FloatArray  # (68, 2) of the fitted face, pixels of the photo
     targets: FloatArray  # (68, 2) that the fit was given
     landmark_error: float  # mean distance of the two, pixels; contour points count across the contour

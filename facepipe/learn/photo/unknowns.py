@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facepipe.learn.key_light import DARK
+from facepipe.learn.light import DARK
 from facepipe.learn.photo.landmark_fit import State
 
 

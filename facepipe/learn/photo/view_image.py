@@ -8,7 +8,7 @@ import torch
 from facepipe.core.arrays import FloatArray
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.key_light import KeyLight
+from facepipe.learn.light import KeyLight
 from facepipe.learn.photo.result import FittedCamera, FittedView
 from facepipe.learn.photo.shadows import Shadows
 

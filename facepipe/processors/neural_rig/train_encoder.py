@@ -84,8 +84,7 @@ class TrainEncoder:
         :raises InputError: no control or no point that moves, a single block of frames, or a checkpoint of another
             training
         """
-        from facepipe.learn.encoder_descent import EncoderLimits
-        from facepipe.learn.encoder_fit import train_encoder
+        from facepipe.learn.encoder_fit import EncoderLimits, train_encoder
 
         options, still = self.options, motion.constant
         if len(still) == len(motion.controls):

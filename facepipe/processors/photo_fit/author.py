@@ -1,4 +1,4 @@
-"""Authors what a photo fit found on the stage."""
+"""Authors what a photo fit found on the stage: sliders, poses, and the cameras of the photos."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FitError
 from facepipe.core.names import unique_identifiers
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe
-from facepipe.processors.photo_fit.camera_views import camera_to_world, clipping_range
 from facepipe.processors.photo_fit.fit_checks import check_fit, mixed_sliders
 from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, loss_ends
 from facepipe.processors.sliders import SetSliders, SetSlidersReport
@@ -23,8 +23,34 @@ from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.result import FittedView, PhotoFit
+    from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
     from facepipe.processors.photo_fit.photo_file import Photo
+
+_MARGIN = 10.0  # the clipping range is so many times wider than the face, each way
+_LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the camera
+
+
+def camera_to_world(camera: FittedCamera) -> FloatArray:
+    """(4, 4) rigid transform from camera to world coordinates."""
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_rotvec(np.asarray(camera.rotation, dtype=np.float64)).as_matrix()
+    result = np.eye(4)
+    result[:3, :3] = rotation.T
+    result[:3, 3] = -rotation.T @ np.asarray(camera.translation, dtype=np.float64)
+    return result
+
+
+def clipping_range(where: str, to_world: FloatArray, points: FloatArray) -> tuple[float, float]:
+    """Nearest and farthest depth to show of world points (n, 3), with a margin.
+
+    :raises FitError: all points are behind the camera
+    """
+    depths = (to_world[:3, 3] - points) @ to_world[:3, 2]
+    far = float(depths.max(initial=0.0))
+    if far <= 0:
+        raise FitError(where, "the camera looks away from the face, expected the face before it")
+    return max(float(depths.min()) / _MARGIN, far * _LEAST_NEAR), far * _MARGIN
 
 
 @dataclass(frozen=True, kw_only=True)

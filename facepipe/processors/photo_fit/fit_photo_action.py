@@ -167,6 +167,6 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         write_folder(path, report.fitted, report)
 
     def text(self, report: PhotoFitReport, out: Path) -> str:
-        from facepipe.processors.photo_fit.text import as_text
+        from facepipe.processors.photo_fit.report import as_text
 
         return as_text(out, report, report.fitted.parts.sliders)

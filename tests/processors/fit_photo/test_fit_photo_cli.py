@@ -25,7 +25,7 @@ from with_torch import torch
 import facepipe
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
-from facepipe.learn.photo import find_key
+from facepipe.learn.photo import lighting
 from facepipe.learn.self_shadow import shadow_transfer
 from facepipe.performing import read_kept
 from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
@@ -42,8 +42,8 @@ TWO = ("front.png", "--landmarks", "front.json", "side.png", "--landmarks", "sid
 def few_lamps() -> Iterator[None]:
     """Light is looked for in few directions: what is found in all of them is told by test_photo_light and _key."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(find_key, "_CANDIDATES", 12)
-        patch.setattr(find_key, "_RINGS", ())
+        patch.setattr(lighting, "_CANDIDATES", 12)
+        patch.setattr(lighting, "_RINGS", ())
         patch.setattr(shadow_transfer, "__defaults__", (12,))
         yield
 

@@ -12,12 +12,12 @@ from with_torch import tensor
 
 from facepipe.core.errors import InputError
 from facepipe.learn.camera import Camera
-from facepipe.learn.key_light import DARK
+from facepipe.learn.light import DARK
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts
 from facepipe.pictures import photo_page
 from facepipe.processors.photo_fit import Photo
-from facepipe.processors.photo_fit.report_sheet import report_sheet
+from facepipe.processors.photo_fit.report_folder import report_sheet
 from facepipe.rig import build, slide
 
 SLIDERS = {"noseWidth": 0.8, "chinLength": -0.5, "eyeSpacing": 0.3}

@@ -243,7 +243,7 @@ def test_the_face_is_what_a_viewer_sees(face: tuple[FaceParts, Rig]) -> None:
 
 def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: list[RecoveryTarget]) -> None:
     pytest.importorskip("torch")
-    from facepipe.learn.key_light import DARK
+    from facepipe.learn.light import DARK
     from facepipe.learn.photo import result
 
     parts, rig = face

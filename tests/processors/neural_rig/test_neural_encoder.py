@@ -119,7 +119,7 @@ def test_the_numbering_of_points_changes_nothing(motion: Motion) -> None:
 
 
 def test_torch_and_numpy_agree(motion: Motion, trained: TrainedEncoder) -> None:
-    from facepipe.learn.encoder import LAYER, evaluate
+    from facepipe.learn.encoder_network import LAYER, evaluate
 
     encoder = trained.encoder
     names = ("point", "point_bias", "feature", "feature_bias", "token", "places", "reduce", "reduce_bias")

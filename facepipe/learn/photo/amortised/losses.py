@@ -11,8 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from facepipe.learn.face_model import FaceModel
-from facepipe.learn.key_light import DARK
-from facepipe.learn.light import basis
+from facepipe.learn.light import DARK, basis
 from facepipe.learn.photo.amortised.network import SIZE, Output, held
 from facepipe.learn.photo.amortised.people import People
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
@@ -21,7 +20,7 @@ from facepipe.learn.photo.fit import pose_space, priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
-from facepipe.learn.photo.relight import relight
+from facepipe.learn.photo.lighting import relight
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows, shadows_of_lamp
 from facepipe.learn.photo.subject import Subject

@@ -9,8 +9,7 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.key_light import KeyLight
-from facepipe.learn.light import ambient, distant
+from facepipe.learn.light import KeyLight, ambient, distant
 from facepipe.learn.photo.amortised.people import People, random_people
 from facepipe.learn.photo.amortised.pictures import HEAD, Picture, Truth
 from facepipe.learn.photo.fit import pose_space

@@ -1,27 +1,202 @@
-"""Trains a network that guesses where a photo fit should start ([0180]-[0184])."""
+"""Trains a network that guesses where a photo fit should start ([0180]-[0184]).
+
+It learns from people whose parameters are known first, then from the joint loss of pictures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from facepipe.core.errors import InputError
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FitError, InputError
+from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.face_model import FaceModel
+from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.photo.amortised.descent import NetworkDescent
-from facepipe.learn.photo.amortised.losses import PictureLoss
-from facepipe.learn.photo.amortised.network import StartNetwork
-from facepipe.learn.photo.amortised.pictures import HEAD, Picture
+from facepipe.learn.photo.amortised.losses import PictureLoss, Taught, TaughtLoss, outside
+from facepipe.learn.photo.amortised.network import SIZE, Output, StartNetwork
+from facepipe.learn.photo.amortised.people import People, random_people
+from facepipe.learn.photo.amortised.pictures import HEAD, Picture, batch, noisy_landmarks, varied
+from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.amortised.renders import Portraits
-from facepipe.learn.photo.amortised.warm_up import WarmUp
 from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
-from facepipe.start_options import StartOptions
+from facepipe.start_options import BATCH, JOINT_BATCH, LANDMARK_BATCH, StartOptions
+
+_RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
+
+
+class WarmUp:
+    """Adam on the distance from the truth, its rate rising and falling once in each part."""
+
+    def __init__(self, network: StartNetwork, portraits: Portraits, sigma: float, options: StartOptions) -> None:
+        """:param sigma: noise of landmarks, of the distance of the outer eye corners"""
+        self._network, self._portraits, self._sigma, self._options = network, portraits, sigma, options
+        self._loss = TaughtLoss(portraits.subject)
+        self._rng = np.random.default_rng([options.seed, 2])
+
+    def landmarks(self, done: Callable[[], object]) -> None:
+        """From the landmarks of ever new people alone: nothing has to be rendered for it."""
+        self._descend(self._options.landmark_batches, self._people, done)
+
+    def renders(self, renders: Sequence[Picture], done: Callable[[], object]) -> None:
+        """From pictures and landmarks together."""
+        batches = self._batches(renders)
+        self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
+
+    def _batches(self, renders: Sequence[Picture]) -> Iterator[list[Picture]]:
+        """Endless, each render once in a round."""
+        waiting: list[int] = []
+        while renders:
+            while len(waiting) < BATCH:
+                waiting += self._rng.permutation(len(renders)).tolist()
+            yield [renders[i] for i in waiting[:BATCH]]
+            waiting = waiting[BATCH:]
+
+    def _descend(
+        self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[], object]
+    ) -> None:
+        if not steps:
+            return
+        network = self._network.train()
+        optimiser = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, total_steps=steps + 1, pct_start=0.1)
+        for step in range(steps):
+            images, marks, right = example()
+            loss = self._loss(network(images, marks), right)
+            if not bool(loss.detach().isfinite()):
+                raise FitError("training", f"a loss that is not finite in batch {step}, expected a number")
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
+            optimiser.step()
+            schedule.step()
+            done()
+        network.eval()
+
+    def _people(self) -> tuple[None, Tensor, Taught]:
+        subject, space, rng = self._portraits.subject, self._portraits.space, self._rng
+        people = random_people(subject, space, LANDMARK_BATCH, rng)
+        exact = self._portraits.marks(people)
+        marks = np.stack([one + self._noise(one) for one in exact])
+        matrices = np.stack([face_crop(one, SIZE) for one in marks])
+        places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
+        crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
+        return None, torch.as_tensor(places, dtype=torch.float32), Taught.of(people, crops)
+
+    def _noise(self, marks: FloatArray) -> FloatArray:
+        return np.asarray(
+            self._sigma * self._rng.uniform() * eye_distance(marks) * self._rng.standard_normal(marks.shape)
+        )
+
+    def _pictures(self, chosen: Sequence[Picture]) -> tuple[Tensor, Tensor, Taught]:
+        crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
+        truths = [one.truth for one in chosen if one.truth is not None]
+        people = People(
+            shares=np.stack([one.shares for one in truths]),
+            expressions=np.stack([one.expressions for one in truths]),
+            poses=np.stack([one.pose for one in truths]),
+        )
+        space = CropSpace(
+            space=self._portraits.space,
+            crop=np.stack([one.matrix for one in crops]),
+            side=SIZE,
+            up_axis=self._portraits.subject.parts.up_axis,
+        )
+        images, marks = batch(crops)
+        return varied(images, self._rng), marks, Taught.of(people, space)
+
+
+_RATE, _SLOWEST, _STEEPEST = 5e-4, 0.1, 20.0
+_CHECK = 25  # steps between two looks at the held-out pictures
+_NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
+
+
+class NetworkDescent:
+    """A network, and its best state by pictures that it does not learn from."""
+
+    def __init__(self, network: StartNetwork, loss: PictureLoss, judged: Sequence[Picture], seed: int) -> None:
+        self.network, self.best = network, dict[str, float]()
+        self._loss = loss
+        rng = np.random.default_rng([seed, 4])
+        self._marks = [noisy_landmarks(one, loss.options.landmark_sigma, rng) for one in judged]
+        self._judged = judged
+        self._state = copy.deepcopy(network.state_dict())
+        self.judge()
+
+    def judge(self) -> None:
+        """Look at the held-out pictures; the network with the least joint loss is kept."""
+        crops = [one.crop(marks) for one, marks in zip(self._judged, self._marks, strict=True)]
+        network = self.network.eval()
+        with torch.no_grad():
+            found = network(*batch(crops))
+            views = enumerate(zip(self._judged, crops, self._marks, strict=True))
+            rows = [self._loss(*view, row(found, i)) for i, view in views]
+        terms = {name: float(np.mean([float(one[name]) for one in rows])) for name in rows[0]}
+        if math.isfinite(terms["total"]) and (not self.best or terms["total"] < self.best["total"]):
+            self.best, self._state = terms, copy.deepcopy(network.state_dict())
+
+    def keep_best(self) -> StartNetwork:
+        """The network, back in its best state."""
+        self.network.load_state_dict(self._state)
+        self.network.eval()
+        return self.network
+
+    def descend(
+        self,
+        pictures: Sequence[Picture],
+        options: StartOptions,
+        done: Callable[[], object],
+    ) -> tuple[str, ...]:
+        """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
+        network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
+        optimiser = torch.optim.Adam(network.parameters(), lr=_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _RATE)
+        for step in range(options.steps):
+            optimiser.zero_grad()
+            if not self._slopes([pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)], rng):
+                return (_NOT_FINITE.format(step),)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
+            optimiser.step()
+            schedule.step()
+            done()
+            if (step + 1) % _CHECK == 0 or step + 1 == options.steps:
+                self.judge()
+        return ()
+
+    def _slopes(self, pictures: Sequence[Picture], rng: np.random.Generator) -> bool:
+        """Add the gradients of the mean joint loss to the network's, picture by picture; whether they are finite."""
+        marks = [noisy_landmarks(one, self._loss.options.landmark_sigma, rng) for one in pictures]
+        crops = [picture.crop(each) for picture, each in zip(pictures, marks, strict=True)]
+        images, places = batch(crops)
+        found = self.network(varied(images, rng), places)
+        leaves = Output(*(one.detach().requires_grad_() for one in found))
+        outside(leaves).backward()
+        for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
+            loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
+            if not bool(loss.detach().isfinite()):
+                return False
+            loss.backward()
+        slopes = [one.grad for one in leaves]
+        if not all(one is not None and bool(one.isfinite().all()) for one in slopes):
+            return False
+        torch.autograd.backward(list(found), slopes)
+        return True
+
+
+def row(found: Output, number: int) -> Output:
+    """The guess for one of a batch, as a batch of one."""
+    return Output(*(one[number : number + 1] for one in found))
+
 
 HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
 
