@@ -29,7 +29,7 @@ class Look:
     background: Tensor  # (3,) or (height, width, 3) linear
     tint: Tensor | None = None  # (materials, 3) multiplies the materials' colours
     textures: Mapping[str, Tensor] | None = None  # material -> (h, w, 3) linear texels, instead of its own
-    shadow: Tensor | None = None  # (n, 9) of each point, as `facepipe.learn.self_shadow`; None: nothing shades
+    shadow: Tensor | None = None  # (n, 9) of each point, as `facepipe.learn.photo.shadows`; None: nothing shades
     key: KeyLight | None = None  # a lamp beside `light`
 
 

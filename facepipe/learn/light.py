@@ -28,7 +28,7 @@ class KeyLight:
     """A lamp in camera coordinates, and how much of it reaches each point."""
 
     numbers: Tensor  # (8,): direction (3, any length), linear colour (3), shine, logarithm of the exponent
-    arriving: Tensor  # (n,) 0..1, as `facepipe.learn.self_shadow.visibility`
+    arriving: Tensor  # (n,) 0..1, as `facepipe.learn.photo.shadows.visibility`
 
     def shade(self, normals: Tensor, towards_eye: Tensor, arriving: Tensor) -> tuple[Tensor, Tensor]:
         """(m, 3) linear light on white matt surfaces, and (m, 3) what they mirror whatever their colour.

@@ -1,4 +1,4 @@
-"""torch and BLAS on one thread."""
+"""How torch runs: on one thread where results must not depend on their number, and on which device."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from contextlib import contextmanager
 import torch
 
 from facepipe.core import threads
+
+
+def best_device() -> str:
+    """``cuda`` where torch has a GPU, otherwise ``cpu``."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 @contextmanager

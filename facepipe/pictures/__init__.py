@@ -7,9 +7,9 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.pictures.face_picture import PictureOptions, picture, poses, save_png
     from facepipe.pictures.heatmap import HeatMap
+    from facepipe.pictures.overlay import contact_sheet
     from facepipe.pictures.photo_report import PhotoSheet, SheetPhoto, photo_page
     from facepipe.pictures.regions import RegionColors
-    from facepipe.pictures.sheet import contact_sheet
 else:
     __getattr__, __dir__ = lazy(__name__)
 

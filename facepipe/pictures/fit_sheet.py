@@ -15,7 +15,7 @@ from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, Frame, View, portrait
 from facepipe.pictures.face_picture import PictureOptions, picture
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.sheet import contact_sheet
+from facepipe.pictures.overlay import contact_sheet
 from facepipe.scans import Scan
 
 if TYPE_CHECKING:

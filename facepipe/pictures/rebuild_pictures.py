@@ -15,8 +15,8 @@ from facepipe.pictures.camera import Frame, View, portrait
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.fit_sheet import opaque, round_above, scan_parts
 from facepipe.pictures.heatmap import HeatMap
+from facepipe.pictures.overlay import PAPER
 from facepipe.pictures.portrait import PORTRAIT
-from facepipe.pictures.sheet import PAPER
 from facepipe.scans import Scan
 
 if TYPE_CHECKING:

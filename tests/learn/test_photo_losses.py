@@ -13,8 +13,7 @@ from photo_people import SMILE, Portrait, joint_loss, moved, portrait, subject
 from with_torch import tensor, torch
 
 from facepipe.learn.features.extractor import Extractor, load_extractor
-from facepipe.learn.photo.color_loss import color_loss
-from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, content, identity
+from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, color_loss, content, identity
 
 ALONE = {
     "landmarks": 0.0,

@@ -11,7 +11,7 @@ from solids import ball
 from with_torch import torch
 
 from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.self_shadow import shadow_transfer, visibility
+from facepipe.learn.photo.shadows import shadow_transfer, visibility
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 

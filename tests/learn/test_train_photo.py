@@ -19,15 +19,13 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient
-from facepipe.learn.photo.amortised.graph import start_graph
+from facepipe.learn.photo.amortised.graph import start_graph, start_metadata
 from facepipe.learn.photo.amortised.guess import Guess, load_start
 from facepipe.learn.photo.amortised.losses import POSE_MEAN, POSE_STD, PictureLoss, relative_pose
-from facepipe.learn.photo.amortised.metadata import start_metadata
 from facepipe.learn.photo.amortised.network import SIZE, Output, held
-from facepipe.learn.photo.amortised.people import random_people
 from facepipe.learn.photo.amortised.pictures import HEAD, Picture
 from facepipe.learn.photo.amortised.pose import CropSpace
-from facepipe.learn.photo.amortised.renders import Portraits
+from facepipe.learn.photo.amortised.renders import Portraits, random_people
 from facepipe.learn.photo.amortised.training import Trained, train_start
 from facepipe.learn.photo.fit import fit_photos, pose_space
 from facepipe.learn.photo.joint_loss import single

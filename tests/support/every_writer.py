@@ -28,7 +28,7 @@ from small_head import make
 
 from facepipe.cli import main
 from facepipe.learn.photo import lighting
-from facepipe.learn.self_shadow import shadow_transfer
+from facepipe.learn.photo.shadows import shadow_transfer
 from facepipe.pictures import PictureOptions
 from facepipe.processors.database import save_database
 from facepipe.stage import save_parts

@@ -13,9 +13,8 @@ import torch
 from torch import Tensor
 
 from facepipe.learn.light import KeyLight, hue_cost, shade
-from facepipe.learn.photo.color_loss import color_loss
 from facepipe.learn.photo.descent import Adam
-from facepipe.learn.photo.joint_loss import JointLoss
+from facepipe.learn.photo.joint_loss import JointLoss, color_loss
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import to_srgb

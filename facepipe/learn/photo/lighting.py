@@ -17,9 +17,8 @@ from facepipe.learn.light import DARK, KeyLight, ambient, basis
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.seen_surface import SeenSurface
-from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp
+from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp, sphere, visibility
 from facepipe.learn.photo.unknowns import Unknowns
-from facepipe.learn.self_shadow import sphere, visibility
 
 _ROUNDS = 4
 OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow

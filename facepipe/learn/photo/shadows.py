@@ -1,7 +1,14 @@
-"""What a face keeps from light in one photo."""
+"""What a face keeps from light in one photo.
+
+The share of each light harmonic that creases, nostrils and lips lose is precomputed radiance transfer (Sloan, Kautz,
+Snyder, "Precomputed Radiance Transfer for Real-Time Rendering in Dynamic, Low-Frequency Lighting Environments",
+SIGGRAPH 2002) for matt surfaces and nine harmonics, without interreflection. What is kept is the difference to a
+surface that nothing shades, so that gradients still flow through the normals.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -10,8 +17,80 @@ from torch.nn.functional import normalize
 
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.face_model import FaceModel
-from facepipe.learn.light import KERNEL
-from facepipe.learn.self_shadow import shadow_transfer, visibility
+from facepipe.learn.light import KERNEL, basis
+from facepipe.learn.rasterise import rasterise
+
+DIRECTIONS = 96
+RESOLUTION = 224  # pixels a side of the view from each direction
+_FAR = 30.0  # sizes of the face that a view is taken from: nearly parallel rays
+_SLACK = 0.008  # of that size, by which something must be nearer to shade a point
+
+
+def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directions: int = DIRECTIONS) -> Tensor:
+    """(n, 9) what self-shadowing adds to the harmonics of the points' normals: ``shade = (basis + this) light``.
+
+    Without gradients. Costs a rasterised view for each direction.
+
+    :param points: (n, 3) in the frame of the light
+    :param normals: (n, 3) unit
+    :param triangles: (t, 3) point numbers
+    """
+    if not len(triangles):
+        return points.new_zeros((len(points), 9))
+    with torch.no_grad():
+        lost = torch.zeros((len(points), 9), dtype=points.dtype)
+        for direction in sphere(directions).to(points.dtype):
+            cosine = (normals @ direction).clamp(min=0)
+            lost += (cosine * (1 - visibility(points, triangles, direction)))[:, None] * basis(direction)[None]
+        # light coefficients hold the cosine's share, as normals take them; what arrives from a direction does not
+        return -lost * (4 / directions) / lost.new_tensor(KERNEL)
+
+
+def visibility(points: Tensor, triangles: Tensor, direction: Tensor, resolution: int = RESOLUTION) -> Tensor:
+    """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), averaged over four pixels.
+
+    Without gradients.
+
+    :param resolution: pixels a side of the view from that direction
+    """
+    used = torch.unique(triangles)
+    low, high = points[used].amin(0), points[used].amax(0)
+    points, size = points - (low + high) / 2, float((high - low).norm())
+    across = _perpendicular(direction)
+    middle, scale = resolution / 2, resolution / (1.02 * size)
+    depth = _FAR * size - points @ direction
+    shrink = _FAR * size / depth
+    x, y = (middle + points @ one * scale * shrink for one in across)
+    nearness = rasterise(torch.stack([x, y, depth], dim=1), triangles, resolution, resolution).nearness
+    limit = 1 / (depth - _SLACK * size)
+    left, top = (x - 0.5).floor(), (y - 0.5).floor()
+    fx, fy = x - 0.5 - left, y - 0.5 - top
+    arriving = torch.zeros_like(x)
+    for step in range(4):
+        column, row = left + step % 2, top + step // 2
+        share = (fx if step % 2 else 1 - fx) * (fy if step // 2 else 1 - fy)
+        at = row.clamp(0, resolution - 1).long() * resolution + column.clamp(0, resolution - 1).long()
+        arriving += share * (nearness[at] <= limit)
+    return arriving
+
+
+def sphere(count: int) -> Tensor:
+    """(count, 3) unit directions, evenly spread (a Fibonacci lattice)."""
+    number = torch.arange(count, dtype=torch.float64) + 0.5
+    z = 1 - 2 * number / count
+    turn = math.pi * (1 + math.sqrt(5)) * number
+    flat = (1 - z * z).sqrt()
+    return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1)
+
+
+def _perpendicular(direction: Tensor) -> tuple[Tensor, Tensor]:
+    """Right and down of a view against a direction."""
+    least = torch.zeros_like(direction)
+    least[int(direction.abs().argmin())] = 1
+    right = torch.linalg.cross(least, direction)
+    right = right / right.norm()
+    return right, torch.linalg.cross(right, direction)
+
 
 _SHARP = 448  # pixels a side of a lamp's view
 

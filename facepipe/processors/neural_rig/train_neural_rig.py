@@ -90,8 +90,8 @@ class TrainNeuralRig:
             it goes on from there if it is there, and gives the same. Whoever is done with it removes it
         :raises InputError: no control that moves, a single block of frames, or a checkpoint of another training
         """
-        from facepipe.learn.devices import best_device
         from facepipe.learn.network_fit import train
+        from facepipe.learn.one_thread import best_device
 
         options, still = self.options, motion.constant
         if motion.bones is not None and options.influences:

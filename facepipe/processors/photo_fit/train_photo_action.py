@@ -68,8 +68,7 @@ class TrainPhoto(StartOptions, FileAction[TrainPhotoReport]):
     def write(self, job: Job) -> TrainPhotoReport:
         from facepipe.core.atomic import write_bytes
         from facepipe.importers import read_face
-        from facepipe.learn.photo.amortised.graph import start_graph
-        from facepipe.learn.photo.amortised.metadata import start_metadata
+        from facepipe.learn.photo.amortised.graph import start_graph, start_metadata
         from facepipe.learn.photo.amortised.training import train_start
         from facepipe.learn.photo.subject import Subject
 
@@ -118,9 +117,8 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
     """
     from facepipe.learn.photo.amortised.pictures import Picture
     from facepipe.learn.photo.fit import pose_space
-    from facepipe.processors.photo_fit.landmark_file import read_landmarks
-    from facepipe.processors.photo_fit.landmarker import own_landmarks
     from facepipe.processors.photo_fit.photo_file import read_photo
+    from facepipe.processors.photo_fit.photo_landmarks import own_landmarks, read_landmarks
 
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected one of photos")

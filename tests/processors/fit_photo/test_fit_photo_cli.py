@@ -26,7 +26,7 @@ import facepipe
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.learn.photo import lighting
-from facepipe.learn.self_shadow import shadow_transfer
+from facepipe.learn.photo.shadows import shadow_transfer
 from facepipe.performing import read_kept
 from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
 from facepipe.rig.conventions import ARKIT_SHAPES

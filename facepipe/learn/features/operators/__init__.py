@@ -8,8 +8,8 @@ onnxruntime.
 from __future__ import annotations
 
 from facepipe.learn.features.node import Operator
-from facepipe.learn.features.operators import elementwise, layers, resize, shapes
+from facepipe.learn.features.operators import layers, shapes
 
-_PARTS = (elementwise, layers, resize, shapes)
+_PARTS = (layers, shapes)
 
 OPERATORS: dict[str, Operator] = {name: operator for part in _PARTS for name, operator in part.TABLE.items()}

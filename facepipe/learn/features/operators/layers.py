@@ -1,15 +1,144 @@
-"""Layers of networks on pictures: convolutions, pooling, normalisation and matrix products."""
+"""Operators on values: each for itself, the layers of networks, and resizing of images."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from facepipe.learn.features.node import Node, Operator
+from facepipe.learn.features.node import Node, Operator, whole
+
+_TYPES = {1: torch.float32, 6: torch.int32, 7: torch.int64, 9: torch.bool, 11: torch.float64}  # of onnx.TensorProto
+
+
+def _prelu(node: Node, x: Tensor, slope: Tensor) -> Tensor:
+    """`slope` broadcasts to `x`; one slope, or one a channel, goes the fast way."""
+    channels = x.shape[1] if x.ndim > 1 else 1
+    per_channel = slope.ndim >= x.ndim - 1 and slope.numel() == channels and slope.shape[1 - x.ndim] == channels
+    if slope.numel() == 1 or (x.ndim > 1 and per_channel):
+        return functional.prelu(x, slope.reshape(-1))
+    return torch.where(x < 0, slope * x, x)
+
+
+def _softmax(node: Node, x: Tensor) -> Tensor:
+    """Before operator set 13 the classes are all axes from `axis` on."""
+    if node.opset >= 13:
+        return torch.softmax(x, dim=node.get("axis", -1))
+    axis = node.get("axis", 1)
+    first = axis + x.ndim if axis < 0 else axis
+    flat = x.flatten(first) if first < x.ndim else x[..., None]
+    return torch.softmax(flat, dim=-1).reshape(x.shape)
+
+
+def _clip(node: Node, x: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
+    if node.opset < 11:
+        return x.clamp(node.get("min", -torch.inf), node.get("max", torch.inf))
+    if low is not None:
+        x = torch.maximum(x, low.to(x.dtype))
+    return x if high is None else torch.minimum(x, high.to(x.dtype))
+
+
+def _cast(node: Node, x: Tensor) -> Tensor:
+    kind = node.get("to", 0)
+    if kind not in _TYPES:
+        raise node.refuse(f"to type {kind}, expected floats, integers or booleans")
+    return x.to(_TYPES[kind])
+
+
+def _reduction(reduce: Operator) -> Operator:
+    def operator(node: Node, x: Tensor, axes: Tensor | None = None) -> Tensor:
+        chosen = node.given("axes", axes)
+        if not chosen:
+            if node.get("noop_with_empty_axes", 0):
+                return x
+            chosen = tuple(range(x.ndim))
+        return reduce(x, chosen, bool(node.get("keepdims", 1)))
+
+    return operator
+
+
+_ELEMENTWISE: dict[str, Operator] = {
+    "Add": lambda node, a, b: a + b,
+    "Sub": lambda node, a, b: a - b,
+    "Mul": lambda node, a, b: a * b,
+    "Div": lambda node, a, b: a / b if a.dtype.is_floating_point else torch.div(a, b, rounding_mode="trunc"),
+    "Pow": lambda node, base, exponent: torch.pow(base, exponent).to(base.dtype),
+    "Sqrt": lambda node, x: torch.sqrt(x),
+    "Clip": _clip,
+    "Relu": lambda node, x: torch.relu(x),
+    "LeakyRelu": lambda node, x: functional.leaky_relu(x, node.get("alpha", 0.01)),
+    "PRelu": _prelu,
+    "Sigmoid": lambda node, x: torch.sigmoid(x),
+    "HardSigmoid": lambda node, x: (node.get("alpha", 0.2) * x + node.get("beta", 0.5)).clamp(0, 1),
+    "HardSwish": lambda node, x: x * (x / 6 + 0.5).clamp(0, 1),
+    "Tanh": lambda node, x: torch.tanh(x),
+    "Softmax": _softmax,
+    "Cast": _cast,
+    "Identity": lambda node, x: x,
+    "Dropout": lambda node, x, *options: x,  # the network is not being trained
+    "ReduceMean": _reduction(lambda x, axes, keep: x.mean(axes, keepdim=keep)),
+    "ReduceSum": _reduction(lambda x, axes, keep: x.sum(axes, keepdim=keep)),
+    "ReduceL2": _reduction(lambda x, axes, keep: torch.linalg.vector_norm(x, dim=axes, keepdim=keep)),
+}
+
+
+_PLAIN = {"antialias": 0, "axes": [], "exclude_outside": 0, "keep_aspect_ratio_policy": "stretch"}
+
+_COORDINATES: dict[str, Callable[[Tensor, int, int, float], Tensor]] = {
+    "half_pixel": lambda place, old, new, scale: (place + 0.5) / scale - 0.5,
+    "pytorch_half_pixel": lambda place, old, new, scale: (place + 0.5) / scale - 0.5 if new > 1 else place,
+    "align_corners": lambda place, old, new, scale: place * (old - 1) / max(new - 1, 1),
+    "asymmetric": lambda place, old, new, scale: place / scale,
+}
+
+_ROUNDINGS: dict[str, Callable[[Tensor], Tensor]] = {
+    "round_prefer_floor": lambda where: torch.ceil(where - 0.5),
+    "floor": torch.floor,
+}
+
+
+def _resize(node: Node, x: Tensor, *inputs: Tensor | None) -> Tensor:
+    """Until operator set 10 there are scales alone, and old cells are by their begin, the nearest floored."""
+    early = node.opset <= 10
+    scales, sizes = (*inputs, None, None)[:2] if early else (*inputs[1:], None, None)[:2]
+    for name, plain in _PLAIN.items():
+        if node.get(name, plain) != plain:
+            raise node.refuse(f"{name} {node.get(name, plain)}, expected {plain or 'none'}")
+    usual = "asymmetric" if early else "half_pixel"
+    coordinates = _COORDINATES[node.choice("coordinate_transformation_mode", usual, _COORDINATES)]
+    factors = node.get("scales", []) if scales is None else scales.tolist()
+    if sizes is not None and sizes.numel():
+        new = whole(sizes)
+        factors = [size / length for size, length in zip(new, x.shape, strict=True)]
+    elif factors:
+        new = tuple(math.floor(size * factor) for size, factor in zip(x.shape, factors, strict=True))
+    else:
+        raise node.refuse("neither scales nor sizes, expected one")
+    node.room(*new)
+    for axis, (size, factor) in enumerate(zip(new, factors, strict=True)):
+        if size != x.shape[axis] or factor != 1:
+            node.room(size, x.shape[axis])
+            place = torch.arange(size, dtype=torch.float64, device=x.device)
+            where = coordinates(place, x.shape[axis], size, factor)
+            x = (x.movedim(axis, -1) @ _weights(node, x, axis, where).T).movedim(-1, axis)
+    return x
+
+
+def _weights(node: Node, x: Tensor, axis: int, where: Tensor) -> Tensor:
+    """(new, old) weights of the old cells around places `where` (new,), in cells."""
+    where = where.clamp(0, x.shape[axis] - 1)  # the border cells stand for those outside
+    if node.choice("mode", "nearest", ("nearest", "linear")) == "nearest":
+        usual = "floor" if node.opset <= 10 else "round_prefer_floor"
+        where = _ROUNDINGS[node.choice("nearest_mode", usual, _ROUNDINGS)](where)
+    distance = (where[:, None] - torch.arange(x.shape[axis], device=x.device)).abs()
+    return (1 - distance).clamp(min=0).to(x.dtype)
+
+
+_RESIZES: dict[str, Operator] = {"Resize": _resize, "Upsample": _resize}
+
 
 _Ints = Sequence[int]
 
@@ -84,6 +213,8 @@ def _gemm(node: Node, a: Tensor, b: Tensor, c: Tensor | None = None) -> Tensor:
 
 
 TABLE: dict[str, Operator] = {
+    **_ELEMENTWISE,
+    **_RESIZES,
     "Conv": _conv,
     "MaxPool": _max_pool,
     "AveragePool": _average_pool,

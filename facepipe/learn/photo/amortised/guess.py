@@ -15,7 +15,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_file import properties, read_model
 from facepipe.learn.features.onnx_module import OnnxModule
-from facepipe.learn.photo.amortised.metadata import KEY, KIND, controls
+from facepipe.learn.photo.amortised.graph import KEY, KIND, controls
 from facepipe.learn.photo.amortised.network import COUNT, SIZE
 from facepipe.learn.photo.amortised.pictures import Picture
 from facepipe.learn.photo.landmark_fit import State

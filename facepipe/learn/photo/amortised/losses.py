@@ -13,9 +13,9 @@ from torch.nn.functional import normalize
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.light import DARK, basis
 from facepipe.learn.photo.amortised.network import SIZE, Output, held
-from facepipe.learn.photo.amortised.people import People
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
 from facepipe.learn.photo.amortised.pose import CropSpace
+from facepipe.learn.photo.amortised.renders import People
 from facepipe.learn.photo.fit import pose_space, priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit

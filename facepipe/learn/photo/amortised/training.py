@@ -22,10 +22,9 @@ from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.amortised.losses import PictureLoss, Taught, TaughtLoss, outside
 from facepipe.learn.photo.amortised.network import SIZE, Output, StartNetwork
-from facepipe.learn.photo.amortised.people import People, random_people
 from facepipe.learn.photo.amortised.pictures import HEAD, Picture, batch, noisy_landmarks, varied
 from facepipe.learn.photo.amortised.pose import CropSpace
-from facepipe.learn.photo.amortised.renders import Portraits
+from facepipe.learn.photo.amortised.renders import People, Portraits, random_people
 from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
