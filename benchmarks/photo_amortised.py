@@ -160,7 +160,7 @@ def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: 
     fit = LandmarkFit(guess.subject, [made.landmarks], [space], priors_of(options))
     model = FaceModel(guess.subject.parts, largest_texture=options.size)
     extractors = own_extractors([kind for kind in FEATURES if getattr(options, kind)])
-    return JointLoss(model, fit, [WorkingPhoto.of(image, made.landmarks, options.size)], extractors, options)
+    return JointLoss(model, fit, [WorkingPhoto.from_photo(image, made.landmarks, options.size)], extractors, options)
 
 
 def _calibrate(loss: JointLoss, state: State) -> None:

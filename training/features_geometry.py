@@ -1,6 +1,6 @@
 """Landmarks of random heads, without pictures: ``python training/features_geometry.py OUT.npz --persons 10000``.
 
-What landmarks tell of a head can be learned from many more heads than there is time to paint. OUT.npz holds `VIEWS`
+What landmarks show of a head can be learned from many more heads than there is time to paint. OUT.npz holds `VIEWS`
 rows a person, one after the other:
 
 - ``marks`` (n, 68, 2) float32 landmarks in the aligned crop, 0..1, with a random expression and camera

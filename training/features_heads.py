@@ -1,7 +1,7 @@
 """Renders random heads that change their looks: ``python training/features_heads.py OUT --count 4650 --seed 1``.
 
 As `heads.py`, but every picture of a person has another skin, hair, brows and stubble: what its pictures share is the
-shape of the head alone, which is what the identity features shall tell. The crop is nearly the aligned one. The arrays
+shape of the head alone, which is what the identity features shall show. The crop is nearly the aligned one. The arrays
 of a shard are those of `heads.py`, and
 
 - ``neutral`` (n, 68, 3) float32: landmarks of the person's neutral, centred, in units of their root mean square

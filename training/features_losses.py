@@ -36,8 +36,8 @@ class IdentityLoss(nn.Module):
         cosines = unit @ normalize(self.centers, dim=1).T
         margins = _MARGIN * one_hot(identities.clamp(min=0), len(self.centers))
         missed = self.shape(unit * unit.shape[1] ** 0.5) - (shapes - self.mean) / self.deviation
-        told = cross_entropy(_STEEPNESS * (cosines - margins), identities, ignore_index=-1)
-        return told + _SHAPE * missed.square().mean()
+        classified = cross_entropy(_STEEPNESS * (cosines - margins), identities, ignore_index=-1)
+        return classified + _SHAPE * missed.square().mean()
 
 
 def class_weights(labels: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The network of the second stage: what it tells of a person, it reads off landmarks that it finds itself.
+"""The network of the second stage: what it says of a person, it reads off landmarks that it finds itself.
 
 Shapes of heads differ by fractions of a pixel here, which the deep features of the first stage are too coarse for.
 Landmarks are the mean places of heat maps (Sun et al., "Integral Human Pose Regression", ECCV 2018).

@@ -1,4 +1,4 @@
-"""What landmarks tell of a person, learned from landmarks of many heads (`features_geometry.py`) without pictures."""
+"""What landmarks show of a person, learned from landmarks of many heads (`features_geometry.py`) without pictures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Modes:
     axes: Tensor  # (204, 64), in deviations
 
     @classmethod
-    def of(cls, shapes: Tensor) -> Modes:
+    def from_shapes(cls, shapes: Tensor) -> Modes:
         """Of neutrals (n, 204)."""
         mean = shapes.mean(0)
         _, values, axes = torch.linalg.svd((shapes - mean).double(), full_matrices=False)
@@ -42,7 +42,7 @@ def read_off(path: Path, kept: tuple[str, ...], seed: int) -> tuple[Reader, Mode
         columns = [data["names"].tolist().index(name) for name in kept]
         marks = torch.as_tensor(data["marks"]) * 2 - 1
         shapes, attributes = torch.as_tensor(data["shapes"]), torch.as_tensor(data["attributes"][:, columns])
-    modes = Modes.of(shapes[::2])
+    modes = Modes.from_shapes(shapes[::2])
     targets = modes(shapes)
     reader, random = Reader(len(kept)), torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(reader.parameters(), lr=RATE, weight_decay=1e-2)

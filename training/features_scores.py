@@ -31,7 +31,7 @@ def intersections_over_unions(found: IntArray, truth: IntArray) -> dict[str, flo
 def verification(embeddings: FloatArray, heads: Heads) -> dict[str, float]:
     """Area under the curve and equal error rate of telling pairs of one person from pairs of two by their cosine.
 
-    Pairs of two persons are of one source, so that its style tells nothing.
+    Pairs of two persons are of one source, so that its style shows nothing.
 
     :param embeddings: (n, d) of unit length
     """

@@ -4,7 +4,7 @@ usage: python training/features_second_stage.py FIRST.onnx GEOMETRY.npz HEADS LO
            [--steps 1200] [--seed 0]
 
 FIRST.onnx is what `train_features.py` made of HEADS and LOOKS; its heads of identity and attributes, too coarse, are
-replaced. What landmarks tell is learned from GEOMETRY.npz (`features_geometry.py`) first, then all together from
+replaced. What landmarks show is learned from GEOMETRY.npz (`features_geometry.py`) first, then all together from
 pictures, more of them in FACES (`features_heads.py --views 1`). Persons held out from the first stage stay so.
 """
 

@@ -40,7 +40,7 @@ def pixel_classes(shader: Shader, size: int) -> npt.NDArray[np.uint8]:
 
 
 def triangle_classes(scene: Scene) -> IntArray:
-    """(t,) the class of each triangle, told by its mesh and by where it is on the average head."""
+    """(t,) the class of each triangle, by its mesh and by where it is on the average head."""
     classes = np.zeros(len(scene.triangles), np.int64)
     for number, surface in enumerate(scene.surfaces):
         of_surface = np.flatnonzero(scene.surface == number)

@@ -41,7 +41,7 @@ def joint_loss(network: LandmarkNetwork, batch: landmark_data.Batch) -> Tensor:
 
 
 def scores(network: LandmarkNetwork, heads: landmark_data.Heads) -> dict[str, float]:
-    """Mean error over the distance of the outer eye corners, and how presence is told, on pictures as they are."""
+    """Mean error over the distance of the outer eye corners and how well presence is found, on pictures as they are."""
     found = []
     with torch.no_grad():
         for start in range(0, len(heads.images), 50):
@@ -54,12 +54,12 @@ def scores(network: LandmarkNetwork, heads: landmark_data.Heads) -> dict[str, fl
             found.append(torch.cat([rows, batch.judged[:, None]], dim=1))
     table = torch.cat(found)
     error = table[table[:, 68] == 1, :68]
-    told, real = table[table[:, 71] == 1, 69] > 0.5, table[table[:, 71] == 1, 70] == 1
+    present, real = table[table[:, 71] == 1, 69] > 0.5, table[table[:, 71] == 1, 70] == 1
     return {
         "nme_inner": round(error[:, 17:].mean().item(), 4),
         "nme_contour": round(error[:, :17].mean().item(), 4),
-        "presence_found": round(told[real].float().mean().item(), 4),
-        "presence_false": round(told[~real].float().mean().item(), 4),
+        "presence_found": round(present[real].float().mean().item(), 4),
+        "presence_false": round(present[~real].float().mean().item(), 4),
         "pictures": len(heads.images),
     }
 

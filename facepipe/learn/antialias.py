@@ -208,7 +208,7 @@ class Outline:
     parts: Tensor  # (t,) int64 number of the connected part that each triangle belongs to
 
     @classmethod
-    def of(cls, triangles: IntArray, point_count: int, device: torch.device | str = "cpu") -> Outline:
+    def from_triangles(cls, triangles: IntArray, point_count: int, device: torch.device | str = "cpu") -> Outline:
         """The outline of triangles (t, 3)."""
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         part = components(point_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))

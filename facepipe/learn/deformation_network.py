@@ -67,8 +67,8 @@ def train_deformation_network(
                     weights = {name: one.detach().clone() for name, one in network.state_dict().items()}
                 elif step - best_step >= PATIENCE:
                     break
-            told = network(denoised(x[:kept], spread, first * (1.0 - step / steps), random))
-            loss = (told - y[:kept] / size).square().mean()
+            predicted = network(denoised(x[:kept], spread, first * (1.0 - step / steps), random))
+            loss = (predicted - y[:kept] / size).square().mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -82,7 +82,7 @@ def train_deformation_network(
 
 
 def denoised(inputs: Tensor, deviations: Tensor, strength: float, random: torch.Generator) -> Tensor:
-    """Inputs (f, i) with noise of a strength, less as much of it as can be told: nearer to where most inputs are.
+    """Inputs (f, i) with noise of a strength, less as much of it as can be known: nearer to where most inputs are.
 
     :param deviations: (i,) of the inputs, about 0
     """

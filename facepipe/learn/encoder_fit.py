@@ -39,10 +39,10 @@ def last_layer(
     rows, others = _rows(*taught), _rows(*watched)
     coordinates = taught[0][0].numel()
 
-    def solved(seen: FloatArray, told: FloatArray, doubt: float) -> tuple[FloatArray, FloatArray]:
+    def solved(seen: FloatArray, targets: FloatArray, doubt: float) -> tuple[FloatArray, FloatArray]:
         noises = np.full(seen.shape[1], doubt)
         noises[:coordinates] = noise
-        return ridge(seen, told, noises)
+        return ridge(seen, targets, noises)
 
     def error(doubt: float) -> float:
         matrix, offset = solved(*rows, doubt)
@@ -153,7 +153,7 @@ class EncoderDescent:
 
 Array = npt.NDArray[Any]
 
-LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 can tell
+LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 resolves
 
 
 @dataclass(frozen=True, kw_only=True)

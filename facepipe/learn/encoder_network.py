@@ -19,7 +19,7 @@ assert set(LAYER) == set(EncoderLayer.__dataclass_fields__)
 
 
 def reduced(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
-    """(b, r) from -1 to 1: what a face is reduced to before its controls are told; as `evaluate`."""
+    """(b, r) from -1 to 1: what a face is reduced to before its controls are found; as `evaluate`."""
     batch, count = len(offsets), len(weights["places"])
     hidden = torch.tanh(offsets / weights["scale"] @ weights["point"] + weights["point_bias"])
     features = hidden @ weights["feature"] + weights["feature_bias"]

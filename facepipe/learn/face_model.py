@@ -62,7 +62,7 @@ class FaceModel:
             device=device,
         )
         self.colors = SurfaceColors(surfaces, largest_texture, dtype, device)
-        self.outline = Outline.of(surfaces.triangles, len(rig.points), device)
+        self.outline = Outline.from_triangles(surfaces.triangles, len(rig.points), device)
         self.normals = PointNormals(surfaces.triangles, len(rig.points), dtype=dtype, device=device)
 
     def __call__(

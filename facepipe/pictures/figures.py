@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 TOTAL = "total"
-COLORS = (  # that colour-blind readers tell apart too, in this order
+COLORS = (  # that colour-blind readers can distinguish, in this order
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#785ef0", "#808080", "#964b28", "#aabe3c",
 )  # fmt: skip
 _LOGARITHMIC = 20.0  # the largest over the smallest loss from which a logarithmic axis is used

@@ -35,7 +35,7 @@ class FitPicture:
     """A face and its scan in one place: millimetres, Y up."""
 
     parts: FaceParts  # meshes at the fitted points
-    landmarks: FloatArray  # (l, 3) of the face, which tell what to look at
+    landmarks: FloatArray  # (l, 3) of the face, which set what to look at
     scan: Scan
     distances: FloatArray  # (n,) mm of all points from the scan, NaN where it doesn't show them
     neutral: FaceParts | None = None  # where the scan shows more than it: drawn last

@@ -10,7 +10,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.colors import from_srgb
 
-# Eleven sRGB stations of viridis (CC0), a perceptually even map that colour-blind readers can tell apart.
+# Eleven sRGB stations of viridis (CC0), a perceptually even map that colour-blind readers can distinguish.
 STATIONS = (
     np.array(
         [

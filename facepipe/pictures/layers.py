@@ -96,7 +96,7 @@ def fragments(
     shown = np.flatnonzero(plane.most(group, beside, samples) > behind.reshape(-1)[pixel])
     group, pixel = group[shown], pixel[shown]
     row, column = row[group], column[group] + step[shown]
-    nearness_at = plane.of(group, beside[shown])
+    nearness_at = plane.nearness(group, beside[shown])
     covered, right, below, total = (np.zeros(len(group), np.float32) for _ in range(4))
     for y in range(samples):
         start, stop = starts[group, y], stops[group, y]
@@ -131,7 +131,7 @@ class _Planes:
     low: Floats  # (g,) least and most anywhere in the triangle
     high: Floats  # (g,)
 
-    def of(self, group: IntArray, right: Floats) -> Callable[[int, int], Floats]:
+    def nearness(self, group: IntArray, right: Floats) -> Callable[[int, int], Floats]:
         """(k,) nearness x and y samples beside and below those that are (k,) samples to the right in rows `group`."""
         slope, down, low, high = (each[group] for each in (self.slope, self.down, self.low, self.high))
         start = self.start[group] + right * slope

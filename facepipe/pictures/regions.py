@@ -51,7 +51,7 @@ class RegionColors:
                 raise InputError(f"regions -> {name}", "negative or not finite values, expected 0 to 1")
 
     @classmethod
-    def of(cls, parts: FaceParts) -> RegionColors:
+    def from_parts(cls, parts: FaceParts) -> RegionColors:
         """All regions of a face, by name.
 
         :raises InputError: it has none

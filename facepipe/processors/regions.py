@@ -224,7 +224,7 @@ def draw_regions(face: Face, path: Path) -> None:
     from facepipe.pictures import PictureOptions, RegionColors, picture, save_png
 
     parts = face.parts()
-    save_png(picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.of(parts))), path)
+    save_png(picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.from_parts(parts))), path)
 
 
 def _author(face: Face, name: str, masks: Masks) -> None:

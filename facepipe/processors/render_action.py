@@ -65,7 +65,7 @@ class Render(Posed, FileAction[Report]):
                 size=self.size,
                 view=self.view,
                 heatmap=self._heatmap(face, points),
-                regions=RegionColors.of(parts) if self.regions else None,
+                regions=RegionColors.from_parts(parts) if self.regions else None,
                 landmarks=self.landmarks,
             )
             save_png(picture(parts, points, options), job.out)

@@ -25,7 +25,7 @@ def drawn(
     points: torch.Tensor, triangles: np.ndarray, colors: torch.Tensor, size: tuple[int, int], *, smooth: bool = True
 ) -> torch.Tensor:
     """(height, width, c) image of points (n, 3) in pixels with colours (n, c), on 0."""
-    outline = Outline.of(triangles, len(points))
+    outline = Outline.from_triangles(triangles, len(points))
     raster = rasterise(points, outline.triangles, *size)
     weights = barycentrics(points, outline.triangles, raster)
     values = interpolate(colors, outline.triangles, raster, weights)
@@ -148,7 +148,7 @@ class Head:
         self.points = torch.tensor(self.scene.points, dtype=torch.float32)
         own = portrait(self.scene.points, (0.5, 0.1), Frame(width=SIZE, height=SIZE))
         self.camera = Camera.at(own.axes, own.eye, own.focal, own.center)
-        self.outline = Outline.of(self.scene.triangles, len(self.points))
+        self.outline = Outline.from_triangles(self.scene.triangles, len(self.points))
         self.normals = PointNormals(self.scene.triangles, len(self.points))
         self.middle = self.points.mean(dim=0)
         depth = float(np.linalg.norm(own.eye - self.middle.numpy()))

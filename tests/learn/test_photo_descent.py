@@ -26,12 +26,12 @@ def start(seed: int = 0) -> Unknowns:
     )
     light = [torch.tensor(rng.normal(size=(9, 3)), dtype=torch.float32) for _ in range(2)]
     lamps = [torch.tensor((*rng.normal(size=3), *rng.uniform(0.3, 0.7, 4), 3.0), dtype=torch.float32) for _ in range(2)]
-    return Unknowns.of(state, light, torch.tensor(rng.normal(size=(2, 3)), dtype=torch.float32), lamps)
+    return Unknowns.from_state(state, light, torch.tensor(rng.normal(size=(2, 3)), dtype=torch.float32), lamps)
 
 
 def test_without_lamps_they_are_dark() -> None:
     own = start()
-    bare = Unknowns.of(own.state(), list(own.light), own.tint)
+    bare = Unknowns.from_state(own.state(), list(own.light), own.tint)
     assert bare.key.tolist() == torch.tensor([DARK, DARK]).tolist()
 
 
@@ -185,10 +185,10 @@ def test_it_stops_below_a_threshold() -> None:
     assert (at_once.best.shares == start().shares).all()
 
 
-def test_every_step_is_told_and_none_is_made_without_iterations() -> None:
-    told: list[int] = []
-    descend(bowl, start(), PhotoFitOptions(iterations=7), told.append)
-    assert told == [1] * 7
+def test_every_step_is_counted_and_none_is_made_without_iterations() -> None:
+    counted: list[int] = []
+    descend(bowl, start(), PhotoFitOptions(iterations=7), counted.append)
+    assert counted == [1] * 7
     still = run(bowl, iterations=0)
     assert (still.stopped, len(still.history)) == ("iterations", 1)
     for name in NAMES:
@@ -229,7 +229,7 @@ def test_unknowns_are_numbers_of_their_own() -> None:
     assert own.key[:, [0, 1, 2, 7]].max() < 0, "directions and exponents go anywhere"
     state = copy.state()
     assert state.poses.dtype == state.shares.dtype == np.float64
-    again = Unknowns.of(state, list(copy.light), copy.tint, list(copy.key))
+    again = Unknowns.from_state(state, list(copy.light), copy.tint, list(copy.key))
     for name in NAMES:
         assert (getattr(again, name) == getattr(copy, name)).all()
         assert getattr(again, name).requires_grad

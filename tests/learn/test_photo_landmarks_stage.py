@@ -123,7 +123,7 @@ def known(own: Subject, seed: int, views: int = 1, priors: Priors = EXACT) -> tu
 def test_landmarks_are_points_of_the_rig() -> None:
     """Bones, sliders, expressions and camera at once, against facepipe.rig and the renderer's camera."""
     own, rng = subject(), np.random.default_rng(4)
-    rig, points = LandmarkRig.of(own), landmark_points(sample())[0]
+    rig, points = LandmarkRig.from_subject(own), landmark_points(sample())[0]
     for _ in range(3):
         values = random_sliders(sample(), rng)
         weights = rng.uniform(0, 1, len(own.rig.shapes)) * (rng.random(len(own.rig.shapes)) < 0.2)
@@ -152,14 +152,14 @@ def test_learned_networks_of_sliders_move_landmarks() -> None:
     values = {"noseWidth": 0.7, "jawWidth": -0.4}
     coefficients, driven = slide(parts.sliders, own.rig.joints, values, network)
     expected = own.rig.evaluate(driven, coefficients=coefficients)[landmark_points(parts)[0]]
-    rig = LandmarkRig.of(own)
+    rig = LandmarkRig.from_subject(own)
     placed = rig.rig(tensor([values.get(one.name, one.default) for one in parts.sliders]))[:68].numpy()
     assert np.abs(placed - expected).max() < 1e-5 * np.ptp(own.rig.points[:, 1])
-    assert np.abs(placed - LandmarkRig.of(subject()).rig()[:68].numpy()).max() > 0.1
+    assert np.abs(placed - LandmarkRig.from_subject(subject()).rig()[:68].numpy()).max() > 0.1
 
 
 def test_from_the_front_contour_landmarks_are_where_they_are_labelled() -> None:
-    rig, rng = LandmarkRig.of(subject()), np.random.default_rng(1)
+    rig, rng = LandmarkRig.from_subject(subject()), np.random.default_rng(1)
     labelled = landmark_points(sample())[0][CONTOUR]
     for _ in range(3):
         values = random_sliders(sample(), rng)
@@ -175,7 +175,11 @@ def test_from_the_front_contour_landmarks_are_where_they_are_labelled() -> None:
 def test_on_turned_heads_the_contour_is_the_outline_of_the_mesh(yaw: float) -> None:
     """As a cut through the whole mesh finds it: all but one nearer than 0.8 pixels, where labelled points are off."""
     own, rng = whole(), np.random.default_rng(2)
-    rig, marked, labelled = LandmarkRig.of(own), FaceLandmarks.of(own.parts), landmark_points(own.parts)[0][CONTOUR]
+    rig, marked, labelled = (
+        LandmarkRig.from_subject(own),
+        FaceLandmarks.of(own.parts),
+        landmark_points(own.parts)[0][CONTOUR],
+    )
     largest = 0.0
     for pitch in (-8.0, 8.0):
         values = random_sliders(own.parts, rng)
@@ -194,7 +198,7 @@ def test_on_turned_heads_the_contour_is_the_outline_of_the_mesh(yaw: float) -> N
 
 @pytest.mark.parametrize("yaw", [-60.0, -35.0, 35.0, 60.0])
 def test_sliding_never_leads_inwards(yaw: float) -> None:
-    rig, labelled = LandmarkRig.of(subject()), landmark_points(sample())[0][CONTOUR]
+    rig, labelled = LandmarkRig.from_subject(subject()), landmark_points(sample())[0][CONTOUR]
     points, camera = seen({}, turned(yaw, 5.0))
     marks, outward = found(rig, {}, torch_camera(camera))
     screen = camera.project(points[labelled])
@@ -204,7 +208,7 @@ def test_sliding_never_leads_inwards(yaw: float) -> None:
 
 
 def test_gradients_of_landmarks_are_those_of_finite_differences() -> None:
-    rig = LandmarkRig.of(subject())
+    rig = LandmarkRig.from_subject(subject())
     _, camera = seen({}, turned(18, 6))
     start = tensor([one.default + 0.1 for one in sample().sliders]).requires_grad_()
 
@@ -289,7 +293,7 @@ def test_sliders_without_effect_stay_at_their_defaults() -> None:
 def test_sliders_end_at_their_bounds_where_more_is_asked_for() -> None:
     """One slider, seen beyond its range: at its end, and the pose makes up for no more than it can."""
     wide = replace(next(one for one in sample().sliders if one.name == "jawWidth"), minimum=-3.0, maximum=3.0)
-    target = LandmarkRig.of(Subject.of(replace(sample(), sliders=(wide,))))
+    target = LandmarkRig.from_subject(Subject.of(replace(sample(), sliders=(wide,))))
     _, camera = seen({}, turned(5))
     marks, _ = target.landmarks(target.rig(tensor([2.0])), torch_camera(camera))
     narrow = replace(wide, minimum=-1.0, maximum=1.0)
@@ -418,6 +422,6 @@ def test_bad_faces_are_refused() -> None:
     head = sample().meshes[0]
     few = replace(head.landmarks["multipie68"], indices=np.arange(60))
     with pytest.raises(InputError, match="Head -> landmarks multipie68: 60, expected 68 of its points"):
-        LandmarkRig.of(
+        LandmarkRig.from_subject(
             Subject.of(replace(sample(), meshes=(replace(head, landmarks={"multipie68": few}), *sample().meshes[1:])))
         )

@@ -37,7 +37,7 @@ def relit(
     points: torch.Tensor, camera: Camera, photo: WorkingPhoto, shadows: Shadows | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Light (9, 3) and tints of the photo of a face."""
-    surface = SeenSurface.of(model(), points, camera, photo.size)
+    surface = SeenSurface.from_camera(model(), points, camera, photo.size)
     shape = basis(surface.normals)
     if shadows is not None:
         shape = shape + surface.at_pixels(shadows.transfer)
@@ -74,7 +74,7 @@ def test_light_bears_with_a_dark_blot() -> None:
     image = own.images[0].copy()
     middle = own.landmarks[0][33].astype(int)
     image[middle[1] : middle[1] + 14, middle[0] : middle[0] + 14] = 0.02
-    blotted = WorkingPhoto.of(image, own.landmarks[0], 128)
+    blotted = WorkingPhoto.from_photo(image, own.landmarks[0], 128)
     with torch.no_grad():
         points = face.rig(loss.sliders(own.truth.shares), loss.weights(own.truth.expressions[0]))
         light, _ = relit(points, look.camera, loss.photos[0])

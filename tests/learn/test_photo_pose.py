@@ -204,9 +204,9 @@ BOXES = {
 
 @pytest.mark.parametrize("name", BOXES)
 def test_working_pixels_lie_where_their_camera_and_landmarks_say(name: str) -> None:
-    """The photo's colours tell where each working pixel was taken from."""
+    """The photo's colours show where each working pixel was taken from."""
     height, width, x, y = BOXES[name]
-    own = WorkingPhoto.of(gradient_photo(height, width), marks(x, y), 64)
+    own = WorkingPhoto.from_photo(gradient_photo(height, width), marks(x, y), 64)
     rows, columns = own.size
     assert own.step >= 1
     assert min(rows, columns) >= 1
@@ -227,7 +227,7 @@ def test_working_pixels_lie_where_their_camera_and_landmarks_say(name: str) -> N
 def test_windows_hold_the_head_at_about_the_size_asked_for(name: str, least: int) -> None:
     height, width, x, y = BOXES[name]
     landmarks = marks(x, y)
-    own = WorkingPhoto.of(gradient_photo(height, width), landmarks, 64)
+    own = WorkingPhoto.from_photo(gradient_photo(height, width), landmarks, 64)
     inside = own.landmarks(landmarks)
     assert (inside >= least).all()
     assert (inside <= own.size[::-1]).all()
@@ -238,7 +238,7 @@ def test_windows_hold_the_head_at_about_the_size_asked_for(name: str, least: int
 
 def test_photos_are_never_enlarged() -> None:
     photo = np.random.default_rng(0).random((30, 40, 3))
-    own = WorkingPhoto.of(photo, marks((10.0, 30.0), (5.0, 25.0)), 512)
+    own = WorkingPhoto.from_photo(photo, marks((10.0, 30.0), (5.0, 25.0)), 512)
     assert own.step == 1
     rows, columns = own.size
     expected = photo[own.top : own.top + rows, own.left : own.left + columns]

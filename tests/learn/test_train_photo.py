@@ -56,7 +56,7 @@ def subject(parts: FaceParts) -> Subject:
 
 @pytest.fixture(scope="module")
 def portraits(subject: Subject) -> Portraits:
-    return Portraits(subject, FaceModel(subject.parts, largest_texture=64), LandmarkRig.of(subject))
+    return Portraits(subject, FaceModel(subject.parts, largest_texture=64), LandmarkRig.from_subject(subject))
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,7 @@ def test_the_file_gives_what_the_network_gives(
 ) -> None:
     guess = load_start(network_file, subject)
     photo, picture = photo_of(portraits, 3)
-    crop = Picture.of(photo, picture.landmarks, picture.space).crop(picture.landmarks)
+    crop = Picture.from_photo(photo, picture.landmarks, picture.space).crop(picture.landmarks)
     with torch.no_grad():
         found = trained.network(crop.image[None], crop.landmarks[None])
         pose = crop.space(picture.space, "Y").to_photo(relative_pose(found.pose))

@@ -102,7 +102,7 @@ def portrait(
     state, space = random_state(seed, views), photo_space(subject(), size)
     tint = torch.tensor(rng.uniform(0.7, 1.2, (len(face.colors.names), 3)), dtype=torch.float32).log()
     lamps = [torch.tensor(lamp or DARK)] * views
-    truth = Unknowns.of(state, [random_light(rng) for _ in range(views)], tint, lamps)
+    truth = Unknowns.from_state(state, [random_light(rng) for _ in range(views)], tint, lamps)
     blank = LandmarkFit(subject(), [np.zeros((68, 2))] * views, [space] * views, Priors())
     landmarks = blank.landmarks(state)
     images, shades = [], []
@@ -112,7 +112,7 @@ def portrait(
         weights = torch.as_tensor(subject().shape_weights(state.expressions[view]), dtype=torch.float32)
         with torch.no_grad():
             points = face.rig(sliders, weights)
-            shade = Shadows.of(face, points, camera, lamps[view]) if shadows or lamp else None
+            shade = Shadows.from_lamp(face, points, camera, lamps[view]) if shadows or lamp else None
             look = Look(
                 camera=camera,
                 light=truth.light[view].detach(),
@@ -139,7 +139,8 @@ def joint_loss(own: Portrait, extractors: dict[str, object] | None = None, **opt
     wanted = PhotoFitOptions(**{"size": 128, **options})  # type: ignore[arg-type]
     fit = LandmarkFit(subject(), own.landmarks, own.spaces, Priors())
     photos = [
-        WorkingPhoto.of(image, marks, wanted.size) for image, marks in zip(own.images, own.landmarks, strict=True)
+        WorkingPhoto.from_photo(image, marks, wanted.size)
+        for image, marks in zip(own.images, own.landmarks, strict=True)
     ]
     loss = JointLoss(model(), fit, photos, extractors or {}, wanted)  # type: ignore[arg-type]
     loss.shadows = list(own.shadows)

@@ -1,1 +1,1 @@
-"""Feature extractors: networks that tell how alike two pictures of a face are, with gradients to the pixels."""
+"""Feature extractors: networks that measure how alike two pictures of a face are, with gradients to the pixels."""

@@ -1,7 +1,7 @@
 """Square crops of a face, brought by its landmarks to where a network expects them.
 
 Landmarks are the 68 of Multi-PIE. Pixels count from the top left corner of an image, x right and y down; the first
-pixel's centre is (0.5, 0.5). A crop is told by a matrix (2, 3) from crop pixels to image pixels, so that a photo and a
+pixel's centre is (0.5, 0.5). A crop is given by a matrix (2, 3) from crop pixels to image pixels, so that a photo and a
 render of it are read at the same places.
 """
 

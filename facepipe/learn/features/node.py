@@ -19,7 +19,7 @@ _MOST_ELEMENTS = 1 << 26  # of one value that a shape in the file asks for
 
 @dataclass(frozen=True, kw_only=True)
 class Node:
-    """What an operator is told besides its inputs."""
+    """What an operator gets besides its inputs."""
 
     name: str
     op_type: str

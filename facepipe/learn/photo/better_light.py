@@ -28,7 +28,7 @@ class _View:
     def __init__(self, loss: JointLoss, at: Unknowns, view: int) -> None:
         photo, look = loss.photos[view], loss.look(at, view)
         points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
-        self.surface = SeenSurface.of(loss.model, points, look.camera, photo.size)
+        self.surface = SeenSurface.from_camera(loss.model, points, look.camera, photo.size)
         self.shadow = None if look.shadow is None else self.surface.at_pixels(look.shadow)
         self.arriving = None if look.key is None else self.surface.at_pixels(look.key.arriving)
         self.photo, self.spread, self.options = photo, loss.spreads[view], loss.options

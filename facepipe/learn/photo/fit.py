@@ -102,7 +102,7 @@ def fit_photos(
     """The person, and the expression, camera and light of each photo.
 
     Stage one fits landmarks, stage two descends on the joint loss from there; or from `start` itself, if its joint loss
-    is less: landmarks alone don't tell what a guess has seen in the pictures.
+    is less: landmarks alone don't show what a guess has seen in the pictures.
 
     :param photos: (h, w, 3) sRGB 0..1
     :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
@@ -136,7 +136,7 @@ def _fit(
     state = fit.solve(fit.start() if start is None else start)
     found = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
-    working = [WorkingPhoto.of(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
+    working = [WorkingPhoto.from_photo(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
     loss = JointLoss(model, fit, working, found, options)
     begin = lit(loss, state)
     loss.calibrate(begin)

@@ -47,11 +47,11 @@ class State:
         """All in one: shares, then expressions and pose photo by photo."""
         return np.concatenate([self.shares, np.concatenate([self.expressions, self.poses], axis=1).ravel()])
 
-    def of(self, vector: FloatArray) -> State:
+    def from_vector(self, vector: FloatArray) -> State:
         """The state of this shape that a vector stands for."""
         views, expressions = self.expressions.shape
-        own = vector[len(self.shares) :].reshape(views, expressions + NUMBERS)
-        return State(shares=vector[: len(self.shares)], expressions=own[:, :expressions], poses=own[:, expressions:])
+        rest = vector[len(self.shares) :].reshape(views, expressions + NUMBERS)
+        return State(shares=vector[: len(self.shares)], expressions=rest[:, :expressions], poses=rest[:, expressions:])
 
 
 class LandmarkFit:
@@ -72,7 +72,7 @@ class LandmarkFit:
         """
         self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
-        self.rig = LandmarkRig.of(subject) if rig is None else rig
+        self.rig = LandmarkRig.from_subject(subject) if rig is None else rig
         self.sigma = [priors.landmark_sigma * eye_distance(each) for each in self.targets]
 
     def start(self) -> State:
@@ -101,7 +101,7 @@ class LandmarkFit:
         x = self._minimise(template, x, np.where(held, x, lower), np.where(held, x, upper), steps).x
         for _ in range(_ROUNDS):
             x = self._minimise(template, x, lower, upper, steps).x
-        return template.of(x)
+        return template.from_vector(x)
 
     def landmarks(self, state: State) -> FloatArray:
         """(v, 68, 2) pixels of the face's landmarks in each photo."""
@@ -121,8 +121,8 @@ class LandmarkFit:
     def _minimise(self, template: State, x: FloatArray, lower: FloatArray, upper: FloatArray, steps: int) -> Minimum:
         weights = 1 / np.maximum(np.abs(x[: len(template.shares)] - self.subject.default_shares), _EDGE)
         return levenberg_marquardt(
-            lambda at: self._model(template.of(at), weights),
-            lambda at: self._cost(template.of(at), weights),
+            lambda at: self._model(template.from_vector(at), weights),
+            lambda at: self._cost(template.from_vector(at), weights),
             x,
             lower,
             upper,

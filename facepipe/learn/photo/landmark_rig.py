@@ -37,7 +37,7 @@ class LandmarkRig:
     rows: tuple[IntArray, ...]  # 17 rows of numbers among the rig's points, each with the landmark itself
 
     @classmethod
-    def of(cls, subject: Subject) -> LandmarkRig:
+    def from_subject(cls, subject: Subject) -> LandmarkRig:
         """:raises InputError: the face has not the 68 landmarks"""
         parts = subject.parts
         points, mesh = landmark_points(parts)

@@ -31,7 +31,7 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
     """Light (k, 3) and factors of the materials' colours (count, 3) that bring a face nearest to a photo.
 
     Robust least squares, light and colours in turn; the material with the most pixels keeps its own colour, since
-    light and colour can't be told apart but for their ratios.
+    light and colour can't be separated but for their ratios.
 
     :param seen: (p, 3) linear light of the photo at the surface's pixels
     :param shape: (p, k) how white surfaces there take each number of the light: 9 harmonics, and a lamp where k is 10
@@ -87,7 +87,7 @@ _CANDIDATES = 96
 _BEHIND = -0.2  # cosine to the view below which a lamp hardly lights what the photo shows
 _RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each of eight more
 _SAMPLES = 4000  # pixels
-_OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which tell where a lamp stands
+_OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
 _COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
 
@@ -183,7 +183,7 @@ def lit(loss: JointLoss, state: State) -> Unknowns:
     """The unknowns of a state in the light that its photos show, with the shadows that the face casts on itself."""
     found = [_of_photo(loss, state, view) for view in range(len(loss.photos))]
     lights, keys, tints = zip(*found, strict=True)
-    return Unknowns.of(state, lights, torch.stack(tints).mean(dim=0), keys)
+    return Unknowns.from_state(state, lights, torch.stack(tints).mean(dim=0), keys)
 
 
 def renew_shadows(loss: JointLoss, at: Unknowns) -> None:
@@ -191,7 +191,7 @@ def renew_shadows(loss: JointLoss, at: Unknowns) -> None:
     with torch.no_grad():
         for view in range(len(loss.photos)):
             points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
-            loss.shadows[view] = Shadows.of(loss.model, points, loss.look(at, view).camera, at.key[view])
+            loss.shadows[view] = Shadows.from_lamp(loss.model, points, loss.look(at, view).camera, at.key[view])
 
 
 def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -202,7 +202,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
         camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
         points, count = model.rig(sliders, weights), len(model.colors.names)
-        surface = SeenSurface.of(model, points, camera, photo.size)
+        surface = SeenSurface.from_camera(model, points, camera, photo.size)
         seen = photo.linear.reshape(-1, 3)[surface.raster.pixels]
         transfer, key = shadows_of_harmonics(model, points, camera), photo.linear.new_tensor(DARK)
         shape = basis(surface.normals) + surface.at_pixels(transfer)

@@ -26,7 +26,7 @@ class SeenSurface:
     materials: Tensor  # (p,) numbers into the names of the face's colours
 
     @classmethod
-    def of(cls, model: FaceModel, points: Tensor, camera: Camera, size: tuple[int, int]) -> SeenSurface:
+    def from_camera(cls, model: FaceModel, points: Tensor, camera: Camera, size: tuple[int, int]) -> SeenSurface:
         """:param points: (n, 3) world points
         :param size: height and width of the picture that the camera is for
         """

@@ -103,7 +103,7 @@ class Shadows:
     arriving: Tensor  # (n,) as `KeyLight.arriving`
 
     @classmethod
-    def of(cls, model: FaceModel, points: Tensor, camera: Camera, lamp: Tensor) -> Shadows:
+    def from_lamp(cls, model: FaceModel, points: Tensor, camera: Camera, lamp: Tensor) -> Shadows:
         """Those of world points (n, 3) for a lamp (8,) as `KeyLight`."""
         transfer = shadows_of_harmonics(model, points, camera)
         return cls(transfer=transfer, arriving=shadows_of_lamp(model, points, camera, lamp))

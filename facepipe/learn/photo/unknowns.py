@@ -25,7 +25,9 @@ class Unknowns:
     tint: Tensor  # (materials, 3) logarithms of factors
 
     @classmethod
-    def of(cls, state: State, light: Sequence[Tensor], tint: Tensor, key: Sequence[Tensor] | None = None) -> Unknowns:
+    def from_state(
+        cls, state: State, light: Sequence[Tensor], tint: Tensor, key: Sequence[Tensor] | None = None
+    ) -> Unknowns:
         """Free tensors in float32, poses in float64.
 
         :param key: None: no lamps

@@ -33,7 +33,7 @@ def view_image(model: FaceModel, view: FittedView, points: FloatArray, size: tup
     light, key, place = (torch.as_tensor(np.asarray(one), dtype=torch.float32) for one in numbers)
     camera = camera_of(view.camera, share, torch.float32)
     with torch.no_grad():
-        shadows = Shadows.of(model, place, camera, key)
+        shadows = Shadows.from_lamp(model, place, camera, key)
         look = Look(
             camera=camera,
             light=light,

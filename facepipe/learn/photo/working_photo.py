@@ -26,7 +26,7 @@ class WorkingPhoto:
     step: int
 
     @classmethod
-    def of(cls, photo: FloatArray, landmarks: FloatArray, size: int) -> WorkingPhoto:
+    def from_photo(cls, photo: FloatArray, landmarks: FloatArray, size: int) -> WorkingPhoto:
         """The head around `landmarks` (68, 2) in a photo (h, w, 3) sRGB 0..1, at most about `size` pixels a side.
 
         Windows are cut at the photo's borders and never enlarged.

@@ -124,7 +124,7 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
 
     @property
     def options(self) -> PhotoFitOptions:
-        """What the fit is told."""
+        """The options of the fit."""
         terms = {one.name: getattr(self, one.name) for one in fields(PhotoTermOptions)}
         return PhotoFitOptions(**terms, landmarks=self.landmark_weight)
 

@@ -1,8 +1,8 @@
 """Train a network that guesses where `facepipe fit-photo` should start, for one face.
 
 FACE has sliders and the 68 landmarks `multipie68`. The network sees a crop of a face, 128 pixels a side, and its
-landmarks, and tells sliders, expression and pose. It learns these from random people of FACE: from their landmarks,
-then from renders in random light and colours; then, without being told, from the joint loss of a photo fit.
+landmarks, and gives sliders, expression and pose. It learns these from random people of FACE: from their landmarks,
+then from renders in random light and colours; then, without known answers, from the joint loss of a photo fit.
 --images DIR takes photos of people for that last part: nothing needs to be known about them but where the landmarks
 are, PHOTO.landmarks.json or STEM.landmarks.json beside a photo or found by facepipe's own network. Photos without a
 face, or with several, are left out, with a warning.
@@ -130,7 +130,7 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
                 photo, beside = read_photo(path), _landmark_file(path)
                 marks = own_landmarks(photo) if beside is None else read_landmarks(beside, photo)
                 space = pose_space(subject, photo.pixels.shape[1], photo.pixels.shape[0])
-                pictures.append(Picture.of(photo.pixels, marks.points, space))
+                pictures.append(Picture.from_photo(photo.pixels, marks.points, space))
             except InputError as error:
                 left_out.append(f"left out: {error}")
             bar.update()

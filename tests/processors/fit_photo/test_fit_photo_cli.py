@@ -40,7 +40,7 @@ TWO = ("front.png", "--landmarks", "front.json", "side.png", "--landmarks", "sid
 
 @pytest.fixture(scope="module", autouse=True)
 def few_lamps() -> Iterator[None]:
-    """Light is looked for in few directions: what is found in all of them is told by test_photo_light and _key."""
+    """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "_CANDIDATES", 12)
         patch.setattr(lighting, "_RINGS", ())
@@ -204,7 +204,7 @@ def test_existing_files_need_force_and_the_same_input_gives_the_same_bytes(perso
 
 
 def test_edit_fits_again_from_the_recipe(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With what the line changes: the same as a fit from anew; `report` is not part of it. Both tell by the exit code
+    """With what the line changes: the same as a fit from anew; `report` is not part of it. Both say by the exit code
     that landmarks are off, and keep what they found."""
     words = ("--size", "64", "--sparsity", "0.4", "--iterations", "1", "--landmark-threshold", "0.1")
     missed = "of the distance of the outer eye corners, expected at most 0.1 %"
@@ -275,8 +275,8 @@ def test_photos_of_other_kinds_are_fitted_and_told(capsys: pytest.CaptureFixture
     image.convert("CMYK").save("print.tif")
     marks = ("--landmarks", "front.json")
     found = fit_json(capsys, "grey.png", *marks, "print.tif", *marks, "head.usdc", "-o", "a.usda", *SOON)
-    for name, told in (("grey.png", "has no colour"), ("grey.png", "transparent"), ("print.tif", "CMYK without")):
-        assert any(name in line and told in line for line in found["warnings"]), told
+    for name, words in (("grey.png", "has no colour"), ("grey.png", "transparent"), ("print.tif", "CMYK without")):
+        assert any(name in line and words in line for line in found["warnings"]), words
 
 
 # What it refuses

@@ -22,7 +22,7 @@ Array = np.ndarray[Any, Any]
 
 
 def read(folder: Path, data: bytes, **options: Any) -> Photo:
-    file = folder / "photo"  # kinds are told by content
+    file = folder / "photo"  # kinds are known by content
     file.write_bytes(data)
     photo = read_photo(file, **options)
     assert photo.pixels.dtype == np.float32

@@ -76,10 +76,10 @@ def _gather(node: Node, x: Tensor, index: Tensor) -> Tensor:
 def _slice(node: Node, x: Tensor, *parts: Tensor | None) -> Tensor:
     """By starts, ends, axes and steps: inputs, but attributes before operator set 10."""
     named = zip(("starts", "ends", "axes", "steps"), parts, strict=False)
-    told = {**node.attributes, **{name: whole(part) for name, part in named if part is not None}}
-    starts = told["starts"]
-    axes, steps = told.get("axes", range(len(starts))), told.get("steps", [1] * len(starts))
-    for start, end, axis, step in zip(starts, told["ends"], axes, steps, strict=True):
+    bounds = {**node.attributes, **{name: whole(part) for name, part in named if part is not None}}
+    starts = bounds["starts"]
+    axes, steps = bounds.get("axes", range(len(starts))), bounds.get("steps", [1] * len(starts))
+    for start, end, axis, step in zip(starts, bounds["ends"], axes, steps, strict=True):
         place = range(x.ndim)[axis]
         if step > 0:
             x = x[(slice(None),) * place + (slice(start, end, step),)]

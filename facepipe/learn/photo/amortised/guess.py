@@ -41,7 +41,7 @@ class Guess:
         :param space: of the photo
         :raises InputError: landmarks that are nothing like a face's, or a network that gives no numbers
         """
-        crop = Picture.of(photo, landmarks, space).crop(landmarks)
+        crop = Picture.from_photo(photo, landmarks, space).crop(landmarks)
         fed = {"image": crop.image.numpy()[None], "landmarks": crop.landmarks.numpy()[None]}
         names = [one.name for one in self.session.get_outputs()]
         values = [np.asarray(one[0], np.float64) for one in self.session.run(None, fed)]

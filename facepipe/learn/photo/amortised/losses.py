@@ -44,7 +44,7 @@ class Taught:
     pose: Tensor  # (b, 7) in standard deviations
 
     @classmethod
-    def of(cls, people: People, space: CropSpace) -> Taught:
+    def from_people(cls, people: People, space: CropSpace) -> Taught:
         """For the crops of people."""
         pose = space.to_crop(torch.as_tensor(people.poses))
         scaled = (pose - pose.new_tensor(POSE_MEAN)) / pose.new_tensor(POSE_STD)
@@ -134,7 +134,7 @@ class PictureLoss:
         with torch.no_grad():
             points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
             camera = single(photo.camera(loss.fit.spaces[0].camera(at.poses[0])))
-            surface = SeenSurface.of(self.model, points, camera, photo.size)
+            surface = SeenSurface.from_camera(self.model, points, camera, photo.size)
             shape, key = basis(surface.normals), at.key[0]
             if lamp is not None:
                 arriving = shadows_of_lamp(self.model, points, camera, lamp)

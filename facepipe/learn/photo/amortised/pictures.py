@@ -79,9 +79,9 @@ class Picture:
     truth: Truth | None = None
 
     @classmethod
-    def of(cls, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> Picture:
+    def from_photo(cls, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> Picture:
         """The head around the landmarks in a photo (h, w, 3) sRGB 0..1."""
-        seen = WorkingPhoto.of(photo, landmarks, HEAD)
+        seen = WorkingPhoto.from_photo(photo, landmarks, HEAD)
         pixels = np.round(seen.pixels.numpy() * 255).astype(np.uint8)
         return cls(pixels=pixels, left=seen.left, top=seen.top, step=seen.step, landmarks=landmarks, space=space)
 

@@ -1,6 +1,6 @@
 """A head's pose as an aligned crop of its face shows it, and as the whole photo has it.
 
-Where in a photo a face is, how large and how tilted, is told by the crop's matrix alone. What is left for a network to
+Where in a photo a face is, how large and how tilted, is given by the crop's matrix alone. What is left for a network to
 see are the seven numbers here: a turn away from facing the viewer along the line of sight (rotation vector), the head's
 middle and the logarithm of its size in sides of the crop, and the logarithm of the distance in head heights.
 """

@@ -90,7 +90,7 @@ class WarmUp:
         matrices = np.stack([face_crop(one, SIZE) for one in marks])
         places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
         crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
-        return None, torch.as_tensor(places, dtype=torch.float32), Taught.of(people, crops)
+        return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
 
     def _noise(self, marks: FloatArray) -> FloatArray:
         return np.asarray(
@@ -112,7 +112,7 @@ class WarmUp:
             up_axis=self._portraits.subject.parts.up_axis,
         )
         images, marks = batch(crops)
-        return varied(images, self._rng), marks, Taught.of(people, space)
+        return varied(images, self._rng), marks, Taught.from_people(people, space)
 
 
 _RATE, _SLOWEST, _STEEPEST = 5e-4, 0.1, 20.0
@@ -238,7 +238,7 @@ def train_start(
     terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0, hue=0.0)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(options.seed)
-        model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.of(subject)
+        model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.from_subject(subject)
         portraits = Portraits(subject, model, landmarks)
         renders = _renders(portraits, options, done)
         learnt, judged = _parted(photos or renders, options.seed)
