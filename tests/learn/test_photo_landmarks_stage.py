@@ -413,7 +413,7 @@ def test_sliders_act_through_a_learned_network_that_weighs_them() -> None:
 
 
 def test_bad_faces_are_refused() -> None:
-    with pytest.raises(InputError, match="expression grin: unknown, expected a shape of the face"):
+    with pytest.raises(InputError, match="expression grin: no such shape, expected one of browDownLeft"):
         Subject.of(sample(), ("grin",))
     with pytest.raises(InputError, match="sliders: none that shape a person"):
         Subject.of(replace(sample(), sliders=sample().sliders[:4]))

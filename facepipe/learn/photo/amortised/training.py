@@ -115,7 +115,7 @@ class WarmUp:
         return varied(images, self._rng), marks, Taught.from_people(people, space)
 
 
-_RATE, _SLOWEST, _STEEPEST = 5e-4, 0.1, 20.0
+_JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
 _CHECK = 25  # steps between two looks at the held-out pictures
 _NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
 
@@ -158,13 +158,13 @@ class NetworkDescent:
     ) -> tuple[str, ...]:
         """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
         network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
-        optimiser = torch.optim.Adam(network.parameters(), lr=_RATE)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _RATE)
+        optimiser = torch.optim.Adam(network.parameters(), lr=_JOINT_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _JOINT_RATE)
         for step in range(options.steps):
             optimiser.zero_grad()
             if not self._slopes([pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)], rng):
                 return (_NOT_FINITE.format(step),)
-            torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _JOINT_STEEPEST)
             optimiser.step()
             schedule.step()
             done()
