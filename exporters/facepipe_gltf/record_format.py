@@ -19,7 +19,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Mesh
-from facepipe.records.fields import ArrayReader, ArrayWriter, from_json, to_json
+from facepipe.records import ArrayReader, ArrayWriter, from_json, to_json
 
 Json = dict[str, Any]
 

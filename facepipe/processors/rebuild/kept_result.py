@@ -17,7 +17,7 @@ from facepipe.processors.rebuild.refine_report import RefineReport
 from facepipe.processors.rebuild.register_scans import CompositeReport
 from facepipe.processors.rebuild.split_expressions import SplitReport
 from facepipe.processors.rebuild.stage_content import place_of
-from facepipe.records.fields import ArrayReader, from_json
+from facepipe.records import ArrayReader, from_json
 
 Array = npt.NDArray[Any]
 
