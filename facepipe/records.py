@@ -125,7 +125,7 @@ def _is_default(field: dataclasses.Field[Any], value: object) -> bool:
 def from_json(kind: type[Part], data: object, arrays: ArrayReader, where: str) -> Part:
     """The `kind` of part that `to_json` wrote.
 
-    :raises InputError: a field that `kind` has not, lacks or can't have
+    :raises InputError: an unknown, missing or unfit field of `kind`
     """
     result: Part = _read(kind, data, arrays, where)
     return result

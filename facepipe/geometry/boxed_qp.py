@@ -118,7 +118,7 @@ def _stopped(x: FloatArray, direction: FloatArray, lower: FloatArray, upper: Flo
 def _along(
     hessian: FloatArray, x: FloatArray, slope: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the step ends, shortened until the objective falls enough, and how much the slope changes by it."""
+    """The end of the step, shortened until the objective falls enough (Armijo's rule), and the change of the slope."""
     length = 1.0
     while length > 1e-12:
         ahead = np.clip(x + length * direction, lower, upper)  # exactly at bounds: a rounding off would jam later steps

@@ -40,7 +40,7 @@ class Box:
     l1: float = 0.0
 
     def signed(self, x: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where x may go without changing sign, lowest and highest, and the slope on that way; 0 where there is none.
+        """Lowest and highest x without a change of sign, and the slope on the way there; 0 where there is no way.
 
         :param slope: (..., c) without that of the absolute values
         """
@@ -91,7 +91,7 @@ class Smoothness:
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
-    """What was found."""
+    """A minimum near the start."""
 
     x: FloatArray  # (f, c)
     cost: FloatArray  # (f,) without smoothness

@@ -42,7 +42,7 @@ _STAGES = (_Stage(2.0, 4, 0.1), _Stage(1.0, 12, 0.005))
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementOptions:
-    """What counts how much; of `matching`, the membrane has no part."""
+    """Weights of a refinement's terms; of `matching`, the membrane is not used."""
 
     detail_mm: float = 10.0  # of waves of this length in the scan half the height is followed
     fade_mm: float = 8.0  # so far from what pulls at them, triangles go back to their own shape
@@ -83,7 +83,7 @@ def refine_locally(
 
 
 class _State:
-    """Where a refinement is."""
+    """The state of a refinement between steps."""
 
     def __init__(self, surface: DeformableSurface, view: View, follow: FloatArray, options: RefinementOptions) -> None:
         free = follow > 0.0

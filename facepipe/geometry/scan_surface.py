@@ -18,7 +18,7 @@ _LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphe
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceReport:
-    """What was mended."""
+    """Counts of repairs."""
 
     merged_points: int = 0  # at the place of another
     flat_triangles: int = 0  # without area, dropped
@@ -122,7 +122,7 @@ def _large(points: FloatArray, triangles: IntArray, piece: IntArray, smallest: f
 
 
 def _used(numbers: IntArray) -> int:
-    """How many different ones there are."""
+    """The number of different values."""
     return int(np.count_nonzero(np.bincount(numbers.ravel())))
 
 
@@ -200,7 +200,7 @@ def cut_sheets(triangles: IntArray) -> Sheets:
 
 
 def outwardness(points: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
-    """How much each sheet (c,) bulges to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in.
+    """The bulge of each sheet (c,) to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in.
 
     ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of the triangles: the
     mean distance of the tangent planes from the sheet's centre, over the root of its area; ``1 / sqrt(4 pi)`` for a

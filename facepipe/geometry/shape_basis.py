@@ -72,7 +72,7 @@ def local_basis(shapes: FloatArray) -> FloatArray:
 
 
 def _spread(shapes: FloatArray) -> float:
-    """How far the shapes reach: for one squared length, longer sums are of more places."""
+    """The sum of all lengths: of shapes of unit length, larger sums spread over more points."""
     return float(np.linalg.norm(shapes, axis=2).sum())
 
 

@@ -33,16 +33,16 @@ _VALUES = 1 << 20  # numbers of the points' systems at a time: a bound on memory
 
 @dataclass(frozen=True, kw_only=True)
 class Decomposition:
-    """What was found."""
+    """The weights of a decomposition, and its distances from the examples."""
 
     weights: FloatArray  # (n, k) of the candidates
     before: FloatArray  # (s, n) distances with the first weights, cut, and transforms fitted to them
-    after: FloatArray  # (s, n) with those found
+    after: FloatArray  # (s, n) with `weights`
 
 
 @dataclass(frozen=True, kw_only=True)
 class DecompositionOptions:
-    """How it is looked for."""
+    """Options of a decomposition."""
 
     most: int = 4  # weights above 0 a point
     iterations: int = 10  # rounds of weights and transforms

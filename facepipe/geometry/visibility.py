@@ -1,4 +1,4 @@
-"""Which points of a surface can be seen from outside: those that nothing lies in front of, from some side."""
+"""Visibility from outside: points of a surface that nothing hides from some side."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def _mask(moving: IntArray, count: int) -> bytes:
 
 
 def read_header(data: bytes, where: object) -> Header:
-    """What a payload holds, its size and CRC checked.
+    """The header of a payload, its size and CRC checked.
 
     :param where: the payload's name for messages
     :raises InputError: no payload, one of a newer version, or a damaged one

@@ -32,7 +32,7 @@ DTYPES: dict[Precision, str] = {"float16": "<f2", "float32": "<f4"}
 
 
 def most_values(frames: int, stored: int) -> int:
-    """How many numbers the joints of a skeleton may have, of which some are `stored` in a payload."""
+    """The most numbers that the joints of a skeleton may have, of which some are `stored` in a payload."""
     return min(MAX_VALUES, FREE_VALUES + PER_STORED * 9 * frames * stored)
 
 
@@ -51,17 +51,17 @@ class Header(NamedTuple):
 
     @property
     def values(self) -> int:
-        """Where the coefficients begin, in bytes."""
+        """First byte of the coefficients."""
         return HEADER.size + 4 * self.frames * self.has_times
 
     @property
     def mask(self) -> int:
-        """Where the joint mask begins, or would."""
+        """First byte of the joint mask, if there is one."""
         return self.values + 9 * self.frames * self.stored * np.dtype(DTYPES[self.precision]).itemsize
 
     @property
     def end(self) -> int:
-        """Where the CRC stands."""
+        """First byte of the CRC."""
         return self.mask + (self.joints + 7) // 8 * self.is_sparse
 
 

@@ -1,4 +1,4 @@
-"""How the weight of a shape activates its sculpts: itself and its inbetweens."""
+"""Activation of a shape's sculpts, its own and those of its inbetweens, by its weight."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray 
     transforms, the parts that are not given (translations, rotations or scales) come from rest.
 
     :param joints: (j,) numbers of the animation's joints to keep; default all
-    :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
+    :raises InputError: a joint that the skeleton lacks, or a quaternion of length 0
     """
     chosen = np.arange(len(animation.joints)) if joints is None else joints
     used = places(skeleton, animation, chosen)
@@ -71,7 +71,7 @@ def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = N
     """(j,) numbers of the animation's joints in the skeleton.
 
     :param joints: as for `local_transforms`
-    :raises InputError: a joint that the skeleton has not
+    :raises InputError: a joint that the skeleton lacks
     """
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
     paths = animation.joints if joints is None else [animation.joints[i] for i in joints]

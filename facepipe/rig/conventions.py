@@ -84,7 +84,7 @@ _MEANINGS = {key: one for table in CONVENTIONS.values() for key, one in table.ke
 
 
 def meaning(name: str) -> str | None:
-    """What a shape's name means in any convention; None where in none.
+    """The meaning of a shape's name in any convention; None where it has none.
 
     >>> meaning("blendShape1.EyeBlink_L"), meaning("CTRL_expressions_jawOpen"), meaning("noseHump")
     ('eyeBlinkLeft', 'jawOpen', None)

@@ -1,4 +1,4 @@
-"""What formats whose joints blend linearly do to meshes that are skinned by dual quaternions."""
+"""The error of formats that blend joints linearly, on meshes that are skinned by dual quaternions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a learned encoder makes of points: the controls of a rig that bring them there."""
+"""A learned encoder: from points to the controls of a rig that bring them there."""
 
 from __future__ import annotations
 

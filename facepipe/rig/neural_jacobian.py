@@ -1,4 +1,4 @@
-"""How a neural rig's outputs answer to its controls, and its points to its outputs."""
+"""Derivatives of a neural rig's outputs by its controls, and of its points by its outputs."""
 
 from __future__ import annotations
 

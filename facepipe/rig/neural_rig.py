@@ -1,4 +1,4 @@
-"""What a learned rig makes of its controls: bone coefficients, and points as a sum of learned shapes."""
+"""A learned rig: from controls to bone coefficients, and to points as a sum of learned shapes."""
 
 from __future__ import annotations
 

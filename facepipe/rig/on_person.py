@@ -1,4 +1,4 @@
-"""What plays on top of a person: animations, sliders and limits relative to the person's rest."""
+"""Animations, sliders and limits relative to a person's rest, which they play on top of."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _without(parts: FaceParts, animation: Animation, person: Person) -> Animatio
 
 
 def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLimits | None:
-    """What of the limits is left for expressions: less the person's translations and angles, by its scales.
+    """The limits that are left for expressions: less the person's translations and angles, by its scales.
 
     The person itself is always within them.
     """
@@ -177,7 +177,7 @@ def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork 
 
 
 class _Changes:
-    """What a change of one bone coefficient of a joint is, relative to the person's rest."""
+    """Changes of one bone coefficient of a joint, relative to the person's rest."""
 
     def __init__(self, parts: FaceParts, person: Person, new: NewRest) -> None:
         self.index = {joint: i for i, joint in enumerate(parts.skeleton.joints)}

@@ -27,7 +27,7 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Person:
-    """What moves the template to the person."""
+    """Bone coefficients and shape weights that move the template to the person."""
 
     description: str  # "rest", or what it was set by
     coefficients: FloatArray  # (j, 9) relative to the template's rest

@@ -1,4 +1,4 @@
-"""Whether a face is as large as a head and stands upright: what wrong units and axes of a source give away."""
+"""Plausible sizes and stances of a face: those that no head has give away wrong units and axes of a source."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
 
 
 def implausible(parts: FaceParts) -> tuple[str, ...]:
-    """One line for each thing that no real head shows, with what fixes it.
+    """One line for each property that no real head has, with what fixes it.
 
     Landmarks (`multipie68`) measure the head, with a body or without: it is too small or too large where both 2.5
     times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
-    Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body has not,
+    Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body doesn't,
     nor has a part of a face. Up and front are known from landmarks alone.
     """
     rig = build(parts)

@@ -1,4 +1,4 @@
-"""What a learned network adds to bone coefficients and shape weights, from the values of several sliders."""
+"""Learned networks, which add to bone coefficients and shape weights from the values of several sliders."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def check_network(network: SliderNetwork, sliders: Collection[str], joints: Sequ
 
 
 def network_fault(network: SliderNetwork) -> str | None:
-    """What is wrong with a network by itself: what was found and expected; None where it is whole."""
+    """The fault of a network by itself, with the expected value; None where it is sound."""
     if network.activation not in ACTIVATIONS:
         return f"activation '{network.activation}', expected one of {', '.join(ACTIVATIONS)}"
     for what, names in (("slider", network.sliders), ("channel", network.channels), ("shape", network.shapes)):

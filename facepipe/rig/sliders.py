@@ -1,4 +1,4 @@
-"""What a slider does: it adds to bone coefficients and shape weights."""
+"""Sliders, which add to bone coefficients and shape weights."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def slide(
 
 
 def response(curve: Curve | None, value: float, default: float) -> float:
-    """What the gain of an entry is multiplied by at a slider value that is in range."""
+    """The factor of an entry's gain at a slider value that is in range."""
     if curve is None:
         return value - default
     after = bisect_right(curve, value, key=itemgetter(0))
@@ -111,7 +111,7 @@ def with_mutual_mirrors(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
 
 @lru_cache(maxsize=1 << 14)
 def curve_fault(curve: Curve) -> str | None:
-    """What is wrong with a curve in float32, which files hold: what was found and expected; None where it is whole."""
+    """The fault of a curve in float32, which files hold, with the expected value; None where it is sound."""
     if len(curve) < 2 or any(len(knot) != 2 for knot in curve):
         return f"a curve of {len(curve)} knots, expected 2 or more of a value and an amount each"
     with np.errstate(over="ignore"):  # beyond float32 is infinity
@@ -127,7 +127,7 @@ def curve_fault(curve: Curve) -> str | None:
 
 
 def curves_fault(slider: Slider) -> str | None:
-    """What is wrong with the curves of a slider; None where they are whole."""
+    """The fault of a slider's curves; None where they are sound."""
     for kind, entries, curves in (
         ("channels", slider.channels, slider.channel_curves),
         ("shapes", slider.shapes, slider.shape_curves),
@@ -142,7 +142,7 @@ def curves_fault(slider: Slider) -> str | None:
 
 
 def mirror_fault(slider: Slider, sliders: Sequence[Slider]) -> str | None:
-    """What is wrong with the mirror of a slider among those of its face; None where it has none, or a mutual one."""
+    """The fault of a slider's mirror among those of its face; None where it has none, or a mutual one."""
     if slider.mirror is None:
         return None
     other = next((one for one in sliders if one.name == slider.mirror), None)
@@ -171,7 +171,7 @@ def _check_curves(slider: Slider) -> None:
 
 
 def clamped_value(slider: Slider) -> float:
-    """What a slider is set to, its default where nothing is authored, within its range.
+    """The value of a slider, its default where none is authored, within its range.
 
     :raises InputError: a value that is not finite
     """

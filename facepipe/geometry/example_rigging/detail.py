@@ -1,4 +1,4 @@
-"""What fields leave of the composites, dealt out to the shapes point by point and triangle by triangle.
+"""Residuals of the composites after gains and turns, divided among the shapes by point and by triangle.
 
 Each composite's rest is a weighted sum of what its shapes lack. Of all such sums the most probable one is taken, given
 how much each shape may lack here: a share of its template's motion, and of the slope of that motion, at this place. So

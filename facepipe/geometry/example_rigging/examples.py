@@ -1,4 +1,4 @@
-"""What a split starts from, checked: the neutral, the templates, and scanned composites with their weights."""
+"""The input of a split, checked: the neutral, the templates, and scanned composites with their weights."""
 
 from __future__ import annotations
 

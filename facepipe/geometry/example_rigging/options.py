@@ -9,7 +9,7 @@ from facepipe.declare import check_ranges, option
 
 @dataclass(frozen=True, kw_only=True)
 class SplitOptions:
-    """How far shapes may go from their templates, and how far the scans and their weights are trusted.
+    """Limits of how far shapes leave their templates, and the expected errors of scans and weights.
 
     Spreads are standard deviations of what people and scans are expected to do. Lengths are in the unit of the points,
     millimetres: a face scaled needs them scaled alike.

@@ -172,7 +172,7 @@ def _warnings(
 
 @dataclass(frozen=True, kw_only=True)
 class RankReport:
-    """What the weights alone leave open, whatever the scans show."""
+    """The ambiguity of the weights alone, whatever the scans show."""
 
     rank: int  # of the weights
     excited: int  # shapes that some composite holds
@@ -196,7 +196,7 @@ def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> 
 
 
 def rank_report(examples: Examples, sample: IntArray) -> RankReport:
-    """What weights leave open at sampled points: the null space of the weights of the shapes that move there."""
+    """The ambiguity of weights at sampled points: the null space of the weights of the shapes that move there."""
     motion = np.linalg.norm(examples.templates[:, sample], axis=2).T  # (s, e)
     moves = (motion > _MOVES * motion.max(axis=0)) & examples.weights.any(axis=0)
     energy = np.where(moves, motion**2 * examples.areas[sample, None], 0.0)

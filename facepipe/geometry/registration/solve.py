@@ -80,7 +80,7 @@ def register_together(
 
 
 class _State:
-    """Where a registration is."""
+    """The state of a registration between steps."""
 
     def __init__(self, surface: DeformableSurface, views: Sequence[View], options: RegistrationOptions) -> None:
         self._surface, self._options = surface, options

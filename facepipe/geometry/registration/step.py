@@ -47,7 +47,7 @@ class Pull:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What a step found."""
+    """The result of a step."""
 
     coefficients: FloatArray  # (k,)
     residual: FloatArray  # (n, 3)

@@ -40,7 +40,7 @@ class DeformableSurface:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """What a scan shows besides the surface, such as an expression: modes with weights of a Gaussian prior."""
+    """Motion that a scan shows besides the surface, such as an expression: modes with weights of a Gaussian prior."""
 
     modes: FloatArray  # (k, n, 3)
     expected: FloatArray  # (k,)

@@ -1,4 +1,4 @@
-"""A scan to fit to: the nearest places that can be what a point of the face shows, and why others can't."""
+"""A scan to fit to: the nearest places that can correspond to points of the face."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _AS_IT_LIES = Similarity(rotation=np.eye(3), translation=np.zeros(3))
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """Where points of the face are on the scan."""
+    """Counterparts of the face's points on the scan."""
 
     places: FloatArray  # (m, 3)
     normals: FloatArray  # (m, 3) of the scan there

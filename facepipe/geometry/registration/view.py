@@ -52,7 +52,7 @@ class Registered:
 
 @dataclass(frozen=True, kw_only=True)
 class Demand:
-    """How far matches may be, and what the points count."""
+    """Limits of matches in one step, and the areas that count."""
 
     reach: float  # mm
     huber: float  # mm
@@ -61,7 +61,7 @@ class Demand:
 
 
 class ViewState:
-    """Where a scan is between steps."""
+    """The state of one scan between steps."""
 
     def __init__(self, view: View, surface: DeformableSurface, around: Any, options: RegistrationOptions) -> None:
         self._scan, self._options, self._sigmas, self._name = view.scan, options, view.sigmas, view.name
@@ -108,7 +108,7 @@ class ViewState:
     def registered(
         self, surface: DeformableSurface, coefficients: FloatArray, residual: FloatArray, steps: int
     ) -> Registered:
-        """How the face lies on the scan in the end."""
+        """The face on the scan after the last step."""
         points, seen = self.points(surface.points(coefficients, residual)), surface.seen
         matches = self._matches(surface, points, self._options.reach_mm)
         matched, distances = np.zeros(len(points), bool), np.full(len(points), np.nan)
