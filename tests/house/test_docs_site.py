@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import facepipe_gltf
 import facepipe_onnx
 import pytest
+from pages import blocks
 from places import REPOSITORY
 
 import facepipe
@@ -18,6 +20,8 @@ from facepipe.api import names
 
 DOCS = REPOSITORY / "docs"
 SITE = (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8")
+ROOMS = ("benchmarks", "docs", "exporters", "facepipe", "samples", "schemas", "tests", "training")
+PAGES = [path for pattern in ("*.md", "docs/*.md", "*/README.md") for path in sorted(REPOSITORY.glob(pattern))]
 PYTHON = sorted(DOCS.glob("python*.md"))
 ENTRIES = {entry for page in PYTHON for entry in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE)}
 
@@ -37,6 +41,20 @@ def test_what_has_an_entry_is_there_and_described(entry: str) -> None:
     module, _, name = entry.rpartition(".")
     thing: Any = getattr(importlib.import_module(module), name)
     assert thing.__doc__, "no docstring"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
+def test_what_a_page_names_is_there(page: Path) -> None:
+    """Files and folders of the repository, and modules and names that its Python imports."""
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(rf"`((?:{'|'.join(ROOMS)})/[\w./-]+)`", text)
+    assert [name for name in named if "scale_shapes" not in name and not (REPOSITORY / name).exists()] == []
+    for line in ast.walk(ast.parse("".join(blocks(text, "python")))):
+        if isinstance(line, ast.ImportFrom) and str(line.module).startswith("facepipe"):
+            if "facepipe.learn" in str(line.module):
+                pytest.importorskip("torch")
+            module = importlib.import_module(str(line.module))
+            assert [name.name for name in line.names if not hasattr(module, name.name)] == []
 
 
 def test_every_page_is_in_the_navigation_once() -> None:
