@@ -20,7 +20,7 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoTermOptions:
-    """Steps, weights of the terms of the joint loss ([0166]) but for the landmarks, and what is likely.
+    """Steps, weights of the terms of the joint loss ([0166]) but for the landmarks, and how likely values are.
 
     A weight of 0 switches a term off; networks whose terms are off are not run.
 
@@ -28,10 +28,8 @@ class PhotoTermOptions:
     """
 
     iterations: int = option(200, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
-    loss_threshold: float = option(0.0, "stop where the joint loss is below it", 0.0, 1e9)
-    optimiser: Optimiser = option(
-        "adam", "adam, or the plain descent of the document", choices=("adam", "gradient-descent")
-    )
+    loss_threshold: float = option(0.0, "stop once the joint loss is below this", 0.0, 1e9)
+    optimiser: Optimiser = option("adam", "adam, or plain gradient descent", choices=("adam", "gradient-descent"))
     rate: float = option(0.04, "size of a step, of a slider's range (adam), or per slope (plain)", 1e-9, 1e3)
     size: int = option(256, "pixels a side that image terms see of the head", 64, 1024)
     color: float = option(60.0, "weight of the colours of the pixels", 0.0, 1e6)
@@ -40,11 +38,13 @@ class PhotoTermOptions:
     attributes: float = option(0.0, "weight of the attributes", 0.0, 1e6)
     sparsity: float = option(0.043, "weight of the sliders' distance from their defaults", 0.0, 1e6)
     expression_sparsity: float = option(0.1, "weight of the expressions", 0.0, 1e6)
-    hue: float = option(10.0, "weight of another hue of the key light than around it", 0.0, 1e6)
+    hue: float = option(10.0, "weight of the difference in hue between the key light and the light around it", 0.0, 1e6)
     landmark_sigma: float = option(
-        0.02, "how far landmarks are off, of the distance of the outer eye corners", 1e-4, 1.0
+        0.02, "expected landmark error, as a share of the distance of the outer eye corners", 1e-4, 1.0
     )
-    focal_sigma: float = option(0.35, "how far the focal length may be from a portrait lens, as a logarithm", 1e-3, 10)
+    focal_sigma: float = option(
+        0.35, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
+    )
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -18,11 +18,11 @@ class StartOptions:
     :raises InputError: a number out of range
     """
 
-    people: int = option(100_000, "random people whose landmarks are learnt from first", 0, 100_000_000)
+    people: int = option(100_000, "random people to learn from first, by their landmarks alone", 0, 100_000_000)
     renders: int = option(2000, "random renders of FACE with known parameters", 0, 200_000)
-    epochs: int = option(4, "times that these are learnt from", 0, 1000)
-    steps: int = option(400, f"of the joint loss after that, with {JOINT_BATCH} pictures each", 0, 1_000_000)
-    seed: int = option(0, "of people, first weights and order", 0, 2**31 - 1)
+    epochs: int = option(4, "passes over these renders", 0, 1000)
+    steps: int = option(400, f"steps on the joint loss after that, with {JOINT_BATCH} pictures each", 0, 1_000_000)
+    seed: int = option(0, "seed of people, initial weights and order", 0, 2**31 - 1)
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -23,8 +23,7 @@ from torch import Tensor
 
 from facepipe.core.arrays import IntArray
 from facepipe.geometry.polygons import components
-from facepipe.learn.rasterise import Raster, corner_areas, expand, usable
-from facepipe.learn.rows import take
+from facepipe.learn.rasterise import Raster, corner_areas, expand, take, usable
 
 
 @dataclass(frozen=True, kw_only=True)

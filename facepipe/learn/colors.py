@@ -11,8 +11,7 @@ from torch import Tensor
 
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
-from facepipe.learn.rasterise import Raster, interpolate
-from facepipe.learn.rows import take
+from facepipe.learn.rasterise import Raster, interpolate, take
 from facepipe.learn.surfaces import Surfaces
 from facepipe.parts import TextureInput
 

@@ -16,7 +16,16 @@ import torch
 from torch import Tensor
 
 from facepipe.learn.camera import NEAR
-from facepipe.learn.rows import take
+
+
+def take(table: Tensor, rows: Tensor) -> Tensor:
+    """(..., c) rows of a table (n, c).
+
+    `gather`, whose gradient is a `scatter_add`: on a CPU several times as fast as that of indexing.
+    """
+    columns = table.shape[1]
+    return table.gather(0, rows.reshape(-1, 1).expand(-1, columns)).reshape(*rows.shape, columns)
+
 
 ROWS_PER_CHUNK = 400_000
 FRAGMENTS_PER_CHUNK = 1_000_000

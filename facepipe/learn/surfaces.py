@@ -13,7 +13,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.polygons import triangulate
 from facepipe.learn.fixed_matrix import FixedMatrix
-from facepipe.learn.rows import take
+from facepipe.learn.rasterise import take
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 
 
