@@ -25,6 +25,8 @@ from facepipe.core.arrays import IntArray
 from facepipe.geometry.polygons import components
 from facepipe.learn.rasterise import Raster, corner_areas, expand, take, usable
 
+_ROUNDING = 1e-5  # of nearness; what is behind an edge is farther than this
+
 
 @dataclass(frozen=True, kw_only=True)
 class Intersections:
@@ -87,9 +89,6 @@ def _lead(points: Tensor, corners: Tensor, pixel: Tensor, width: int) -> Tensor:
     areas = corner_areas(x, y)
     nearness = (areas / places[..., 2]).sum(dim=-1) / areas.sum(dim=-1)
     return nearness[:, 0] - nearness[:, 1]
-
-
-_ROUNDING = 1e-5  # of nearness; what is behind an edge is farther than this
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,12 @@ from facepipe.learn.one_thread import one_thread
 from facepipe.learn.training_state import restore_state, restoring, state_of
 
 _DOUBTS = (0.003, 0.01, 0.03, 0.1, 0.3, 10.0)  # noise of reduced features, within -1..1: with the last, none counts
+BATCH = 64
+FIRST_RATE, LAST_RATE = 5e-4, 1e-6
+DECAY = 1.0  # of weights, a step and rate: the network bends no more than the frames ask for
+WARM = 100  # steps over which the rate rises
+CHECK_EVERY, KEEP_EVERY = 50, 100  # steps
+LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 resolves
 
 
 def last_layer(
@@ -56,13 +62,6 @@ def last_layer(
 def _rows(offsets: Tensor, features: Tensor, controls: Tensor) -> tuple[FloatArray, FloatArray]:
     pieces = [one.numpy().astype(np.float64).reshape(len(one), -1) for one in (offsets, features)]
     return np.concatenate(pieces, axis=1), controls.numpy().astype(np.float64)
-
-
-BATCH = 64
-FIRST_RATE, LAST_RATE = 5e-4, 1e-6
-DECAY = 1.0  # of weights, a step and rate: the network bends no more than the frames ask for
-WARM = 100  # steps over which the rate rises
-CHECK_EVERY, KEEP_EVERY = 50, 100  # steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +151,6 @@ class EncoderDescent:
 
 
 Array = npt.NDArray[Any]
-
-LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 resolves
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,9 @@ Weights = dict[str, Tensor]
 
 LAYER = ("attend", "attend_bias", "join", "join_bias", "widen", "widen_bias", "narrow", "narrow_bias")
 assert set(LAYER) == set(EncoderLayer.__dataclass_fields__)
+_POINT_UNITS, _FEATURES = 32, 8
+_FIXED = ("scale", "straight", "offset")
+_AT_ONCE = 256  # frames
 
 
 def reduced(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
@@ -54,11 +57,6 @@ def _attention(tokens: Tensor, layer: Weights, heads: int) -> Tensor:
     shares = torch.softmax(queries @ keys.transpose(-1, -2) / math.sqrt(width / heads), dim=-1)
     joined = (shares @ values).transpose(1, 2).reshape(batch, count, width)
     return joined @ layer["join"] + layer["join_bias"]
-
-
-_POINT_UNITS, _FEATURES = 32, 8
-_FIXED = ("scale", "straight", "offset")
-_AT_ONCE = 256  # frames
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ DARK = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 3.0)  # no lamp
 _FACING = 0.04  # what a surface of index of refraction 1.5 reflects of light that falls straight on
 _DIM = 1e-2  # linear light that has no hue worth the name
 _ALIKE = 0.25  # by which hues may differ: lamps and windows do
+KERNEL = (1.0, *(2 / 3,) * 3, *(1 / 4,) * 5)  # the cosine's share of each band, over pi (their equation 8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +59,6 @@ def hue_cost(light: Tensor, key: Tensor) -> Tensor:
     lamp, around = key[3:6].clamp(min=0), light[0].clamp(min=0)
     hues = [(one + _DIM) / (one.mean() + _DIM) for one in (lamp, around)]
     return (((hues[0] - hues[1]).abs() - _ALIKE).clamp(min=0) ** 2).sum() * (lamp.mean() / _DIM).clamp(max=1)
-
-
-KERNEL = (1.0, *(2 / 3,) * 3, *(1 / 4,) * 5)  # the cosine's share of each band, over pi (their equation 8)
 
 
 def basis(normals: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ FIRST_RATE, LAST_RATE = 1e-2, 1e-5
 CHECK_EVERY, KEEP_EVERY = 100, 500  # steps
 
 _ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
+RIDGE = 1e-9  # of the mean square of the features
 
 
 class Network:
@@ -186,8 +187,6 @@ class Descent:
 
 
 Array = npt.NDArray[Any]
-
-RIDGE = 1e-9  # of the mean square of the features
 
 
 @dataclass(frozen=True, kw_only=True)

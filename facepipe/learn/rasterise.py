@@ -17,6 +17,12 @@ from torch import Tensor
 
 from facepipe.learn.camera import NEAR
 
+ROWS_PER_CHUNK = 400_000
+FRAGMENTS_PER_CHUNK = 1_000_000
+FAR_OUT = 1e6  # pixels from the corner of the image beyond which positions lose their meaning
+_FLAT = 1e-12  # squared pixels; twice the area of a triangle without one
+_ID_MASK = 0xFFFFFFFF
+
 
 def take(table: Tensor, rows: Tensor) -> Tensor:
     """(..., c) rows of a table (n, c).
@@ -25,13 +31,6 @@ def take(table: Tensor, rows: Tensor) -> Tensor:
     """
     columns = table.shape[1]
     return table.gather(0, rows.reshape(-1, 1).expand(-1, columns)).reshape(*rows.shape, columns)
-
-
-ROWS_PER_CHUNK = 400_000
-FRAGMENTS_PER_CHUNK = 1_000_000
-FAR_OUT = 1e6  # pixels from the corner of the image beyond which positions lose their meaning
-_FLAT = 1e-12  # squared pixels; twice the area of a triangle without one
-_ID_MASK = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, kw_only=True)

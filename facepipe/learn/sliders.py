@@ -19,6 +19,8 @@ from facepipe.rig import CHANNELS, rest_coefficients
 from facepipe.rig.slider_network import check_network
 from facepipe.rig.sliders import channel_entries, response, shape_entries
 
+_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
@@ -62,9 +64,6 @@ class PiecewiseLinear:
             past = x.index_select(-1, self._bent) - self._at
             x = torch.cat([x, (past + past.abs()) / 2], dim=-1)
         return x @ self._matrix + self._constant
-
-
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 
 
 class DifferentiableNetwork:

@@ -21,6 +21,10 @@ from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.shade import Shader
 
+_FAINT = 1 / 250  # of a pixel's light: fainter fragments are not drawn
+_TOGETHER = 2.0  # pixels in depth between fragments that may belong to one sheet
+_AT_ONCE = 400  # triangles; what they hide of those after them is left out
+
 
 def hidden(screen: ScreenTriangles, nearness: Floats, samples: int, top: int) -> BoolArray:
     """(s,) whether all pixels that a triangle may cover in a band of rows show something nearer.
@@ -167,10 +171,6 @@ def _by_pixel_row(spans: Spans, samples: int) -> tuple[IntArray, IntArray, IntAr
 
 
 Floats = npt.NDArray[np.float32]
-
-_FAINT = 1 / 250  # of a pixel's light: fainter fragments are not drawn
-_TOGETHER = 2.0  # pixels in depth between fragments that may belong to one sheet
-_AT_ONCE = 400  # triangles; what they hide of those after them is left out
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 PAPER = (250, 250, 251)
+INK = (38, 40, 46)
 
 
 def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
@@ -46,9 +47,6 @@ def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
             anchor="mm",
         )
     return sheet
-
-
-INK = (38, 40, 46)
 
 
 def font(pixels: float) -> FreeTypeFont | ImageFont:

@@ -23,6 +23,7 @@ from facepipe.learn.features.signatures import Features, Heads, check_features, 
 Chosen = tuple[str | int, ...]
 
 _FLOAT = 1  # TensorProto.FLOAT
+_GREY = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,9 +140,6 @@ def _name(path: Path, names: Sequence[str], chosen: str | int) -> str:
     if path.suffix.lower() == ".pt2" and chosen not in names:
         raise InputError(path, f"output {chosen!r}, expected one of {', '.join(names)[:120]} or a position")
     return chosen
-
-
-_GREY = 0.5
 
 
 class Extractor(nn.Module):  # type: ignore[misc]

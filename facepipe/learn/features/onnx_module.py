@@ -19,6 +19,8 @@ from facepipe.learn.features.operators import OPERATORS
 
 MOST = 1 << 29  # numbers that all nodes together make of one picture
 _SMALL = 1000
+_RUN_ERRORS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+_TENSOR, _PLAIN = 4, {1, 2, 3, 6, 7, 8}  # AttributeProto.TENSOR; FLOAT, INT, STRING and lists of them
 
 
 def check_sizes(steps: Sequence[tuple[Node, Operator]], values: Mapping[str, Tensor], pictures: int) -> None:
@@ -68,10 +70,6 @@ def _kept(value: Tensor) -> Tensor:
 
 def _meta(value: Tensor | None) -> Tensor | None:
     return None if value is None else value.to("meta")
-
-
-_RUN_ERRORS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
-_TENSOR, _PLAIN = 4, {1, 2, 3, 6, 7, 8}  # AttributeProto.TENSOR; FLOAT, INT, STRING and lists of them
 
 
 class OnnxModule(nn.Module):  # type: ignore[misc]

@@ -14,6 +14,7 @@ from facepipe.learn.features.description import Description, Kind
 from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 
 Features: TypeAlias = Tensor | tuple[Tensor, ...]
+_SLACK = 1e-3  # of probabilities at their bounds and in their sum
 
 
 class Heads(nn.Module):  # type: ignore[misc]
@@ -57,9 +58,6 @@ def _classes(channels: int, named: Sequence[str]) -> Tensor | None:
         expected = f"{len(labels)} as its labels say" if labels else f"{len(CLASSES)}, or labels that name each class"
         raise InputError("content", f"last output of {channels} channels, expected {expected}")
     return None if tuple(labels) == CLASSES else torch.as_tensor(class_matrix(labels), dtype=torch.float32)
-
-
-_SLACK = 1e-3  # of probabilities at their bounds and in their sum
 
 
 def check_input(path: Path, shape: Sequence[int | None], asked: int | None, usual: int) -> int:

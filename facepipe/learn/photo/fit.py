@@ -30,6 +30,7 @@ from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
+_PRIOR = 68.0  # stage one sums over landmarks what stage two takes the mean of
 
 
 def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
@@ -83,9 +84,6 @@ def _lamp(key: FloatArray) -> FloatArray:
 def _color(factor: torch.Tensor) -> tuple[float, float, float]:
     red, green, blue = map(float, factor)
     return red, green, blue
-
-
-_PRIOR = 68.0  # stage one sums over landmarks what stage two takes the mean of
 
 
 def fit_photos(

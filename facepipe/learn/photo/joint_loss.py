@@ -35,6 +35,9 @@ from facepipe.photo_options import PhotoFitOptions
 SPREAD = (0.03, 0.03, 0.04, 0.20)  # sRGB by which each band is off where a fit is good, finest first; last the rest
 _MOST = 4.0  # what a pixel counts at most: hair over a brow, clothes and shadows say nothing about a face
 _USUAL = 0.35  # median of the differences in spreads that a good face has before it is fitted to pixels
+FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
+IMAGE = ("color", *FEATURES)
+_CORNER = 1e-3  # of a range, below which L1 norms are smooth
 
 
 def color_loss(image: Tensor, photo: Tensor, coverage: Tensor, spread: Sequence[float] = SPREAD) -> Tensor:
@@ -151,11 +154,6 @@ def _single(features: Features) -> Tensor:
 
 
 _TERMS = {"content": content, "identity": identity, "attributes": attributes}
-
-
-FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
-IMAGE = ("color", *FEATURES)
-_CORNER = 1e-3  # of a range, below which L1 norms are smooth
 
 
 class JointLoss:

@@ -25,6 +25,13 @@ OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, hi
 _RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3, 1e-6)  # keeps harmonics that few normals show small
 _DOUBT = 2e-4  # of all the light, with which a material keeps its own colour among the others
 _LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
+_CANDIDATES = 96
+_BEHIND = -0.2  # cosine to the view below which a lamp hardly lights what the photo shows
+_RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each of eight more
+_SAMPLES = 4000  # pixels
+_OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
+_SHINE = (0.1, 2.0)  # of a lamp to begin with
+_COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
 
 
 def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -81,15 +88,6 @@ def _tint(tint: Tensor, lit: Tensor, seen: Tensor, material: Tensor, count: int)
     above, below = (lit.new_zeros((count, 3)).index_add_(0, material, trust * lit * each) for each in (seen, lit))
     ratio, doubt = above.sum(dim=0) / below.sum(dim=0).clamp(min=1e-9), _DOUBT * below.sum(dim=0)
     return ((above + doubt * ratio) / (below + doubt).clamp(min=1e-9)).clamp(_LEAST, _LARGEST)
-
-
-_CANDIDATES = 96
-_BEHIND = -0.2  # cosine to the view below which a lamp hardly lights what the photo shows
-_RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each of eight more
-_SAMPLES = 4000  # pixels
-_OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
-_SHINE = (0.1, 2.0)  # of a lamp to begin with
-_COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
 
 
 @dataclass(frozen=True)

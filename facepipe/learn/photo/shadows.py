@@ -24,6 +24,7 @@ DIRECTIONS = 96
 RESOLUTION = 224  # pixels a side of the view from each direction
 _FAR = 30.0  # sizes of the face that a view is taken from: nearly parallel rays
 _SLACK = 0.008  # of that size, by which something must be nearer to shade a point
+_SHARP = 448  # pixels a side of a lamp's view
 
 
 def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directions: int = DIRECTIONS) -> Tensor:
@@ -90,9 +91,6 @@ def _perpendicular(direction: Tensor) -> tuple[Tensor, Tensor]:
     right = torch.linalg.cross(least, direction)
     right = right / right.norm()
     return right, torch.linalg.cross(right, direction)
-
-
-_SHARP = 448  # pixels a side of a lamp's view
 
 
 @dataclass(frozen=True, kw_only=True)

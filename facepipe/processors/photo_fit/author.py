@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit.photo_file import Photo
 
 _SHOWN = 4  # names of a list
+_MARGIN = 10.0  # the clipping range is so many times wider than the face, each way
+_LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the camera
 
 
 def check_fit(face: Face, fit: PhotoFit, photos: Sequence[Photo]) -> None:
@@ -103,10 +105,6 @@ def mixed_sliders(sliders: Sequence[Slider], views: Sequence[FittedView]) -> tup
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" ... ({len(names)} in all)" if len(names) > _SHOWN else "") or "none"
-
-
-_MARGIN = 10.0  # the clipping range is so many times wider than the face, each way
-_LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the camera
 
 
 def camera_to_world(camera: FittedCamera) -> FloatArray:

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 
 BACKDROP = 0.5  # sRGB, seen through transparent pixels
 _GREY = 2 / 255  # a picture whose channels differ by no more than that has no colour
+LARGEST = 2048  # pixels a side: a face that fills an eighth of the picture still has 256
+SMALLEST = 64  # pixels a side: a smaller picture shows no face worth fitting
+_MOST_BYTES = 1 << 28
+_ORIENTATION = 0x0112  # the tag in EXIF
+_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "AVIF", "JPEG2000", "BMP", "GIF", "PPM", "TGA")
+_EXPECTED = "a picture (JPEG, PNG, WebP, TIFF, AVIF, JPEG 2000, BMP, GIF, PPM or TGA)"
 
 
 def expanded(image: Image, where: str) -> Image:
@@ -77,14 +83,6 @@ def _rgb(image: Image, notes: list[str]) -> Image:
     elif plain.mode == "CMYK":
         notes.append("is CMYK without a colour profile: colours are a guess")
     return plain.convert("RGB")
-
-
-LARGEST = 2048  # pixels a side: a face that fills an eighth of the picture still has 256
-SMALLEST = 64  # pixels a side: a smaller picture shows no face worth fitting
-_MOST_BYTES = 1 << 28
-_ORIENTATION = 0x0112  # the tag in EXIF
-_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "AVIF", "JPEG2000", "BMP", "GIF", "PPM", "TGA")
-_EXPECTED = "a picture (JPEG, PNG, WebP, TIFF, AVIF, JPEG 2000, BMP, GIF, PPM or TGA)"
 
 
 @dataclass(frozen=True, kw_only=True)

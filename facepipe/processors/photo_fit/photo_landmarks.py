@@ -32,6 +32,10 @@ from facepipe.processors.photo_fit.photo_file import Photo
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
+_MOST_BYTES = 1 << 24
+_LARGEST = 1e9
+_COUNTS = {"multipie68": (68,), "mediapipe478": (478,), "landmarks": (68, 468, 478)}  # the first that is there counts
+_KEYS = (*_COUNTS, "units", "image", "detector", "mediapipe_index_of_multipie68")
 
 
 def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = None) -> Landmarks68:
@@ -107,12 +111,6 @@ def _pixels(face: Any, photo: Photo, task_file: Path) -> FloatArray:
         raise InputError(task_file, f"finds {len(face)} landmarks, expected a model of {_MEDIAPIPE_COUNTS[-1]}")
     height, width = photo.pixels.shape[:2]
     return np.array([(point.x, point.y) for point in face], dtype=np.float64) * (width, height)
-
-
-_MOST_BYTES = 1 << 24
-_LARGEST = 1e9
-_COUNTS = {"multipie68": (68,), "mediapipe478": (478,), "landmarks": (68, 468, 478)}  # the first that is there counts
-_KEYS = (*_COUNTS, "units", "image", "detector", "mediapipe_index_of_multipie68")
 
 
 def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Landmarks68:

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit.photo_file import Photo
     from facepipe.processors.photo_fit.report import PhotoFitReport
 
+_OVERLAY = 1024  # pixels of an overlay's longer side
+_MARK = 1 / 120  # of the landmarks' larger extent, the radius of one
+_LEAST = 1.5  # pixels of that
+
 
 def report_sheet(
     parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo], *, seconds: float | None = None
@@ -98,11 +102,6 @@ def _tinted(material: Material, tint: tuple[float, float, float] | None) -> Mate
 
 def _product(color: tuple[float, float, float], tint: tuple[float, float, float]) -> tuple[float, float, float]:
     return color[0] * tint[0], color[1] * tint[1], color[2] * tint[2]
-
-
-_OVERLAY = 1024  # pixels of an overlay's longer side
-_MARK = 1 / 120  # of the landmarks' larger extent, the radius of one
-_LEAST = 1.5  # pixels of that
 
 
 def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:

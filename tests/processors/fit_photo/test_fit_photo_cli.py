@@ -369,7 +369,7 @@ BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
     "faces of others": (None, (*ONE, "--face", "0", "--face", "0"), "--face: 2 given, expected one, or 1"),
     "no sliders": (_face("sliders"), ("front.png", "bare.usdc", *ONE[2:]), "bare.usdc -> Face -> sliders: none"),
     "no landmarks": (_face("landmarks"), ("front.png", "bare.usdc", *ONE[2:]), "bare.usdc -> Face"),
-    "no such shape": (None, (*ONE, "--expression", "grin"), "head.usdc -> Face -> expression grin: unknown"),
+    "no such shape": (None, (*ONE, "--expression", "grin"), "head.usdc -> Face -> expression grin: no such shape"),
     "signature": (_wrong_signature, (*ONE, "--identity-model", "bad.onnx"), "bad.onnx"),
     "no model": (_save("bad.onnx", b"no model"), (*ONE, "--content-model", "bad.onnx"), "bad.onnx"),
     "iterations": (None, (*ONE, "--iterations", "-1"), "iterations: is -1, expected a number from 0"),

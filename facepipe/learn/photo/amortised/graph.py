@@ -28,6 +28,7 @@ _CONVENTIONS = {
     "pose": "rotation vector (3, radians) from facing the viewer, along the line of sight; middle of the head (2) and "
     "logarithm of its size in sides of the crop; logarithm of its distance in head heights",
 }
+FURTHER_OPERATORS = ("Conv",)  # beside those that every engine has for per-frame graphs
 
 
 def controls(subject: Subject) -> dict[str, Any]:
@@ -83,9 +84,6 @@ def _rounded(terms: dict[str, float]) -> dict[str, float]:
 def _short(value: float) -> float:
     """Six digits: what a stage keeps of a number, and it is the same on every machine."""
     return float(f"{value:.6g}")
-
-
-FURTHER_OPERATORS = ("Conv",)  # beside those that every engine has for per-frame graphs
 
 
 def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:

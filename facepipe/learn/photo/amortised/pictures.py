@@ -24,6 +24,7 @@ from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear
 
 _GAIN, _CAST, _SHADE, _NOISE = 0.2, 0.07, 0.25, 0.02  # standard deviations; all but noise of logarithms
 _CELLS = 4  # a side of the picture that shades
+HEAD = 160  # pixels a side, about, at which heads are seen
 
 
 def noisy_landmarks(picture: Picture, sigma: float, rng: np.random.Generator) -> FloatArray:
@@ -51,9 +52,6 @@ def varied(images: Tensor, rng: np.random.Generator) -> Tensor:
 
 def _float(values: FloatArray) -> Tensor:
     return torch.as_tensor(values, dtype=torch.float32)
-
-
-HEAD = 160  # pixels a side, about, at which heads are seen
 
 
 @dataclass(frozen=True, kw_only=True)

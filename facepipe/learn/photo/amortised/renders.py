@@ -29,6 +29,7 @@ TURN = np.radians((13.0, 20.0, 8.0))  # standard deviations of pitch, yaw and ro
 SHARE = (0.85, 1.15)  # of the side of the picture that a head with its neck has
 OFF = 0.1  # sides of the picture that a face is off its middle at most
 LENS_SPREAD = 0.4  # of the logarithm of the focal length
+DIM, BRIGHT = 0.12, 1.1  # white in the ambient light, and in a lamp's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +84,6 @@ def _poses(subject: Subject, space: PoseSpace, count: int, rng: np.random.Genera
     relative = np.concatenate([turn, place, np.log(share), log_focal - np.log(share)], axis=1)
     whole = CropSpace(space=space, crop=np.eye(2, 3), side=round(space.side), up_axis=subject.parts.up_axis)
     return np.asarray(whole.to_photo(torch.as_tensor(relative)).numpy())
-
-
-DIM, BRIGHT = 0.12, 1.1  # white in the ambient light, and in a lamp's
 
 
 class Portraits:

@@ -32,6 +32,10 @@ from facepipe.photo_options import PhotoFitOptions
 from facepipe.start_options import BATCH, JOINT_BATCH, LANDMARK_BATCH, StartOptions
 
 _RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
+_JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
+_CHECK = 25  # steps between two looks at the held-out pictures
+_NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
+HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
 
 
 class WarmUp:
@@ -115,11 +119,6 @@ class WarmUp:
         return varied(images, self._rng), marks, Taught.from_people(people, space)
 
 
-_JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
-_CHECK = 25  # steps between two looks at the held-out pictures
-_NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
-
-
 class NetworkDescent:
     """A network, and its best state by pictures that it does not learn from."""
 
@@ -195,9 +194,6 @@ class NetworkDescent:
 def row(found: Output, number: int) -> Output:
     """The guess for one of a batch, as a batch of one."""
     return Output(*(one[number : number + 1] for one in found))
-
-
-HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
 
 
 @dataclass(frozen=True, kw_only=True)
