@@ -103,24 +103,24 @@ def _grid(figures: Sequence[Markup], columns: int) -> Markup:
     return tag("div", *figures, class_="grid", style=style)
 
 
-def _of_photo(sheet: PhotoSheet, one: SheetPhoto) -> list[Markup]:
+def _of_photo(sheet: PhotoSheet, photo: SheetPhoto) -> list[Markup]:
     """The five pictures of a photo, with captions."""
-    height, width = one.photo.shape[:2]
+    height, width = photo.photo.shape[:2]
     whole = pictures.whole(width, height, SIZE)
-    marks = np.concatenate([one.targets, one.landmarks])
-    near = pictures.portrait(marks, one.screen[one.screen[:, 2] > NEAR, :2], width, height, SIZE)
+    marks = np.concatenate([photo.targets, photo.landmarks])
+    near = pictures.portrait(marks, photo.screen[photo.screen[:, 2] > NEAR, :2], width, height, SIZE)
     close = pictures.close_up(marks, width, height, SIZE)
-    photo = pictures.photo_picture(one.photo, whole)
+    image = pictures.photo_picture(photo.photo, whole)
     if near.side < FRAMED * max(width, height):
-        photo = pictures.framed(photo, whole, near)
-    landmarks = pictures.landmark_picture(one.photo, close, one.targets, one.landmarks)
-    error = f"{one.landmark_error:.2f} px, {one.landmark_error / one.eye_distance:.1%}"
+        image = pictures.framed(image, whole, near)
+    landmarks = pictures.landmark_picture(photo.photo, close, photo.targets, photo.landmarks)
+    error = f"{photo.landmark_error:.2f} px, {photo.landmark_error / photo.eye_distance:.1%}"
     return [
-        figure(photo, one.name, f"{width} x {height}"),
+        figure(image, photo.name, f"{width} x {height}"),
         figure(landmarks, joined(_mark(given=True), " given ", _mark(given=False), " fitted"), error),
-        figure(pictures.wireframe_picture(one.photo, near, sheet.parts, one.screen), "fitted mesh"),
-        figure(pictures.render_picture(one.render, one.photo, near, on_photo=False), "render, same camera"),
-        figure(pictures.render_picture(one.render, one.photo, near, on_photo=True), "render on the photo"),
+        figure(pictures.wireframe_picture(photo.photo, near, sheet.parts, photo.screen), "fitted mesh"),
+        figure(pictures.render_picture(photo.render, photo.photo, near, on_photo=False), "render, same camera"),
+        figure(pictures.render_picture(photo.render, photo.photo, near, on_photo=True), "render on the photo"),
     ]
 
 
@@ -204,18 +204,18 @@ def _check(sheet: PhotoSheet) -> None:
         raise InputError(f"{sheet.parts.name} -> sliders", f"no slider {unknown[0]!r}")
     require_finite(dict(sheet.sliders), "sliders")
     count = sum(len(mesh.points) for mesh in sheet.parts.meshes)
-    for one in sheet.photos:
-        require_finite(one, one.name)
-        if one.photo.ndim != 3 or one.photo.shape[2] != 3 or not one.photo.size:
-            raise InputError(f"{one.name} -> photo", f"shape {one.photo.shape}, expected (height, width, 3)")
-        if one.photo.min() < 0 or one.photo.max() > 1:
-            raise InputError(f"{one.name} -> photo", f"values up to {one.photo.max():g}, expected sRGB in 0..1")
-        if one.render.ndim != 3 or one.render.shape[2] != 4 or not one.render.size:
-            raise InputError(f"{one.name} -> render", f"shape {one.render.shape}, expected (height, width, 4)")
-        if one.screen.shape != (count, 3):
-            raise InputError(f"{one.name} -> screen", f"shape {one.screen.shape}, expected ({count}, 3)")
-        if one.targets.shape != one.landmarks.shape or one.targets.shape[1:] != (2,) or not len(one.targets):
-            shapes = f"{one.targets.shape} given and {one.landmarks.shape} fitted"
-            raise InputError(f"{one.name} -> landmarks", f"{shapes}, expected (l, 2) of both")
-        if one.eye_distance <= 0:
-            raise InputError(f"{one.name} -> eye distance", f"{one.eye_distance} pixels, expected more than 0")
+    for photo in sheet.photos:
+        require_finite(photo, photo.name)
+        if photo.photo.ndim != 3 or photo.photo.shape[2] != 3 or not photo.photo.size:
+            raise InputError(f"{photo.name} -> photo", f"shape {photo.photo.shape}, expected (height, width, 3)")
+        if photo.photo.min() < 0 or photo.photo.max() > 1:
+            raise InputError(f"{photo.name} -> photo", f"values up to {photo.photo.max():g}, expected sRGB in 0..1")
+        if photo.render.ndim != 3 or photo.render.shape[2] != 4 or not photo.render.size:
+            raise InputError(f"{photo.name} -> render", f"shape {photo.render.shape}, expected (height, width, 4)")
+        if photo.screen.shape != (count, 3):
+            raise InputError(f"{photo.name} -> screen", f"shape {photo.screen.shape}, expected ({count}, 3)")
+        if photo.targets.shape != photo.landmarks.shape or photo.targets.shape[1:] != (2,) or not len(photo.targets):
+            shapes = f"{photo.targets.shape} given and {photo.landmarks.shape} fitted"
+            raise InputError(f"{photo.name} -> landmarks", f"{shapes}, expected (l, 2) of both")
+        if photo.eye_distance <= 0:
+            raise InputError(f"{photo.name} -> eye distance", f"{photo.eye_distance} pixels, expected more than 0")

@@ -118,19 +118,19 @@ def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
     write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
 
 
-def render_image(one: SheetPhoto) -> Image.Image:
+def render_image(photo: SheetPhoto) -> Image.Image:
     """The face as the camera of the photo sees it, sRGB, transparent around it."""
-    cover = np.clip(one.render[..., 3:], 0, 1)
-    color = to_srgb(np.clip(one.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
+    cover = np.clip(photo.render[..., 3:], 0, 1)
+    color = to_srgb(np.clip(photo.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
     return Image.fromarray((np.concatenate([color * (cover > 0), cover], axis=2) * 255 + 0.5).astype(np.uint8))
 
 
-def overlay_image(one: SheetPhoto, sheet: PhotoSheet) -> Image.Image:
+def overlay_image(photo: SheetPhoto, sheet: PhotoSheet) -> Image.Image:
     """The photo, darker, with the edges of the fitted face, its landmarks, and those that it was given as rings."""
-    height, width = one.photo.shape[:2]
+    height, width = photo.photo.shape[:2]
     crop = pictures.whole(width, height, _OVERLAY)
-    image = pictures.wireframe_picture(one.photo, crop, sheet.parts, one.screen)
-    given, fitted = crop.place(one.targets), crop.place(one.landmarks)
+    image = pictures.wireframe_picture(photo.photo, crop, sheet.parts, photo.screen)
+    given, fitted = crop.place(photo.targets), crop.place(photo.landmarks)
     radius = max(_LEAST, _MARK * float(np.ptp(given, axis=0).max()))
     pictures.given_mark(image, given, radius)
     pictures.fitted_mark(image, fitted, radius)
