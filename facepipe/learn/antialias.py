@@ -70,13 +70,13 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
 def _borders(shown: Tensor, parts: Tensor, raster: Raster) -> tuple[Tensor, Tensor, Tensor]:
     """Neighbouring pixels that show different parts, and the number of each pair."""
     part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
-    found = []
+    pairs = []
     for dim, step in ((1, 1), (0, raster.width)):
         one, other = (part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim])))
         row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
         first = row * raster.width + column
-        found.append(torch.stack([first, first + step, 2 * first + dim]))
-    first, second, pair = torch.cat(found, dim=1)
+        pairs.append(torch.stack([first, first + step, 2 * first + dim]))
+    first, second, pair = torch.cat(pairs, dim=1)
     return first, second, pair
 
 
@@ -184,17 +184,17 @@ def _sides(u: Tensor, v: Tensor, nearness: Tensor) -> tuple[Tensor, Tensor]:
     return inward[:, 0], (change / inward.abs()).amin(dim=1)
 
 
-def _visible(found: Crossings, points: Tensor, raster: Raster) -> Crossings:
+def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:
     """Those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
     one that reaches farthest: all of them together cover that much."""
-    inner, outer = raster.nearness[found.inside], raster.nearness[found.outside]
-    seen = (outer < found.nearness * (1 - _ROUNDING)) & (inner > outer) & (inner >= found.floor)
-    found = found.select(seen)
-    order = torch.arange(len(found.pair), device=found.pair.device)
-    reach = found.reach(points).clamp(min=0).to(torch.float32)
+    inner, outer = raster.nearness[crossings.inside], raster.nearness[crossings.outside]
+    seen = (outer < crossings.nearness * (1 - _ROUNDING)) & (inner > outer) & (inner >= crossings.floor)
+    crossings = crossings.select(seen)
+    order = torch.arange(len(crossings.pair), device=crossings.pair.device)
+    reach = crossings.reach(points).clamp(min=0).to(torch.float32)
     keys = (reach.view(torch.int32).long() << 32) | order
-    best = keys.new_zeros(2 * raster.height * raster.width).scatter_reduce_(0, found.pair, keys, "amax")
-    return found.select(best[found.pair] == keys)
+    best = keys.new_zeros(2 * raster.height * raster.width).scatter_reduce_(0, crossings.pair, keys, "amax")
+    return crossings.select(best[crossings.pair] == keys)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,12 +88,12 @@ def denoised(inputs: Tensor, deviations: Tensor, strength: float, random: torch.
     """
     if strength <= 0.0:
         return inputs
-    found = inputs + strength * torch.randn(inputs.shape, generator=random, dtype=inputs.dtype)
+    noisy = inputs + strength * torch.randn(inputs.shape, generator=random, dtype=inputs.dtype)
     levels = [strength * (1.0 - level / LEVELS) for level in range(LEVELS + 1)]
     for now, then in itertools.pairwise(levels):
-        mean = found * deviations**2 / (deviations**2 + now**2)
-        found = mean + (then / now) * (found - mean)
-    return found
+        mean = noisy * deviations**2 / (deviations**2 + now**2)
+        noisy = mean + (then / now) * (noisy - mean)
+    return noisy
 
 
 def _layers(inputs: int, width: int, outputs: int) -> nn.Sequential:

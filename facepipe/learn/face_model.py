@@ -85,13 +85,13 @@ class FaceModel:
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
         shadow = None if look.shadow is None else interpolate(look.shadow, triangles, raster, weights)
         normals = normalize(normals, dim=1)
-        lit, own = shade(normals, look.light, shadow), self.colors(raster, weights, look.tint, look.textures)
-        color = lit * own
+        lit, albedo = shade(normals, look.light, shadow), self.colors(raster, weights, look.tint, look.textures)
+        color = lit * albedo
         if look.key is not None:
             towards_eye = normalize(-interpolate(local, triangles, raster, weights), dim=1)
             arriving = interpolate(look.key.arriving[:, None], triangles, raster, weights)[:, 0]
             matt, mirrored = look.key.shade(normals, towards_eye, arriving)
-            color = color + matt * own + mirrored
+            color = color + matt * albedo + mirrored
         values = torch.cat([color, torch.ones_like(color[:, :1])], dim=1)
         background = torch.cat([look.background, torch.zeros_like(look.background[..., :1])], dim=-1)
         return antialias(raster.paint(values, background), screen, self.outline, raster)

@@ -96,13 +96,13 @@ class DifferentiableNetwork:
 
     def __call__(self, values: Tensor) -> Tensor:
         """(..., 9 j + shapes)."""
-        found = values.index_select(-1, self._inputs)
+        units = values.index_select(-1, self._inputs)
         for number, (weight, bias) in enumerate(self._layers):
             if number:
-                found = self._activation(found)
-            found = found @ weight.T + bias
-        full = found.new_zeros(*found.shape[:-1], self._outputs)
-        return full.index_copy(-1, self._columns, found)
+                units = self._activation(units)
+            units = units @ weight.T + bias
+        full = units.new_zeros(*units.shape[:-1], self._outputs)
+        return full.index_copy(-1, self._columns, units)
 
 
 class DifferentiableSliders:

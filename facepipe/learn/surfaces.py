@@ -72,11 +72,11 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
     first = 0
     for mesh in parts.meshes:
         corners, faces = triangulate(mesh.face_vertex_counts)
-        own = _materials(mesh, number)[faces]
-        opaque = np.array([material.opacity == 1.0 for material in materials])[own]
-        corners, own = corners[opaque], own[opaque]
+        chosen = _materials(mesh, number)[faces]
+        opaque = np.array([material.opacity == 1.0 for material in materials])[chosen]
+        corners, chosen = corners[opaque], chosen[opaque]
         points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
-        pieces.append((points + first, own, _uv_rows(mesh, corners, points, materials, own, uv)))
+        pieces.append((points + first, chosen, _uv_rows(mesh, corners, points, materials, chosen, uv)))
         first += len(mesh.points)
     pieces.append((np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64)))
     triangles, of_triangle, uv_corners = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -97,12 +97,12 @@ def _materials(mesh: Mesh, number: dict[str, int]) -> IntArray:
     """(faces,) material of each face."""
     bound = [(mesh.material or "", np.arange(len(mesh.face_vertex_counts)))]
     bound += [(one.material, np.asarray(one.faces, dtype=np.int64)) for one in mesh.material_faces]
-    own = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
+    materials = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
     for name, faces in bound:
         if name not in number:
             raise TopologyError(mesh.name, f"material '{name}' is not among the face's materials")
-        own[faces] = number[name]
-    return own
+        materials[faces] = number[name]
+    return materials
 
 
 def _uv_rows(
@@ -110,14 +110,14 @@ def _uv_rows(
     corners: IntArray,
     points: IntArray,
     materials: tuple[Material, ...],
-    own: IntArray,
+    materials_used: IntArray,
     table: list[FloatArray],
 ) -> IntArray:
     """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
     rows = np.zeros(corners.shape, dtype=np.int64)
     for uv_set in mesh.uv_sets:
         used = [i for i, one in enumerate(materials) if _reads(one, uv_set.name)]
-        chosen = np.isin(own, used)
+        chosen = np.isin(materials_used, used)
         within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
         rows[chosen] = within[chosen] + sum(map(len, table))
         table.append(np.asarray(uv_set.values, dtype=np.float64))

@@ -25,12 +25,12 @@ def state_of(
 
     :param optimiser: Adam or AdamW, one step or more on its way
     """
-    found: dict[str, Array] = {"random": random.get_state().numpy().astype(np.int32)}
+    state: dict[str, Array] = {"random": random.get_state().numpy().astype(np.int32)}
     for number, (one, best) in enumerate(zip(parameters, kept, strict=True)):
-        found |= {f"now.{number}": one.detach().cpu().numpy().copy(), f"best.{number}": best.cpu().numpy()}
+        state |= {f"now.{number}": one.detach().cpu().numpy().copy(), f"best.{number}": best.cpu().numpy()}
         own = optimiser.state[one]
-        found |= {f"{name}.{number}": own[name].cpu().numpy().copy() for name in _MOMENTS}
-    return found
+        state |= {f"{name}.{number}": own[name].cpu().numpy().copy() for name in _MOMENTS}
+    return state
 
 
 @contextmanager
@@ -58,11 +58,13 @@ def restore_state(
     :raises KeyError, RuntimeError, ValueError: the state of another network
     """
     kept = []
-    for number, one in enumerate(parameters):
+    for number, parameter in enumerate(parameters):
         with torch.no_grad():
-            one.copy_(torch.tensor(state[f"now.{number}"]).reshape(one.shape))
-        kept.append(torch.tensor(state[f"best.{number}"]).to(one).reshape(one.shape))
-        moments = {name: torch.tensor(state[f"{name}.{number}"]).to(one).reshape(one.shape) for name in _MOMENTS}
-        optimiser.state[one] = {"step": torch.tensor(steps, dtype=torch.float32), **moments}
+            parameter.copy_(torch.tensor(state[f"now.{number}"]).reshape(parameter.shape))
+        kept.append(torch.tensor(state[f"best.{number}"]).to(parameter).reshape(parameter.shape))
+        moments = {
+            name: torch.tensor(state[f"{name}.{number}"]).to(parameter).reshape(parameter.shape) for name in _MOMENTS
+        }
+        optimiser.state[parameter] = {"step": torch.tensor(steps, dtype=torch.float32), **moments}
     random.set_state(torch.as_tensor(np.asarray(state["random"]).astype(np.uint8)))
     return kept

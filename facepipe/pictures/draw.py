@@ -130,14 +130,14 @@ def _plain(
 def _edges(triangles: IntArray, pixel: IntArray, width: int, samples: int) -> Spots:
     """A spot for each triangle of pixels that show (p, s) several: in the middle of the samples that it covers."""
     which, sample = np.nonzero(triangles >= 0)
-    found = triangles[which, sample].astype(np.int64)
-    several = int(found.max(initial=0)) + 1
-    code, spot, count = np.unique(which * several + found, return_inverse=True, return_counts=True)
-    which, found = np.divmod(code, several)
+    shown = triangles[which, sample].astype(np.int64)
+    several = int(shown.max(initial=0)) + 1
+    code, spot, count = np.unique(which * several + shown, return_inverse=True, return_counts=True)
+    which, shown = np.divmod(code, several)
     down, right = np.divmod(sample, samples)
     row, column = np.divmod(pixel[which], width)
     x, y = (np.bincount(spot, (step + 0.5) / samples, len(code)) / np.maximum(count, 1) for step in (right, down))
-    return Spots(pixel=pixel[which], triangle=found, x=column + x, y=row + y, share=count / samples**2)
+    return Spots(pixel=pixel[which], triangle=shown, x=column + x, y=row + y, share=count / samples**2)
 
 
 def _paint(picture: npt.NDArray[np.float32], shader: Shader, spots: Spots, size: int, mm: float) -> None:

@@ -213,7 +213,7 @@ def layers(
     inside = np.flatnonzero((screen.y[2] > rows[0]) & (screen.y[0] < rows[1]))
     nearest, top, width = solid.nearness, rows[0] // samples, solid.key.shape[1] // samples
     behind = least(nearest, samples) if len(inside) else nearest
-    found: list[tuple[Fragments, Floats]] = []
+    parts: list[tuple[Fragments, Floats]] = []
     for start in range(0, len(inside), _AT_ONCE):
         part = screen.take(inside[start : start + _AT_ONCE])
         part = part.take(np.flatnonzero(~hidden(part, behind, samples, top)))
@@ -221,65 +221,65 @@ def layers(
             every = fragments(part, spans, nearest, behind, samples, rows[0])
             opacity = shader.opacity(every.triangle, every.x, every.y)
             there = np.flatnonzero(opacity > _FAINT)
-            found.append((chosen(every, there), opacity[there]))
-            _hide(behind, *found[-1])
-    if not found:
+            parts.append((chosen(every, there), opacity[there]))
+            _hide(behind, *parts[-1])
+    if not parts:
         return None
-    several, opacities = zip(*found, strict=True)
+    several, opacities = zip(*parts, strict=True)
     return _stacked(shader, joined(several), np.concatenate(opacities), top * width)
 
 
-def _hide(behind: Floats, found: Fragments, opacity: Floats) -> None:
+def _hide(behind: Floats, fragments: Fragments, opacity: Floats) -> None:
     """Note in `behind` (rows, width) the nearness of fragments that let no light past them."""
-    at = np.flatnonzero((found.share == 1) & (opacity > 1 - _FAINT))
-    np.maximum.at(behind.reshape(-1), found.pixel[at], found.nearness[at])
+    at = np.flatnonzero((fragments.share == 1) & (opacity > 1 - _FAINT))
+    np.maximum.at(behind.reshape(-1), fragments.pixel[at], fragments.nearness[at])
 
 
-def _stacked(shader: Shader, found: Fragments, opacity: Floats, first: int) -> Layers:
+def _stacked(shader: Shader, fragments: Fragments, opacity: Floats, first: int) -> Layers:
     """Fragments in order, with what comes past those before them.
 
     :param first: number of the band's first pixel
     """
-    far = np.uint64(0xFFFFFFFF) - found.nearness.view(np.uint32).astype(np.uint64)
-    order = np.argsort((found.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
-    found, opacity = chosen(found, order), opacity[order]
-    sheet = _sheets(shader, found)
-    filled = np.maximum(np.bincount(sheet, found.share), 1.0)
-    solid = np.bincount(sheet, found.share * opacity) / filled
+    far = np.uint64(0xFFFFFFFF) - fragments.nearness.view(np.uint32).astype(np.uint64)
+    order = np.argsort((fragments.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
+    fragments, opacity = chosen(fragments, order), opacity[order]
+    sheet = _sheets(shader, fragments)
+    filled = np.maximum(np.bincount(sheet, fragments.share), 1.0)
+    solid = np.bincount(sheet, fragments.share * opacity) / filled
     clear = np.log(1 - np.minimum(solid, 0.9999))
     before = np.cumsum(clear) - clear
-    pixel = found.pixel[np.flatnonzero(np.diff(sheet, prepend=-1))]  # of each sheet
+    pixel = fragments.pixel[np.flatnonzero(np.diff(sheet, prepend=-1))]  # of each sheet
     veiled, start = np.unique(pixel, return_index=True)
     passing = np.exp(before - np.repeat(before[start], np.diff(np.append(start, len(pixel)))))
-    weight = (found.share * (passing / filled)[sheet]).astype(np.float32)
+    weight = (fragments.share * (passing / filled)[sheet]).astype(np.float32)
     at = np.flatnonzero(weight * opacity > _FAINT)
     return Layers(
-        pixel=found.pixel[at] + first,
-        triangle=found.triangle[at],
-        x=found.x[at],
-        y=found.y[at],
+        pixel=fragments.pixel[at] + first,
+        triangle=fragments.triangle[at],
+        x=fragments.x[at],
+        y=fragments.y[at],
         weight=weight[at],
         veiled=veiled + first,
         passed=np.exp(np.add.reduceat(clear, start)).astype(np.float32) if len(start) else np.zeros(0, np.float32),
     )
 
 
-def _sheets(shader: Shader, found: Fragments) -> IntArray:
+def _sheets(shader: Shader, fragments: Fragments) -> IntArray:
     """(f,) numbers of the sheets that fragments belong to, in the order of the fragments.
 
     A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once. What
     fills it alone is a sheet alone.
     """
-    surface = shader.scene.surface[found.triangle]
+    surface = shader.scene.surface[fragments.triangle]
     apart = np.ones(len(surface), bool)
-    near = found.nearness
-    apart[1:] = found.pixel[1:] != found.pixel[:-1]
+    near = fragments.nearness
+    apart[1:] = fragments.pixel[1:] != fragments.pixel[:-1]
     apart[1:] |= surface[1:] != surface[:-1]
     apart[1:] |= near[:-1] - near[1:] > _TOGETHER / shader.camera.focal * near[:-1]
-    alone = found.share == 1
+    alone = fragments.share == 1
     apart[1:] |= alone[1:] | alone[:-1]
     start = np.flatnonzero(apart)
-    middle = np.cumsum(found.share, dtype=np.float64) - found.share / 2
-    filled = np.floor(middle - (middle - found.share / 2)[start][np.cumsum(apart) - 1])
+    middle = np.cumsum(fragments.share, dtype=np.float64) - fragments.share / 2
+    filled = np.floor(middle - (middle - fragments.share / 2)[start][np.cumsum(apart) - 1])
     apart[1:] |= filled[1:] > filled[:-1]
     return np.cumsum(apart) - 1

@@ -66,11 +66,11 @@ class Materials:
 
     def textures(self, surfaces: IntArray) -> list[Texture]:
         """What some surfaces read of textures, each once; nothing by UV sets that their meshes lack."""
-        found: dict[Texture, None] = {}
+        textures: dict[Texture, None] = {}
         for number in surfaces:
             names = {uv_set.name for uv_set in self._scene.surfaces[number].mesh.uv_sets}
-            found |= {one.texture: None for one in _inputs(self._each[number]) if one.uv_set in names}
-        return list(found)
+            textures |= {one.texture: None for one in _inputs(self._each[number]) if one.uv_set in names}
+        return list(textures)
 
     def at(self, ids: IntArray, weights: Floats, normals: Floats, colors: Floats) -> Surfaces:
         """The surface at barycentrics (m, 3) in triangles `ids` (m,).
@@ -81,7 +81,7 @@ class Materials:
         kind = self._scene.surface[ids]
         table = self._table[kind]
         opacity = self.opacity(ids, weights)
-        found = Surfaces(
+        surfaces = Surfaces(
             base=table[:, 0:3] * np.where(self._colored[kind, None], colors, 1.0).astype(np.float32),
             emission=table[:, 3:6].copy(),
             metallic=table[:, 6].copy(),
@@ -99,10 +99,10 @@ class Materials:
         for number, material in enumerate(self._each):
             if _inputs(material):
                 at = np.flatnonzero(kind == number)
-                self._look_up(number, found, at, ids[at], weights[at])
-        metal = found.metallic[:, None]
-        found.mirror[:] += (found.base - found.mirror) * metal
-        return found
+                self._look_up(number, surfaces, at, ids[at], weights[at])
+        metal = surfaces.metallic[:, None]
+        surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
+        return surfaces
 
     def opacity(self, ids: IntArray, weights: Floats) -> Floats:
         """(m,) opacity alone."""
@@ -116,17 +116,17 @@ class Materials:
                     opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
         return opacity
 
-    def _look_up(self, number: int, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+    def _look_up(self, number: int, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
         """Overwrite what the textures of one surface say at the samples numbered `at`."""
         material = self._each[number]
         targets = {
-            "diffuse_color": found.base,
-            "emissive_color": found.emission,
-            "metallic": found.metallic[:, None],
-            "roughness": found.roughness[:, None],
-            "occlusion": found.occlusion[:, None],
-            "clearcoat": found.coat[:, None],
-            "clearcoat_roughness": found.coat_roughness[:, None],
+            "diffuse_color": surfaces.base,
+            "emissive_color": surfaces.emission,
+            "metallic": surfaces.metallic[:, None],
+            "roughness": surfaces.roughness[:, None],
+            "occlusion": surfaces.occlusion[:, None],
+            "clearcoat": surfaces.coat[:, None],
+            "clearcoat_roughness": surfaces.coat_roughness[:, None],
         }
         for name, target in targets.items():
             source = getattr(material, name)
@@ -134,12 +134,14 @@ class Materials:
             if read is not None:
                 target[at] = np.clip(read[0], 0.0, 1.0)
         if isinstance(material.opacity, TextureInput):
-            matt = np.minimum(found.roughness[at] / _MATT, 1)
-            found.presence[at] = np.maximum(found.opacity[at], (1 - matt) * np.minimum(found.opacity[at] / _CUT, 1))
-            found.gloss[at] = 1 - (1 - _STRANDS) * matt
-            found.through[at] = _THROUGH * matt
+            matt = np.minimum(surfaces.roughness[at] / _MATT, 1)
+            surfaces.presence[at] = np.maximum(
+                surfaces.opacity[at], (1 - matt) * np.minimum(surfaces.opacity[at] / _CUT, 1)
+            )
+            surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
+            surfaces.through[at] = _THROUGH * matt
         if material.normal is not None:
-            self._bend(_as_normals(material.normal), found, at, ids, weights)
+            self._bend(_as_normals(material.normal), surfaces, at, ids, weights)
 
     def _read(
         self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True, whole: bool = False
@@ -156,19 +158,19 @@ class Materials:
         footprint = layout.longest if whole else layout.footprint
         return self._scene.textures.sample(source, uv, footprint[ids], color=color)
 
-    def _bend(self, source: TextureInput, found: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+    def _bend(self, source: TextureInput, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
         """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
         read = self._read(source, ids, weights, color=False)
         if read is None:
             return
         texel, layout = read[0], self._layouts[source.uv_set]
-        outward = found.normals[at]
+        outward = surfaces.normals[at]
         bent = layout.along[ids] * texel[:, :1] + layout.across[ids] * texel[:, 1:2]
         bent += outward * (np.maximum(texel[:, 2], 0.05) - np.einsum("mc,mc->m", bent, outward))[:, None]
-        found.normals[at] = _unit(bent)
+        surfaces.normals[at] = _unit(bent)
         # Toksvig 2005: averaged normals are shorter, by as much as they vary.
         length = np.clip(np.sqrt(np.einsum("mc,mc->m", texel, texel)), 0.5, 1.0)
-        found.roughness[at] = np.minimum((found.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
+        surfaces.roughness[at] = np.minimum((surfaces.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
 
     @cached_property
     def _table(self) -> Floats:

@@ -97,7 +97,7 @@ def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
     """
     from PIL import Image
 
-    found = np.full((crop.size, crop.size, channels.shape[2]), np.nan)
+    resampled = np.full((crop.size, crop.size, channels.shape[2]), np.nan)
     low = np.clip((crop.left, crop.top), 0, size)
     high = np.clip((crop.left + crop.side, crop.top + crop.side), 0, size)
     (x0, y0), (x1, y1) = (np.rint(crop.place(each)).astype(int) for each in (low, high))
@@ -113,8 +113,8 @@ def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
         plane = Image.fromarray(np.ascontiguousarray(used[..., number], dtype=np.float32))
         resized = plane.resize((x1 - x0, y1 - y0), Image.Resampling.BICUBIC, box=box)
         part = np.asarray(resized)[: crop.size - y0, : crop.size - x0]
-        found[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1], number] = part
-    return found
+        resampled[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1], number] = part
+    return resampled
 
 
 def photo_picture(photo: FloatArray, crop: Crop) -> Image:

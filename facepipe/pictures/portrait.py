@@ -143,11 +143,11 @@ class _View:
 
     def reflection(self, box: Softbox, light: FloatArray) -> FloatArray:
         """(m, 3) what of a box's light (m, 3) is reflected to the viewer."""
-        found = np.zeros_like(light)
+        reflected = np.zeros_like(light)
         at = np.flatnonzero((light @ GREY > 0) & (self.normals @ box.axes[2] > -box.spread))
         if len(at):
-            found[at] = light[at] * self._lobe(box, at)
-        return found
+            reflected[at] = light[at] * self._lobe(box, at)
+        return reflected
 
     def _lobe(self, box: Softbox, at: IntArray) -> FloatArray:
         """(k, 3) share of a box's light that samples `at` (k,) reflect to the viewer."""

@@ -103,7 +103,7 @@ class Scene:
 
     def uv_corners(self, name: str) -> npt.NDArray[np.float32]:
         """(t, 3, 2) texture coordinates of a UV set at the triangles' corners; NaN where the mesh lacks it."""
-        found = np.full((len(self.triangles), 3, 2), np.nan, np.float32)
+        corners = np.full((len(self.triangles), 3, 2), np.nan, np.float32)
         for number, surface in enumerate(self.surfaces):
             uv_set = next((one for one in surface.mesh.uv_sets if one.name == name), None)
             of_surface = np.flatnonzero(self.surface == number)
@@ -112,8 +112,8 @@ class Scene:
             at = self.triangles[of_surface] - self.first_point[of_surface, None]
             if uv_set.indices is not None:
                 at = np.asarray(uv_set.indices, dtype=np.int64)[self.corners[of_surface]]
-            found[of_surface] = np.asarray(uv_set.values)[at]
-        return found
+            corners[of_surface] = np.asarray(uv_set.values)[at]
+        return corners
 
 
 def neutral_points(parts: FaceParts) -> FloatArray:

@@ -53,12 +53,12 @@ class TextureCache:
         table = _SRGB if source.channels == "rgb" and color else _DATA
         texels = (footprint * max(levels[0].shape[:2])).astype(np.float32)
         chosen = np.clip(np.round(np.log2(np.maximum(texels, 1e-6))), 0, len(levels) - 1).astype(np.int64)
-        found = np.empty((len(uv), part.stop - part.start), np.float32)
+        values = np.empty((len(uv), part.stop - part.start), np.float32)
         for number in np.flatnonzero(np.bincount(chosen)):
             at = np.flatnonzero(chosen == number)
-            found[at] = bilinear(levels[number][..., part], uv[at], source.wrap_s, source.wrap_t, table)
-        found = found * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
-        return found, texels
+            values[at] = bilinear(levels[number][..., part], uv[at], source.wrap_s, source.wrap_t, table)
+        values = values * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
+        return values, texels
 
 
 def _halved(pixels: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:

@@ -52,12 +52,12 @@ def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntAr
     facing = ahead & ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0)  # y points down
     seen = np.zeros(len(points), dtype=bool)
     seen[solid[facing]] = True
-    found: list[IntArray] = [np.zeros((0, 2), np.int64)]
+    meshes: list[IntArray] = [np.zeros((0, 2), np.int64)]
     start = 0
     for mesh in parts.meshes:
-        found.append(edges(mesh.face_vertex_counts, mesh.face_vertex_indices)[0] + start)
+        meshes.append(edges(mesh.face_vertex_counts, mesh.face_vertex_indices)[0] + start)
         start += len(mesh.points)
-    pairs = np.concatenate(found)
+    pairs = np.concatenate(meshes)
     return np.asarray(pairs[seen[pairs].all(axis=1)])
 
 

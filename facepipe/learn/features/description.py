@@ -103,16 +103,16 @@ def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> dic
         several = {} if one is None else {one: []}
     if not isinstance(several, Mapping) or not several:
         raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
-    found: dict[Kind, tuple[str | int, ...]] = {}
+    kinds: dict[Kind, tuple[str | int, ...]] = {}
     for kind, outputs in several.items():
         if kind not in KINDS:
             raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
         if not isinstance(outputs, list) or not all(type(one) in (str, int) for one in outputs):
             raise InputError(f"{where} -> kinds -> {kind}", "expected a list of output names or positions")
-        found[kind] = tuple(outputs)
-    if len(found) > 1 and not all(found.values()):
+        kinds[kind] = tuple(outputs)
+    if len(kinds) > 1 and not all(kinds.values()):
         raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
-    return found
+    return kinds
 
 
 def _size(where: object, value: object) -> int | None:

@@ -111,18 +111,18 @@ class _Chosen(nn.Module):  # type: ignore[misc]
 
     def forward(self, picture: Tensor) -> tuple[Tensor, ...]:
         try:
-            found = self._module(picture)
+            outputs = self._module(picture)
         except (RuntimeError, AssertionError, ValueError, TypeError) as error:
             lines = str(error).splitlines()
             raise InputError(self._path, f"can't work on a picture of {tuple(picture.shape)} ({lines[:1]})") from error
-        flat = _flat(found)
+        flat = _flat(outputs)
         return tuple(flat[place] for place in self._places)
 
 
-def _flat(found: Any) -> list[Tensor]:
-    if isinstance(found, Tensor):
-        return [found]
-    parts = found.values() if isinstance(found, dict) else found
+def _flat(given: Any) -> list[Tensor]:
+    if isinstance(given, Tensor):
+        return [given]
+    parts = given.values() if isinstance(given, dict) else given
     return [leaf for part in parts for leaf in _flat(part)]
 
 
@@ -216,10 +216,10 @@ def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None) -> Ex
     normal = Normalize(description)(grey)
     chosen = {one: _outputs(source, program, one, description, normal) for one in description.kinds}
     network = _ByPicture(program, tuple(name for names in chosen.values() for name in names))
-    found = network(normal)
-    if source.suffix.lower() == ".pt2" and not all(map(torch.equal, found, network(normal))):
+    outputs = network(normal)
+    if source.suffix.lower() == ".pt2" and not all(map(torch.equal, outputs, network(normal))):
         raise InputError(source, "other values for the same picture, expected a program exported in eval mode")
-    heads = _heads(source, description, found, chosen)
+    heads = _heads(source, description, outputs, chosen)
     return Extractor(network, heads, description, first, size)
 
 
@@ -238,19 +238,19 @@ def _outputs(path: Path, program: Program, kind: Kind, description: Description,
     return chosen
 
 
-def _heads(path: Path, description: Description, found: tuple[Tensor, ...], chosen: Mapping[Kind, Chosen]) -> Heads:
-    """Those of a network that gave `found` for the grey picture.
+def _heads(path: Path, description: Description, outputs: tuple[Tensor, ...], chosen: Mapping[Kind, Chosen]) -> Heads:
+    """Those of a network that gave `outputs` for the grey picture.
 
     :raises InputError: outputs that are not what the kinds ask for
     """
     raw: dict[Kind, tuple[Tensor, ...]] = {}
-    rest = found
+    rest = outputs
     for kind, names in chosen.items():
         raw[kind], rest = rest[: len(names)], rest[len(names) :]
     check_features(path, raw, chosen)
     try:
         heads = Heads(description, raw)
-        check_ranges(heads(found), description.names)
+        check_ranges(heads(outputs), description.names)
     except InputError as error:
         raise error.under(path) from None
     return heads

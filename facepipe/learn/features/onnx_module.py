@@ -34,11 +34,11 @@ def check_sizes(steps: Sequence[tuple[Node, Operator]], values: Mapping[str, Ten
     for node, operator in steps:
         if any(name and name not in known for name in node.inputs):
             continue
-        found = _shapes(node, operator, [known[name] if name else None for name in node.inputs])
-        total += sum(one.numel() for one in found)
+        outputs = _shapes(node, operator, [known[name] if name else None for name in node.inputs])
+        total += sum(one.numel() for one in outputs)
         if total > MOST * pictures:
             raise node.refuse(f"{total} numbers by then, expected at most {MOST} for a picture")
-        known.update(zip(node.outputs, map(_kept, found), strict=False))
+        known.update(zip(node.outputs, map(_kept, outputs), strict=False))
 
 
 def _shapes(node: Node, operator: Operator, inputs: Sequence[Tensor | None]) -> tuple[Tensor, ...]:
@@ -53,10 +53,10 @@ def _shapes(node: Node, operator: Operator, inputs: Sequence[Tensor | None]) -> 
     tries = [[first, *rest]] if small else []
     for one in (*tries, [_meta(first), *rest], [_meta(each) for each in (first, *rest)]):
         try:
-            found = operator(node, *one)
+            outputs = operator(node, *one)
         except Exception:  # shapes alone don't suffice, or it can't work at all: the run itself says so
             continue
-        return tuple(found) if isinstance(found, tuple) else (found,)
+        return tuple(outputs) if isinstance(outputs, tuple) else (outputs,)
     return ()
 
 
@@ -120,13 +120,13 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
             self._checked = shapes
         for (node, operator), done in zip(self._steps, self._last, strict=True):
             try:
-                found = operator(node, *[known[name] if name else None for name in node.inputs])
+                outputs = operator(node, *[known[name] if name else None for name in node.inputs])
             except InputError as error:
                 raise error.under(self._where) from None
             except _RUN_ERRORS as error:
                 what = f"can't work on its inputs ({str(error).splitlines()[0] if str(error) else error!r})"
                 raise node.refuse(what).under(self._where) from error
-            known.update(zip(node.outputs, found if isinstance(found, tuple) else (found,), strict=True))
+            known.update(zip(node.outputs, outputs if isinstance(outputs, tuple) else (outputs,), strict=True))
             for name in done:
                 known.pop(name, None)
         return tuple(known[name] for name in self.outputs)
@@ -164,14 +164,14 @@ def _node(proto: Any, version: int) -> Node:
     outputs = proto.output if proto.op_type == "Split" else proto.output[:1]  # others are of training
     of_file = {"name": proto.name, "op_type": proto.op_type, "opset": version, "inputs": tuple(proto.input)}
     node = Node(**of_file, outputs=tuple(outputs), attributes=attributes)
-    for one in proto.attribute:
-        if one.type == _TENSOR:
-            attributes[one.name] = array(one.t)
-        elif one.type in _PLAIN and not one.ref_attr_name:
-            value = helper.get_attribute_value(one)
-            attributes[one.name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    for attribute in proto.attribute:
+        if attribute.type == _TENSOR:
+            attributes[attribute.name] = array(attribute.t)
+        elif attribute.type in _PLAIN and not attribute.ref_attr_name:
+            value = helper.get_attribute_value(attribute)
+            attributes[attribute.name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         else:
-            raise node.refuse(f"attribute {one.name!r} is a graph or of another kind, expected numbers")
+            raise node.refuse(f"attribute {attribute.name!r} is a graph or of another kind, expected numbers")
     return node
 
 
@@ -203,9 +203,9 @@ def _check_order(steps: Sequence[tuple[Node, Operator]], given: set[str], output
 
 def _last_uses(steps: Sequence[tuple[Node, Operator]], outputs: Sequence[str]) -> list[list[str]]:
     """By step, the values that nothing after it reads, so that a forward without gradients frees them."""
-    later, found = set(outputs), []
+    later, uses = set(outputs), []
     for node, _ in reversed(steps):
         done = [name for name in (*node.inputs, *node.outputs) if name and name not in later]
         later.update(done)
-        found.append(done)
-    return found[::-1]
+        uses.append(done)
+    return uses[::-1]

@@ -131,10 +131,10 @@ def _settled(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArra
 def _distinct(landmarks: FloatArray) -> FloatArray:
     """Without those whose landmarks nearly are those of one before."""
     kept: list[FloatArray] = []
-    for one in landmarks:
-        near = 0.05 * np.ptp(one, axis=0).max()
-        if all(np.linalg.norm(one - other, axis=1).mean() > near for other in kept):
-            kept.append(one)
+    for face in landmarks:
+        near = 0.05 * np.ptp(face, axis=0).max()
+        if all(np.linalg.norm(face - other, axis=1).mean() > near for other in kept):
+            kept.append(face)
     return np.array(kept).reshape(-1, 68, 2)
 
 

@@ -38,12 +38,12 @@ class _View:
     def loss(self, light: Tensor, key: Tensor, tint: Tensor) -> Tensor:
         """The terms that light changes, weighted."""
         surface = self.surface
-        own, white = surface.colors * tint.exp()[surface.materials], shade(surface.normals, light, self.shadow)
-        color = white * own
+        albedo, white = surface.colors * tint.exp()[surface.materials], shade(surface.normals, light, self.shadow)
+        color = white * albedo
         if self.arriving is not None:
             lamp = KeyLight(numbers=key, arriving=self.arriving)
             matt, mirrored = lamp.shade(surface.normals, surface.towards_eye, self.arriving)
-            color = color + matt * own + mirrored
+            color = color + matt * albedo + mirrored
         image = to_srgb(surface.raster.paint(color, self.photo.linear))
         color = color_loss(image, self.photo.pixels, self.coverage, self.spread)
         return self.options.color * color + self.options.hue * hue_cost(light, key)
@@ -53,17 +53,19 @@ def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unkno
     """The same face and poses in light and tints of less joint loss; gradient descent, the best of all steps."""
     with torch.no_grad():
         views = [_View(loss, at, view) for view in range(len(loss.photos))]
-    found = [one.detach().clone().requires_grad_() for one in (at.light, at.key, at.tint)]
-    best, least, move = found, math.inf, Adam()
+    unknowns = [one.detach().clone().requires_grad_() for one in (at.light, at.key, at.tint)]
+    best, least, move = unknowns, math.inf, Adam()
     for step in range(steps):
-        total = torch.stack([view.loss(found[0][i], found[1][i], found[2]) for i, view in enumerate(views)]).mean()
+        total = torch.stack(
+            [view.loss(unknowns[0][i], unknowns[1][i], unknowns[2]) for i, view in enumerate(views)]
+        ).mean()
         if float(total.detach()) < least:
-            best, least = [one.detach().clone() for one in found], float(total.detach())
-        slopes = torch.autograd.grad(total, found, allow_unused=True, materialize_grads=True)
+            best, least = [one.detach().clone() for one in unknowns], float(total.detach())
+        slopes = torch.autograd.grad(total, unknowns, allow_unused=True, materialize_grads=True)
         pace = _RATE * (1 - (1 - _SLOWEST) * step / steps)
         with torch.no_grad():
-            for unknown, change in zip(found, move(slopes), strict=True):
+            for unknown, change in zip(unknowns, move(slopes), strict=True):
                 unknown -= pace * change
-            found[1][:, 3:7].clamp_(min=0)
+            unknowns[1][:, 3:7].clamp_(min=0)
     light, key, tint = (one.detach().clone().requires_grad_() for one in best)
     return replace(at, light=light, key=key, tint=tint)

@@ -132,10 +132,10 @@ def _fit(
     start = None if start is None else check_start(start, subject, spaces)
     fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
     state = fit.solve(fit.start() if start is None else start)
-    found = _extractors(extractors, options) if options.iterations else {}
+    networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [WorkingPhoto.from_photo(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
-    loss = JointLoss(model, fit, working, found, options)
+    loss = JointLoss(model, fit, working, networks, options)
     begin = lit(loss, state)
     loss.calibrate(begin)
     begin = in_better_light(loss, begin) if start is None else _better(loss, begin, start)

@@ -90,12 +90,16 @@ def _numbers(name: str, values: FloatArray, shape: tuple[int, ...], what: str) -
 
 def check_extractors(extractors: Mapping[Kind, Extractor]) -> None:
     """:raises InputError: a network for no term of the joint loss, or one that doesn't give what it is there for"""
-    for kind, one in extractors.items():
+    for kind, extractor in extractors.items():
         where = f"extractors -> {kind}"
         if kind not in FEATURES:
             raise InputError(where, f"no term of the joint loss, expected one of {', '.join(FEATURES)}")
-        if not isinstance(one, Extractor) or kind not in one.kinds:
-            gives = f"a network of {', '.join(one.kinds)}" if isinstance(one, Extractor) else f"a {type(one).__name__}"
+        if not isinstance(extractor, Extractor) or kind not in extractor.kinds:
+            gives = (
+                f"a network of {', '.join(extractor.kinds)}"
+                if isinstance(extractor, Extractor)
+                else f"a {type(extractor).__name__}"
+            )
             raise InputError(where, f"{gives}, expected a network of {kind} (`load_extractor`)")
 
 

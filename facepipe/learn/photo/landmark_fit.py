@@ -143,25 +143,25 @@ class LandmarkFit:
         """By photo, all that it depends on: shares, expressions, pose."""
         return [np.concatenate([state.shares, *pair]) for pair in zip(state.expressions, state.poses, strict=True)]
 
-    def _project(self, view: int, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _project(self, view: int, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (k, 68, 2) and outward directions (k, 17, 2) of k rows of what one photo depends on."""
         f, e = len(self.subject.sliders), len(self.subject.expressions)
         with torch.no_grad():
-            sliders = torch.as_tensor(self.subject.slider_values(own[:, :f]))
-            weights = torch.as_tensor(self.subject.shape_weights(own[:, f : f + e]))
+            sliders = torch.as_tensor(self.subject.slider_values(numbers[:, :f]))
+            weights = torch.as_tensor(self.subject.shape_weights(numbers[:, f : f + e]))
             points = self.rig.rig(sliders, weights if len(self.subject.rig.shapes) else None)
-            camera = self.spaces[view].camera(torch.as_tensor(own[:, f + e :]))
+            camera = self.spaces[view].camera(torch.as_tensor(numbers[:, f + e :]))
             marks, outward = self.rig.landmarks(points, camera)
         return marks.numpy(), outward.numpy()
 
-    def _residuals(self, view: int, own: FloatArray) -> FloatArray:
+    def _residuals(self, view: int, numbers: FloatArray) -> FloatArray:
         """(k, 136) errors in standard deviations; the contour's across and, weakly, along it."""
-        marks, outward = self._project(view, own)
+        marks, outward = self._project(view, numbers)
         off = (marks - self.targets[view]) / self.sigma[view]
         on = off[:, CONTOUR]
         along = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)
         contour = np.stack([(on * outward).sum(axis=-1), ALONG * (on * along).sum(axis=-1)], axis=-1)
-        return np.concatenate([contour, off[:, CONTOUR.stop :]], axis=1).reshape(len(own), -1)
+        return np.concatenate([contour, off[:, CONTOUR.stop :]], axis=1).reshape(len(numbers), -1)
 
     def _cost(self, state: State, weights: FloatArray) -> float:
         total = sum(_cost(self._residuals(view, own[None])[0]) for view, own in enumerate(self._own(state)))
@@ -171,10 +171,10 @@ class LandmarkFit:
         cost, gradient, hessian = self._prior(state, weights)
         f = len(state.shares)
         width = state.expressions.shape[1] + NUMBERS
-        for view, own in enumerate(self._own(state)):
-            ahead, behind = _steps(own, len(own) - NUMBERS)
-            values = self._residuals(view, np.concatenate([own[None], ahead, behind]))
-            jacobian = (values[1 : len(own) + 1] - values[len(own) + 1 :]).T / np.diag(ahead - behind)
+        for view, numbers in enumerate(self._own(state)):
+            ahead, behind = _steps(numbers, len(numbers) - NUMBERS)
+            values = self._residuals(view, np.concatenate([numbers[None], ahead, behind]))
+            jacobian = (values[1 : len(numbers) + 1] - values[len(numbers) + 1 :]).T / np.diag(ahead - behind)
             slope = np.clip(values[0], -HUBER, HUBER)
             scale = np.where(np.abs(values[0]) > HUBER, HUBER / np.maximum(np.abs(values[0]), HUBER), 1.0)
             place = np.concatenate([np.arange(f), f + view * width + np.arange(width)])

@@ -75,10 +75,12 @@ def landmark_points(parts: FaceParts) -> tuple[IntArray, int]:
     start = 0
     for number, mesh in enumerate(parts.meshes):
         if SCHEME in mesh.landmarks:
-            own = np.asarray(mesh.landmarks[SCHEME].indices, dtype=np.int64)
-            if len(own) != COUNT or own.min() < 0 or own.max() >= len(mesh.points):
-                raise InputError(f"{mesh.name} -> landmarks {SCHEME}", f"{len(own)}, expected {COUNT} of its points")
-            return own + start, number
+            indices = np.asarray(mesh.landmarks[SCHEME].indices, dtype=np.int64)
+            if len(indices) != COUNT or indices.min() < 0 or indices.max() >= len(mesh.points):
+                raise InputError(
+                    f"{mesh.name} -> landmarks {SCHEME}", f"{len(indices)}, expected {COUNT} of its points"
+                )
+            return indices + start, number
         start += len(mesh.points)
     raise InputError(
         f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected its {COUNT} (`facepipe landmarks --help`)"
@@ -110,13 +112,13 @@ def _row(subject: Subject, points: IntArray, number: int, mesh: int) -> IntArray
     contour = torch.as_tensor(np.stack([x[points[CONTOUR]], -y[points[CONTOUR]]], axis=1))
     nx, ny = contour_normals(contour)[number].numpy() * (1, -1)
     at = points[number]
-    own = np.arange(first, last)
-    dx, dy, dz = x[own] - x[at], y[own] - y[at], z[own] - z[at]
+    row = np.arange(first, last)
+    dx, dy, dz = x[row] - x[at], y[row] - y[at], z[row] - z[at]
     size = float(np.ptp(y[np.unique(points)])) / 0.5  # brow to chin is about half of a head
     across, outward = np.abs(dx * ny - dy * nx), dx * nx + dy * ny
     near = (across < _ROW * size) & (outward > -_INWARD * size) & (outward < 0.02 * size)
     near &= (dz > 0) & (dz < _INWARD * size)
-    return _thinned(own[near], dz[near], across[near])
+    return _thinned(row[near], dz[near], across[near])
 
 
 def _thinned(points: IntArray, forward: FloatArray, across: FloatArray) -> IntArray:

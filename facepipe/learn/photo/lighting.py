@@ -114,13 +114,13 @@ def find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tens
         without = search.cost_without()
         if without >= _COVERED:
             return None
-        found = search.best(one for one in sphere(_CANDIDATES).to(points.dtype) if one[2] > _BEHIND)
-        if found.cost >= without:
+        lamp = search.best(one for one in sphere(_CANDIDATES).to(points.dtype) if one[2] > _BEHIND)
+        if lamp.cost >= without:
             return None
         for angle in _RINGS:
-            other = search.best(_around(found.numbers[:3], angle))
-            found = other if other.cost < found.cost else found
-        return found.numbers
+            other = search.best(_around(lamp.numbers[:3], angle))
+            lamp = other if other.cost < lamp.cost else lamp
+        return lamp.numbers
 
 
 class _Search:

@@ -109,11 +109,11 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
 
     @classmethod
     def replaced(cls, arguments: Any) -> Collection[str]:
-        found = ["face"] if arguments.files else []
-        found += ["photos", "landmarks", "faces"] if len(arguments.files) > 1 else []
+        names = ["face"] if arguments.files else []
+        names += ["photos", "landmarks", "faces"] if len(arguments.files) > 1 else []
         for one, other in (("landmarks", "landmarker"), ("landmarker", "landmarks")):
-            found += [other] if getattr(arguments, one, None) else []
-        return found
+            names += [other] if getattr(arguments, one, None) else []
+        return names
 
     @classmethod
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:

@@ -113,10 +113,10 @@ def percent(photo: PhotoReport) -> float:
 
 def loss_ends(history: Sequence[Mapping[str, float]]) -> dict[str, Loss]:
     """First and last value of each term, by name; steps with a loss that is not finite don't count."""
-    found: dict[str, Loss] = {}
+    ends: dict[str, Loss] = {}
     for step in history:
         if np.isfinite([float(one) for one in step.values()]).all():
             for name, value in step.items():
-                first = found[name].first if name in found else float(value)
-                found[name] = Loss(first=first, last=float(value))
-    return {name: found[name] for name in sorted(found)}
+                first = ends[name].first if name in ends else float(value)
+                ends[name] = Loss(first=first, last=float(value))
+    return {name: ends[name] for name in sorted(ends)}

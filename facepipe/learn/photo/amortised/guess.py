@@ -47,12 +47,12 @@ class Guess:
         values = [np.asarray(one[0], np.float64) for one in self.session.run(None, fed)]
         if not all(np.isfinite(one).all() for one in values):
             raise InputError(self.path, "gives NaN or infinity, expected numbers")
-        found = dict(zip(names, values, strict=True))
+        outputs = dict(zip(names, values, strict=True))
         poses = crop.space(space, self.subject.parts.up_axis)
-        pose = poses.to_photo(torch.as_tensor(found["pose"])).numpy()
+        pose = poses.to_photo(torch.as_tensor(outputs["pose"])).numpy()
         return State(
-            shares=found["shares"][self.sliders],
-            expressions=found.get("expressions", np.zeros(0))[self.expressions][None],
+            shares=outputs["shares"][self.sliders],
+            expressions=outputs.get("expressions", np.zeros(0))[self.expressions][None],
             poses=pose[None],
         )
 
@@ -74,45 +74,47 @@ def load_start(path: Path, subject: Subject) -> Guess:
     :raises InputError: no such network, a damaged one, or one of a face with other sliders or expressions
     """
     model = read_model(path)
-    metadata, own = _described(path, model), controls(subject)
-    if metadata.get("up_axis") != own["up_axis"]:
-        raise InputError(path, f"made for a face with another up axis, expected {own['up_axis']}")
+    metadata, expected = _described(path, model), controls(subject)
+    if metadata.get("up_axis") != expected["up_axis"]:
+        raise InputError(path, f"made for a face with another up axis, expected {expected['up_axis']}")
     guess = Guess(
         path=path,
         subject=subject,
         metadata=metadata,
-        sliders=_places(path, "slider", metadata.get("sliders"), own["sliders"]),
-        expressions=_places(path, "expression", metadata.get("expressions"), own["expressions"]),
+        sliders=_places(path, "slider", metadata.get("sliders"), expected["sliders"]),
+        expressions=_places(path, "expression", metadata.get("expressions"), expected["expressions"]),
         session=_session(path, model),
     )
     _check_signature(path, guess)
     return guess
 
 
-def _places(path: Path, kind: str, theirs: Any, own: list[Any]) -> IntArray:
+def _places(path: Path, kind: str, theirs: Any, controls: list[Any]) -> IntArray:
     """Where the file has each of the subject's own controls.
 
     :raises InputError: the file has others
     """
     if not isinstance(theirs, list):
         raise InputError(path, f"damaged metadata, expected a list of {kind}s")
-    names = [one["name"] if isinstance(one, dict) else one for one in own]
-    for one, name in zip(own, names, strict=True):
+    names = [one["name"] if isinstance(one, dict) else one for one in controls]
+    for one, name in zip(controls, names, strict=True):
         if one not in theirs:
             raise InputError(path, f"made for another face: without {kind} {name} as this one has it")
-    if len(theirs) != len(own):
-        raise InputError(path, f"made for another face: {len(theirs)} {kind}s, expected the {len(own)} of this one")
-    return np.array([theirs.index(one) for one in own], dtype=np.int64)
+    if len(theirs) != len(controls):
+        raise InputError(
+            path, f"made for another face: {len(theirs)} {kind}s, expected the {len(controls)} of this one"
+        )
+    return np.array([theirs.index(one) for one in controls], dtype=np.int64)
 
 
 def _described(path: Path, model: Any) -> dict[str, Any]:
     try:
-        found = json.loads(properties(model).get(KEY, ""))
+        metadata = json.loads(properties(model).get(KEY, ""))
     except json.JSONDecodeError:
-        found = None
-    if not isinstance(found, dict) or found.get("kind") != KIND:
+        metadata = None
+    if not isinstance(metadata, dict) or metadata.get("kind") != KIND:
         raise InputError(path, f"no metadata '{KEY}', expected a network of `facepipe train-photo`")
-    return found
+    return metadata
 
 
 def _check_sizes(path: Path, model: Any) -> None:

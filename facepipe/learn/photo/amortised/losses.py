@@ -66,14 +66,14 @@ class TaughtLoss:
             torch.as_tensor(one, dtype=torch.float32) for one in (subject.lower, subject.upper - subject.lower)
         )
 
-    def __call__(self, found: Output, right: Taught) -> Tensor:
+    def __call__(self, guess: Output, right: Taught) -> Tensor:
         """Mean over a batch."""
         with torch.no_grad():
             there = self._places(right.shares, right.expressions, right.pose)
-        off = self._places(held(found.shares), held(found.expressions), found.pose) - there
+        off = self._places(held(guess.shares), held(guess.expressions), guess.pose) - there
         pixels = ((off * off).sum(dim=-1) + 1e-2).sqrt().mean()
         shares, expressions, pose = (
-            (getattr(found, name) - getattr(right, name)).abs().sum(dim=1).mean() for name in Output._fields
+            (getattr(guess, name) - getattr(right, name)).abs().sum(dim=1).mean() for name in Output._fields
         )
         return pixels + _SHARES * shares + _EXPRESSIONS * expressions + _POSE * pose
 
@@ -112,14 +112,14 @@ class PictureLoss:
     def __init__(self, subject: Subject, model: FaceModel, landmarks: LandmarkRig, options: PhotoFitOptions) -> None:
         self.subject, self.model, self.landmarks, self.options = subject, model, landmarks, options
 
-    def __call__(self, picture: Picture, crop: Crop, marks: np.ndarray, found: Output) -> dict[str, Tensor]:
+    def __call__(self, picture: Picture, crop: Crop, marks: np.ndarray, guess: Output) -> dict[str, Tensor]:
         """The terms of the joint loss of what was found (1, ...) for one picture."""
         fit = LandmarkFit(self.subject, [marks], [picture.space], priors_of(self.options), self.landmarks)
         loss = JointLoss(self.model, fit, [picture.working()], {}, self.options)
-        pose = crop.space(picture.space, self.subject.parts.up_axis).to_photo(relative_pose(found.pose))
+        pose = crop.space(picture.space, self.subject.parts.up_axis).to_photo(relative_pose(guess.pose))
         at = Unknowns(
-            shares=held(found.shares[0]),
-            expressions=held(found.expressions),
+            shares=held(guess.shares[0]),
+            expressions=held(guess.expressions),
             poses=pose,
             light=torch.zeros((1, 9, 3)),
             key=torch.tensor([DARK]),

@@ -95,9 +95,9 @@ class Portraits:
 
     def picture(self, rng: np.random.Generator) -> Picture:
         """Somebody, somewhere."""
-        one = random_people(self.subject, self.space, 1, rng)
+        person = random_people(self.subject, self.space, 1, rng)
         lamp = random_lamp(rng)
-        truth = Truth(shares=one.shares[0], expressions=one.expressions[0], pose=one.poses[0], lamp=lamp)
+        truth = Truth(shares=person.shares[0], expressions=person.expressions[0], pose=person.poses[0], lamp=lamp)
         sliders = torch.as_tensor(self.subject.slider_values(truth.shares), dtype=torch.float32)
         weights = torch.as_tensor(self.subject.shape_weights(truth.expressions), dtype=torch.float32)
         camera = single(self.space.camera(torch.as_tensor(truth.pose)))
@@ -117,7 +117,7 @@ class Portraits:
             left=0,
             top=0,
             step=1,
-            landmarks=self.marks(one)[0],
+            landmarks=self.marks(person)[0],
             space=self.space,
             truth=truth,
         )

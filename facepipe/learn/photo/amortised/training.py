@@ -176,8 +176,8 @@ class NetworkDescent:
         marks = [noisy_landmarks(one, self._loss.options.landmark_sigma, rng) for one in pictures]
         crops = [picture.crop(each) for picture, each in zip(pictures, marks, strict=True)]
         images, places = batch(crops)
-        found = self.network(varied(images, rng), places)
-        leaves = Output(*(one.detach().requires_grad_() for one in found))
+        outputs = self.network(varied(images, rng), places)
+        leaves = Output(*(one.detach().requires_grad_() for one in outputs))
         outside(leaves).backward()
         for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
             loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
@@ -187,7 +187,7 @@ class NetworkDescent:
         slopes = [one.grad for one in leaves]
         if not all(one is not None and bool(one.isfinite().all()) for one in slopes):
             return False
-        torch.autograd.backward(list(found), slopes)
+        torch.autograd.backward(list(outputs), slopes)
         return True
 
 
