@@ -74,7 +74,7 @@ def main() -> int:
 def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], NeuralRig, float]:
     """The rows of the teacher's own frames, the neural rig with bones, and how much is not straight."""
     from facepipe.processors.neural_rig import SampleMotionOptions, TrainNeuralRig, TrainNeuralRigOptions
-    from facepipe.processors.neural_rig.peers import best_blendshapes, ridge
+    from facepipe.processors.neural_rig.straight_models import best_blendshapes, ridge
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
     unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=2026))

@@ -112,7 +112,7 @@ def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterat
         TrainNeuralRigOptions,
         load_neural_rig,
     )
-    from facepipe.processors.neural_rig.peers import best_blendshapes
+    from facepipe.processors.neural_rig.straight_models import best_blendshapes
     from facepipe.rig import build
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))

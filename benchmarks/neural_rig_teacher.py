@@ -100,8 +100,7 @@ class Teacher:
 
     def motion(self, options: SampleMotionOptions) -> Motion:
         """Frames of it."""
-        from facepipe.processors.neural_rig.plan_frames import plan
-        from facepipe.processors.neural_rig.sample_motion import evaluated
+        from facepipe.processors.neural_rig.sample_motion import evaluated, plan
 
         values, blocks = plan(self.controls, options)
         return evaluated(self.parts, "teacher", self.controls, values, blocks, self)

@@ -22,7 +22,7 @@ from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
 from facepipe.parts import Recipe
-from facepipe.processors.rebuild.work_folder import WorkFolder
+from facepipe.processors.rebuild.steps import WorkFolder
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

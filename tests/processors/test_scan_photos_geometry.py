@@ -17,13 +17,10 @@ from facepipe.processors.scan_photos import (
     PhotoCamera,
     triangulate,
 )
-from facepipe.processors.scan_photos.cloud import Cloud, clean
-from facepipe.processors.scan_photos.placement import move_camera, upright
-from facepipe.processors.scan_photos.rectify import rectify
-from facepipe.processors.scan_photos.stereo import depth_map, disparities
+from facepipe.processors.scan_photos.stereo import depth_map, disparities, rectify
 from facepipe.processors.scan_photos.structure import Structure
-from facepipe.processors.scan_photos.subject import choose_pairs, find_subject
-from facepipe.processors.scan_photos.surface import make_surface
+from facepipe.processors.scan_photos.subject import choose_pairs, find_subject, move_camera, upright
+from facepipe.processors.scan_photos.surface import Cloud, clean, make_surface
 
 FloatArray = npt.NDArray[np.floating]
 

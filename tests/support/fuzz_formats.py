@@ -653,7 +653,7 @@ def damage_texture(rng: Rng, part: str) -> list[Line]:
 
 
 def put_cameras() -> None:
-    from facepipe.processors.scan_photos.cameras_file import Cameras, write_cameras
+    from facepipe.processors.scan_photos.cameras import Cameras, write_cameras
 
     one = camera_at(np.array([120.0, 60.0, 700.0]), 0.4, distortion=(-0.11, 0.05, 0.002, -0.003))
     write_cameras(Path("rig.json"), Cameras(cameras={"a.jpg": one, "b.jpg": one}, unit="cm"))
@@ -664,7 +664,7 @@ def put_cameras() -> None:
 
 
 def read_cameras() -> None:
-    from facepipe.processors.scan_photos.cameras_file import read_cameras as read
+    from facepipe.processors.scan_photos.cameras import read_cameras as read
 
     read(Path("rig.json"))
 

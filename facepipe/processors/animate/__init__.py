@@ -7,9 +7,9 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.processors.animate.animate import AnimateFace, AnimateReport
     from facepipe.processors.animate.animate_action import Animate
+    from facepipe.processors.animate.clip_files import read_performance
     from facepipe.processors.animate.options import AnimateOptions
     from facepipe.processors.animate.performance import Performance
-    from facepipe.processors.animate.read import read_performance
 else:
     __getattr__, __dir__ = lazy(__name__)
 

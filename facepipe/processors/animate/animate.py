@@ -14,13 +14,13 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Recipe, Skeleton
-from facepipe.processors.animate.angles import PARTS, angle_of
-from facepipe.processors.animate.driven_sliders import driven, turned
 from facepipe.processors.animate.options import AnimateOptions
-from facepipe.processors.animate.performance import Performance
+from facepipe.processors.animate.performance import PARTS, Performance, angle_of
 from facepipe.processors.animate.turned_joints import (
     angles_of,
+    driven,
     joint_of,
+    turned,
     turned_by_shapes,
     turned_by_sliders,
     turns,

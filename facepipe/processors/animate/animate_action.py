@@ -44,7 +44,7 @@ class Animate(AnimateOptions, StageAction["AnimateReport"]):
 
     def author(self, face: Face, job: Job) -> AnimateReport:
         from facepipe.processors.animate.animate import AnimateFace
-        from facepipe.processors.animate.read import read_performance
+        from facepipe.processors.animate.clip_files import read_performance
 
         recipe, name = job.recipe(), self.name or identifier(self.clip.stem)
         performance = read_performance(self.clip, self.fps, degrees=self.angles == "deg")

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.processors.animate.angles import angle_of
+from facepipe.rig.conventions import shape_key
 
 FPS = 60.0  # of a file that does not say
 LARGEST = 1e12  # number that a file may hold; times in seconds since 1970 are below
 MOST_FRAMES = 1 << 19  # 2.4 hours at 60 fps
 _ON_FRAME = 0.01  # frames that a time may be off
+PARTS = ("Head", "LeftEye", "RightEye")
+ANGLES: Mapping[str, str] = {  # key -> name
+    shape_key(part + angle): part + angle for part in PARTS for angle in ("Yaw", "Pitch", "Roll")
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,3 +123,8 @@ def _check_count(where: str, count: int) -> None:
 
 def _interpolated(at: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, times, column) for column in values.T], axis=1)
+
+
+def angle_of(name: str) -> str | None:
+    """The name of `ANGLES` that a column's name means, in any spelling; None for all others."""
+    return ANGLES.get(shape_key(name))

@@ -14,13 +14,24 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.database.create import Made, add_faces, create_database
+    from facepipe.processors.database.changes import Made, add_faces, create_database, remove_faces
     from facepipe.processors.database.database_file import check_suffix, load_database, save_database
-    from facepipe.processors.database.face_database import Entry, FaceDatabase, StoredError, Update
-    from facepipe.processors.database.options import AddOptions, DatabaseOptions
-    from facepipe.processors.database.predict import carried_mean, predicted_shapes
-    from facepipe.processors.database.quality import Quality, QualityLimits, misses, quality_from
-    from facepipe.processors.database.remove import remove_faces
+    from facepipe.processors.database.face_database import (
+        Entry,
+        FaceDatabase,
+        StoredError,
+        Update,
+        carried_mean,
+        predicted_shapes,
+    )
+    from facepipe.processors.database.options import (
+        AddOptions,
+        DatabaseOptions,
+        Quality,
+        QualityLimits,
+        misses,
+        quality_from,
+    )
     from facepipe.processors.database.whole_faces import Topology, WholeFace, whole_face, whole_points
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -23,8 +23,8 @@ from facepipe.processors.database.database_report import DatabaseReport, report_
 from facepipe.processors.database.options import AddOptions, FaceNames
 
 if TYPE_CHECKING:
-    from facepipe.processors.database.quality import Quality
-    from facepipe.processors.database.stage_sources import StageSource
+    from facepipe.processors.database.incoming_faces import StageSource
+    from facepipe.processors.database.options import Quality
 
 _MOST_REPORT = 1 << 26  # bytes of a report
 
@@ -54,9 +54,9 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
     )
 
     def write(self, job: Job) -> DatabaseReport:
-        from facepipe.processors.database.create import add_faces
+        from facepipe.processors.database.changes import add_faces
         from facepipe.processors.database.database_file import load_database, save_database
-        from facepipe.processors.database.stage_sources import stage_sources
+        from facepipe.processors.database.incoming_faces import stage_sources
 
         database = load_database(self.database)
         sources = stage_sources(self.faces, self.names, database, str(self.database))
@@ -69,7 +69,7 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
     def _qualities(self, sources: Sequence[StageSource]) -> dict[str, Quality]:
         """Face name -> its measures, from reports and recipes."""
         from facepipe.core.reading import read_json
-        from facepipe.processors.database.quality import quality_from
+        from facepipe.processors.database.options import quality_from
 
         found: dict[str, Quality] = {}
         for word in self.quality:

@@ -29,9 +29,9 @@ class CreateDatabase(FaceNames, DatabaseOptions, FileAction[DatabaseReport]):
     faces: tuple[Path, ...] = source("face stages of one topology", metavar="FACE")
 
     def write(self, job: Job) -> DatabaseReport:
-        from facepipe.processors.database.create import create_database
+        from facepipe.processors.database.changes import create_database
         from facepipe.processors.database.database_file import save_database
-        from facepipe.processors.database.stage_sources import stage_sources
+        from facepipe.processors.database.incoming_faces import stage_sources
 
         sources = stage_sources(self.faces, self.names)
         with job.watch("create", 2 * len(sources)) as bar:

@@ -28,8 +28,8 @@ class RemoveFromDatabase(InPlaceAction[DatabaseReport]):
     )
 
     def write(self, job: Job) -> DatabaseReport:
+        from facepipe.processors.database.changes import remove_faces
         from facepipe.processors.database.database_file import load_database, save_database
-        from facepipe.processors.database.remove import remove_faces
 
         made = remove_faces(load_database(self.database), self.names, str(self.database))
         save_database(made.database, job.out)

@@ -7,14 +7,14 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.threads import one_thread
 from facepipe.geometry.merged_points import welded_points
 from facepipe.geometry.polygons import components, edges, point_areas
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.lod.cards import apart, cards_of, widened, within
-from facepipe.processors.lod.kept_points import even_points, marks, strongest
-from facepipe.processors.lod.motion import motion_of
 from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier
 from facepipe.processors.lod.wedges import mesh_of, wedges_of
 from facepipe.rig import Rig, mesh_spaces
@@ -23,6 +23,9 @@ _LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin, whe
 _HAIR = 0.7  # of its share of the triangles that are not of the skin: cards lie several deep
 _WHOLE = 0.9  # power of the share of triangles that is the share of cards; those that stay lose the rest
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
+_SPACING = 0.2  # of the size of a line, between points of it that stay: some 12 of a circle
+_TURN = 0.2  # radians by which joints are taken to turn
+_WEIGHT = 15.0  # of an error in motion against one in form: with more, low levels lose their form
 
 
 class Surface:
@@ -36,15 +39,15 @@ class Surface:
         firsts = rig.mesh_offsets
         self._point = _joined(one.points + first for one, first in zip(self._wedges, firsts, strict=False))
         self._triangles = _joined(one.triangles + start for one, start in zip(self._wedges, self._starts, strict=False))
-        self._marks = _joined(marks(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
+        self._marks = _joined(_marks_of(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
         self._rig = rig
         self._simplify = Simplifier()
-        self._motion = motion_of(rig, MOST_ATTRIBUTES)[self._point]
+        self._motion = _motion_of(rig, MOST_ATTRIBUTES)[self._point]
         rims = np.setdiff1d(self._rims(), self.triangles[self.is_skin])
         with_rims = np.isin(np.arange(len(meshes)), np.searchsorted(firsts, rims, side="right") - 1)
         self._least = np.where(with_rims, 1.0, _LEAST)  # by mesh
         hairs = self.triangles[self.cards >= 0]
-        stay = np.setdiff1d(np.append(strongest(rig), even_points(rig.points, self.triangles, rims)), hairs)
+        stay = np.setdiff1d(np.append(_strongest(rig), _even_points(rig.points, self.triangles, rims)), hairs)
         stay = np.append(stay, self._marks)
         self._fixed = np.isin(self._point, stay)
 
@@ -182,3 +185,64 @@ class Surface:
 
 def _joined(arrays: Iterable[IntArray]) -> IntArray:
     return np.concatenate(list(arrays))
+
+
+def _marks_of(mesh: Mesh) -> IntArray:
+    """Landmarks and anchor of a mesh."""
+    anchor = [] if mesh.anchor is None else [mesh.anchor]
+    return np.concatenate([*(one.indices for one in mesh.landmarks.values()), anchor]).astype(np.int64)
+
+
+def _strongest(rig: Rig) -> IntArray:
+    """The point that each sculpt moves most: no level lacks a shape."""
+    moving = [one for one in rig.targets if len(one.offsets)]
+    return np.array([one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving], np.int64)
+
+
+def _even_points(points: FloatArray, triangles: IntArray, rims: IntArray) -> IntArray:
+    """Some of the points on each line of `rims`, evenly: the rims of iris and pupil stay round.
+
+    :param points: (n, 3)
+    :param triangles: (t, 3)
+    :param rims: (r,) ascending
+    """
+    pairs = edges(np.full(len(triangles), 3), triangles.ravel())[0]
+    line = components(len(points), pairs[np.isin(pairs, rims).all(axis=1)])[rims]
+    found = [rims[line == number][_apart(points[rims[line == number]])] for number in np.unique(line)]
+    return np.concatenate([*found, np.zeros(0, np.int64)])
+
+
+def _apart(points: FloatArray) -> list[int]:
+    """Numbers of points (n, 3) that are some way apart, with none of all farther from every one of them."""
+    chosen, away = list[int](), np.full(len(points), np.inf)
+    while away.max() > _SPACING * np.ptp(points, axis=0).max():
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen
+
+
+def _motion_of(rig: Rig, most: int) -> FloatArray:
+    """(n, k) coordinates of each point, in the unit of the rig, k at most `most`.
+
+    The principal components of the offsets of all sculpts and of the ways that joints move points, scaled so that
+    squared differences are `_WEIGHT` squared times those of the offsets themselves, summed over all sculpts.
+    """
+    sculpts = [sparse.csr_array(rig.deltas[axis::3]) for axis in range(3)] if rig.targets else []
+    columns = sparse.csr_array(sparse.hstack([*sculpts, _by_joints(rig)]))
+    with one_thread():
+        values, vectors = np.linalg.eigh((columns.T @ columns).toarray())
+    _strongest = np.argsort(-values, kind="stable")[:most]
+    return np.asarray(_WEIGHT * (columns @ vectors[:, _strongest]))
+
+
+def _by_joints(rig: Rig) -> sparse.csr_array:
+    """(n, j) how far a turn of each joint takes the points, on average over those that follow it, by their weights."""
+    weights = sparse.csr_array(rig.influences[:, : len(rig.joints)])
+    distances = np.zeros(len(rig.joints))
+    for joint, inverse in enumerate(rig.inverse_bind):
+        share = weights[:, [joint]].toarray().ravel()
+        place = np.linalg.inv(inverse)[:3, 3]
+        total = share.sum()
+        if total > 0:
+            distances[joint] = (share * np.linalg.norm(rig.points - place, axis=1)).sum() / total
+    return sparse.csr_array(weights @ sparse.diags_array(_TURN * distances))

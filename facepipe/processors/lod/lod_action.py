@@ -68,6 +68,6 @@ class Lod(StageAction["LodReport"]):
         return report
 
     def text(self, report: LodReport, out: Path) -> str:
-        from facepipe.processors.lod.text import lod_text
+        from facepipe.processors.lod.make import lod_text
 
         return lod_text(report, out)

@@ -17,14 +17,16 @@ from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin
 from facepipe.processors.database import Topology
-from facepipe.processors.neural_rig.as_sliders import neural_network, neural_sliders, shape_name
-from facepipe.processors.neural_rig.kept_motion import (
+from facepipe.processors.neural_rig.attached_sliders import (
     BakedClips,
     at_rest,
     baked_clips,
     clip_shape_name,
     kept_sliders,
+    neural_network,
+    neural_sliders,
     own_shapes,
+    shape_name,
 )
 from facepipe.processors.neural_rig.options import AttachOptions
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, world_to_world

@@ -12,9 +12,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.reports import Report
 from facepipe.parts import FaceParts
-from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.motion import Motion, ReadClips, RecordedClips
 from facepipe.processors.neural_rig.options import FrameBlocksOptions, SampleMotionOptions
-from facepipe.processors.neural_rig.recorded_clips import ReadClips, RecordedClips
 from facepipe.processors.neural_rig.sample_motion import SampleMotion, controls_of
 from facepipe.rig.neural_rig import Control
 from facepipe.stage import Face

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from facepipe.processors.neural_rig.inverse_report import InverseReport
+    from facepipe.processors.neural_rig.invert import InverseReport
 
 _SHOWN = 6  # controls
 
@@ -44,9 +44,9 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
     encoder: bool = option(True, "start from the rig's encoder, if it has one")
 
     def write(self, job: Job) -> InverseReport:
+        from facepipe.processors.neural_rig.frames_of_stages import read_targets
         from facepipe.processors.neural_rig.invert import InvertNeuralRig
         from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig
-        from facepipe.processors.neural_rig.read_targets import read_targets
         from facepipe.stage.author_controls import save_controls
 
         rig = load_neural_rig(self.rig)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 
 from facepipe.core.errors import InputError
+from facepipe.declare import from_json
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
-from facepipe.processors.neural_rig import encoder_arrays
-from facepipe.processors.neural_rig.control_json import controls_from
 from facepipe.rig import Rig
-from facepipe.rig.neural_encoder import NeuralEncoder
-from facepipe.rig.neural_rig import NeuralRig
+from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
+from facepipe.rig.neural_rig import Control, NeuralRig
 
 KIND = "facepipe neural rig 1"
 SUFFIX = ".fpnr"
@@ -24,6 +25,10 @@ _ARRAYS = ("rest", "shapes", "linear", "hidden", "hidden_bias", "last", "last_bi
 _BONE_ARRAYS = ("mesh_offsets", "parents", "rest", "inverse_bind", "parent_world")
 _BONE_TEXTS = ("name", "mesh_names", "joints")
 _SPARSE = ("data", "indices", "indptr")
+_ENCODER = "encoder"
+_ENCODER_ARRAYS: tuple[str, ...] = ("rest", "point", "point_bias", "feature", "feature_bias", "token", "places")
+_ENCODER_ARRAYS += ("reduce", "reduce_bias", "last", "straight", "offset")
+_LAYER_ARRAYS = tuple(one.name for one in dataclasses.fields(EncoderLayer))
 
 
 def save_neural_rig(
@@ -51,7 +56,7 @@ def save_neural_rig(
         arrays["channels"] = rig.channels
     if encoder is not None:
         _check_encoder(path, rig, encoder)
-        content[encoder_arrays.KEY], more = encoder_arrays.to_arrays(encoder)
+        content[_ENCODER], more = _encoder_arrays(encoder)
         arrays |= more
     write_arrays(path, KIND, content, arrays)
 
@@ -60,7 +65,7 @@ def load_neural_rig(path: Path) -> NeuralRig:
     """:raises InputError: not readable, damaged, or not such a file"""
     found = read_arrays(path, KIND)
     try:
-        controls = controls_from(found.content["controls"], f"{path} -> controls")
+        controls = _controls_from(found.content["controls"], f"{path} -> controls")
         arrays: dict[str, Any] = {name: np.asarray(found.arrays[name], np.float64) for name in _ARRAYS}
         rig = NeuralRig(controls=controls, topology=str(found.content["topology"]), **arrays)
         if "bones" in found.content:
@@ -77,7 +82,7 @@ def has_encoder(path: Path) -> bool:
 
     :raises InputError: not readable, damaged, or not such a file
     """
-    return encoder_arrays.KEY in read_arrays(path, KIND).content
+    return _ENCODER in read_arrays(path, KIND).content
 
 
 def load_encoder(path: Path) -> NeuralEncoder:
@@ -85,7 +90,7 @@ def load_encoder(path: Path) -> NeuralEncoder:
 
     :raises InputError: not readable, damaged, not such a file, or one without an encoder
     """
-    return encoder_arrays.from_arrays(path, read_arrays(path, KIND))
+    return _encoder_from(path, read_arrays(path, KIND))
 
 
 def _check_encoder(path: Path, rig: NeuralRig, encoder: NeuralEncoder) -> None:
@@ -146,3 +151,120 @@ def _check_sizes(path: Path, rig: NeuralRig) -> None:
     joints = 0 if rig.bones is None else len(rig.bones.joints)
     if len(rig.channels) and not ((rig.channels >= 0) & (rig.channels < (joints, 9))).all():
         raise InputError(f"{path} -> channels", f"a channel of no joint, expected 9 of each of {joints}")
+
+
+def _encoder_arrays(encoder: NeuralEncoder) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    """JSON, and arrays of float32 and int32 whose names begin with ``encoder.``."""
+    content = {
+        "controls": [dataclasses.asdict(control) for control in encoder.controls],
+        "heads": encoder.heads,
+        "layers": len(encoder.layers),
+        "point_count": encoder.point_count,
+        "scale": encoder.scale,
+        "topology": encoder.topology,
+    }
+    arrays = {name: getattr(encoder, name).astype(np.float32) for name in _ENCODER_ARRAYS}
+    for number, layer in enumerate(encoder.layers):
+        arrays |= {f"{number}.{name}": getattr(layer, name).astype(np.float32) for name in _LAYER_ARRAYS}
+    named = {f"{_ENCODER}.{name}": array for name, array in arrays.items()}
+    return content, {**named, f"{_ENCODER}.chosen": encoder.chosen.astype(np.int32)}
+
+
+def _encoder_from(where: object, found: Content) -> NeuralEncoder:
+    """What `_encoder_arrays` made.
+
+    :raises InputError: no encoder, or a damaged one
+    """
+    content = found.content.get(_ENCODER)
+    if content is None:
+        raise InputError(where, "has no encoder, expected a neural rig that was trained with one")
+    try:
+        layers = tuple(
+            EncoderLayer(**_encoder_values(found, f"{i}.", _LAYER_ARRAYS)) for i in range(int(content["layers"]))
+        )
+        encoder = NeuralEncoder(
+            controls=_controls_from(content["controls"], f"{where} -> {_ENCODER} -> controls"),
+            topology=str(content["topology"]),
+            point_count=int(content["point_count"]),
+            chosen=np.asarray(found.arrays[f"{_ENCODER}.chosen"], np.int64),
+            scale=float(content["scale"]),
+            heads=int(content["heads"]),
+            layers=layers,
+            **_encoder_values(found, "", _ENCODER_ARRAYS),
+        )
+        _check_encoder_arrays(where, encoder)
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(where, f"its encoder is damaged ({error}), expected a whole one") from None
+    return encoder
+
+
+def _encoder_values(found: Content, prefix: str, names: tuple[str, ...]) -> Mapping[str, Any]:
+    return {name: np.asarray(found.arrays[f"{_ENCODER}.{prefix}{name}"], np.float64) for name in names}
+
+
+def _check_encoder_arrays(where: object, encoder: NeuralEncoder) -> None:
+    for name, shape in encoder_shapes(encoder).items():
+        own: Any = encoder
+        if "." in name:
+            number, name_of = name.split(".")
+            own, name = encoder.layers[int(number)], name_of
+        if getattr(own, name).shape != shape:
+            raise InputError(f"{where} -> {_ENCODER}.{name}", f"shape {getattr(own, name).shape}, expected {shape}")
+    low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
+    if low < 0 or high >= encoder.point_count:
+        what = f"points {low} to {high}, expected some of {encoder.point_count}"
+        raise InputError(f"{where} -> {_ENCODER}.chosen", what)
+    if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
+        what = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
+        raise InputError(
+            f"{where} -> {_ENCODER}", f"{what}, expected heads that share a token evenly and a scale above 0"
+        )
+
+
+def encoder_shapes(encoder: NeuralEncoder) -> dict[str, tuple[int, ...]]:
+    """Array -> the shape that it has if it fits the others; those of layer i are called ``i.attend`` ..."""
+    points, controls = len(encoder.chosen), len(encoder.controls)
+    tokens, units, features = max(len(encoder.places), 1), encoder.point.shape[-1], len(encoder.feature_bias)
+    width, reduced = encoder.token.shape[-1], len(encoder.reduce_bias)
+    found: dict[str, tuple[int, ...]] = {
+        "chosen": (points // tokens * tokens,),
+        "rest": (points, 3),
+        "point": (3, units),
+        "point_bias": (points, units),
+        "feature": (units, features),
+        "feature_bias": (features,),
+        "token": (points // tokens * features, width),
+        "places": (tokens, width),
+        "reduce": (tokens * width, reduced),
+        "reduce_bias": (reduced,),
+        "last": (reduced, controls),
+        "straight": (3 * points, controls),
+        "offset": (controls,),
+    }
+    for number, layer in enumerate(encoder.layers):
+        wide = len(layer.widen_bias)
+        own: tuple[tuple[int, ...], ...] = ((width, 3 * width), (3 * width,), (width, width), (width,))
+        own += ((width, wide), (wide,), (wide, width), (width,))
+        found |= {f"{number}.{name}": shape for name, shape in zip(_LAYER_ARRAYS, own, strict=True)}
+    return found
+
+
+def _controls_from(content: object, where: str) -> tuple[Control, ...]:
+    """The controls of a list of objects.
+
+    :raises InputError: no such list, a name twice, or a range that is empty or does not hold its default
+    """
+    if not isinstance(content, list):
+        raise InputError(where, f"{str(content)[:40]}, expected a list of controls")
+    given = [from_json(Control, one, f"{where} -> {number}") for number, one in enumerate(content)]
+    found = tuple(  # numpy makes objects of whole numbers beyond 64 bits
+        replace(one, minimum=float(one.minimum), maximum=float(one.maximum), default=float(one.default))
+        for one in given
+    )
+    for one in found:
+        if not one.minimum <= one.default <= one.maximum or one.minimum == one.maximum:
+            what = f"from {one.minimum:g} to {one.maximum:g}, expected a range with its default, {one.default:g}, in it"
+            raise InputError(f"{where} -> {one.name[:80]}", what)
+    if len({one.name for one in found}) != len(found):
+        raise InputError(where, "a name twice, expected each once")
+    return found

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.shape_basis import local_basis, motion_basis
 from facepipe.processors.neural_rig.motion import Motion
-from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
-from facepipe.rig import rest_coefficients
+from facepipe.rig import Rig, rest_coefficients
+from facepipe.rig.bone_coefficients import coefficient_derivatives
 
 _MOVES = 1e-9  # of a coefficient over all frames; less is rounding
+_FIRM = 1e-6  # of the mean square: outputs that do the same are told apart by their size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,3 +62,59 @@ def _morphs(motion: Motion, rest: FloatArray) -> FloatArray:
     for frame in range(len(found)):
         found[frame] = motion.morphed(frame) - rest
     return found
+
+
+def output_metric(moves: FloatArray, rest: FloatArray, triangles: IntArray, detail: float) -> FloatArray:
+    """(o, o) lower triangular C: ``|outputs C|^2`` is the squared error over all points, to first order.
+
+    Differential coordinates of a point are its offset from the mean of its neighbours (Sorkine, "Differential
+    Representations for Mesh Processing", 2006); they tell dents that distances hardly do.
+
+    :param moves: (o, n, 3) what a unit of each output moves
+    :param detail: what an error of differential coordinates counts beside one of points
+    """
+    flat = moves.reshape(len(moves), -1)
+    products = flat @ flat.T
+    if detail > 0.0 and len(triangles):
+        edges = cotangent_weights(rest, triangles)[0]
+        ends = incidence(edges, len(rest))
+        degree = np.maximum(np.bincount(edges.ravel(), minlength=len(rest)), 1)
+        bends = ends.T @ (ends @ moves.transpose(1, 0, 2).reshape(len(rest), -1)) / degree[:, None]
+        bends = bends.reshape(len(rest), len(moves), 3).transpose(1, 0, 2).reshape(len(moves), -1)
+        products += detail * bends @ bends.T
+    return np.asarray(np.linalg.cholesky(products + _FIRM * np.trace(products) / len(products) * np.eye(len(products))))
+
+
+def skinned_moves(bones: Rig, shapes: FloatArray, channels: IntArray) -> FloatArray:
+    """(r + m, n, 3) what a unit of each shape's activation and of each bone coefficient moves at rest.
+
+    :param shapes: (r, n, 3) before the bones
+    :param channels: (m, 2) joint, coefficient
+    """
+    matrices = bones.skinning_matrices(bones.rest)[:, :3]
+    turned = (bones.influences @ matrices.reshape(-1, 12)).reshape(-1, 3, 4)[:, :, :3]
+    return np.concatenate([np.einsum("nij,rnj->rni", turned, shapes), _bone_moves(bones, channels)])
+
+
+def _bone_moves(bones: Rig, channels: IntArray) -> FloatArray:
+    worlds = bones.joint_worlds(bones.rest)
+    by_own = bones.rest[:, None] @ coefficient_derivatives(rest_coefficients(len(bones.joints)))
+    parents = np.concatenate([worlds, bones.parent_world[None]])[bones.parents]  # -1: what roots hang under
+    below = _below(bones)
+    found = np.empty((len(channels), len(bones.points), 3))
+    for number, (joint, channel) in enumerate(channels):
+        own = below[joint]
+        turn = parents[joint] @ by_own[joint, channel] @ np.linalg.inv(worlds[joint])
+        matrices = (turn @ worlds[own] @ bones.inverse_bind[own])[:, :3]
+        blended = (bones.influences[:, own] @ matrices.reshape(len(own), 12)).reshape(-1, 3, 4)
+        found[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
+    return found
+
+
+def _below(bones: Rig) -> list[IntArray]:
+    """Of each joint: itself and all under it."""
+    own = np.eye(len(bones.joints), dtype=bool)
+    for joint in range(len(bones.joints) - 1, -1, -1):
+        if bones.parents[joint] >= 0:
+            own[bones.parents[joint]] |= own[joint]
+    return [np.flatnonzero(row) for row in own]

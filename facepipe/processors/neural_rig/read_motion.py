@@ -10,16 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
 from facepipe.processors.database import Topology
-from facepipe.processors.neural_rig.animated_face import AnimatedFace
-from facepipe.processors.neural_rig.frame_blocks import frame_blocks
-from facepipe.processors.neural_rig.motion import Motion
+from facepipe.processors.neural_rig.frames_of_stages import AnimatedFace, read_targets
+from facepipe.processors.neural_rig.motion import Motion, frame_blocks
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
-from facepipe.rig.neural_rig import Control
+from facepipe.rig.neural_rig import Control, NeuralRig
 from facepipe.stage.control_track import ControlTrack
 from facepipe.stage.point_cache import PointCache, read_point_cache
 from facepipe.stage.read_controls import read_controls
@@ -167,3 +166,40 @@ def _rest(
         what = "no frame with all controls at their defaults, and no points without time, expected one of them"
         raise InputError(path, what)
     return placed.untimed()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubjectFrames:
+    """Whole points, and what the controls of the rig were."""
+
+    points: FloatArray  # (f, n, 3) millimetres
+    values: FloatArray | None  # (f, c); None: nothing tells
+    between: int = 0  # other frames, left out where clips were cut into blocks
+
+
+def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
+    """Points over time, and controls over time where the stage has both, by name; others are at their defaults.
+
+    :raises InputError: no readable USD, NaN, or controls of which the rig has none
+    :raises TopologyError: other meshes than the rig was learned on
+    """
+    if not any(len(track.codes) for track in read_controls(path)):
+        return SubjectFrames(points=read_targets(path, rig).points, values=None)
+    motion = ReadMotion()(path)
+    if motion.topology.digest != rig.topology:
+        raise TopologyError(path, "other meshes than those of the neural rig, expected its topology")
+    return SubjectFrames(points=motion.points, values=_known_values(path, motion, rig), between=motion.between)
+
+
+def _known_values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:
+    """(f, c) in the order of the rig, within its limits."""
+    names = [control.name for control in motion.controls]
+    if not set(names) & {control.name for control in rig.controls}:
+        some = ", ".join(control.name for control in rig.controls[:6])
+        raise InputError(path, f"controls {', '.join(names[:6])} over time, expected some of {some}")
+    found = np.tile(rig.values({}), (len(motion.values), 1))
+    for number, control in enumerate(rig.controls):
+        if control.name in names:
+            column = motion.values[:, names.index(control.name)]
+            found[:, number] = np.clip(column, control.minimum, control.maximum)
+    return found

@@ -7,19 +7,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, require_finite
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
-from facepipe.processors.neural_rig.bone_gains import with_own_gains
+from facepipe.geometry.ridge import Examples
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.invert import InvertNeuralRig
 from facepipe.processors.neural_rig.options import RetargetOptions
 from facepipe.processors.neural_rig.retarget_network import learned_by_network
 from facepipe.processors.neural_rig.retarget_report import RetargetReport, compared
-from facepipe.processors.neural_rig.subject_examples import subject_examples
-from facepipe.rig.neural_rig import NeuralRig, with_basis
+from facepipe.rig.neural_jacobian import with_points
+from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
+_GAIN_NOISES = 10.0 ** np.arange(-3.0, 1.01)  # millimetres
+_GAIN_POINTS = 400  # that the gains are told by
+_GAIN_STEPS = 3  # of Gauss and Newton: bones turn points, which is nearly straight
+_GAIN_DOUBT = 0.01  # what a squared change of a gain costs, in squares of the noise at a point
+_GAIN_CHANGE = 1e-4  # of a gain: how points answer to it
+_LEAST_TURN = 1e-3  # of what a control does most to a bone coefficient: less is rounding of the training
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +105,7 @@ class RetargetNeuralRig:
         self, base: NeuralRig, values: FloatArray, points: FloatArray, noise: float = -1.0
     ) -> tuple[NeuralRig, float]:
         base = with_own_gains(base, values, points)
-        examples = subject_examples(base, values, points)
+        examples = _subject_examples(base, values, points)
         if self.options.mode == "network":
             return self._by_network(base, values, examples.moved), 0.0
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
@@ -127,3 +133,93 @@ def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: 
             raise TopologyError(f"{subject.where} -> {what}", f"shape {np.shape(found)}, expected {shape}")
         if found is not None:
             require_finite(found, subject.where, what)
+
+
+def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Examples:
+    """Frames as examples for every point: its own motion by the rig, before bones, and how far it went beyond that.
+
+    :param values: (f, c) controls of the frames
+    :param points: (f, n, 3) millimetres
+    """
+    outputs = rig.outputs(values)
+    own = rig.morphed(outputs) - rig.rest
+    return Examples(
+        inputs=from_default(rig.controls, values),
+        vectors=own,
+        strengths=_strengths(rig),
+        moved=_before_bones(rig, outputs, points) - rig.rest - own,
+    )
+
+
+def _before_bones(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> FloatArray:
+    """(f, n, 3) what points (f, n, 3) were before the rig's bones moved them, of outputs (f, r + m)."""
+    bones = rig.bones
+    if bones is None:
+        return np.asarray(points, dtype=np.float64)
+    local = map(bones.local_transforms, rig.coefficients(outputs))
+    return np.stack(
+        [
+            bones.unskin(np.asarray(frame, np.float64), bones.skinning_matrices(one))
+            for frame, one in zip(points, local, strict=True)
+        ]
+    )
+
+
+def _strengths(rig: NeuralRig) -> FloatArray:
+    """(c, n) millimetres that each control alone moves each point, at the further one of its limits."""
+    rest = rig.values({})
+    found = np.zeros((len(rig.controls), len(rig.rest)))
+    still = rig.points(rest)
+    for number, control in enumerate(rig.controls):
+        for limit in (control.minimum, control.maximum):
+            moved = rest.copy()
+            moved[number] = limit
+            found[number] = np.maximum(found[number], np.linalg.norm(rig.points(moved) - still, axis=1))
+    return found
+
+
+def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> NeuralRig:
+    """The rig whose controls move its bones as strongly as the subject's do: a gain on each control's straight part.
+
+    Gains are shared by all points, so frames tell them better than any point's own map; a difference that points can
+    make alike by maps of their own counts less (generalised least squares: residuals weighed by the inverse of what
+    such maps and the noise are expected to bring). Controls that frames don't tell keep a gain of 1.
+
+    :param values: (f, c) controls of the frames
+    :param points: (f, n, 3) millimetres
+    """
+    turns = np.abs(rig.linear[:, len(rig.shapes) :])
+    moving = np.flatnonzero((turns > _LEAST_TURN * turns.max(axis=0, initial=0.0)).any(axis=1))
+    if not len(moving):
+        return rig
+    chosen = np.arange(0, len(rig.rest), max(1, len(rig.rest) // _GAIN_POINTS))
+    some, points = with_points(rig, chosen), points[:, chosen]
+    noise, gains = _subject_examples(some, values, points).best_noise(_GAIN_NOISES), np.ones(len(moving))
+    for _ in range(_GAIN_STEPS):
+        now = _scaled(some, moving, gains)
+        slopes = _slopes(some, now, moving, values, points)
+        matrix, off = _subject_examples(now, values, points).normal(slopes, max(noise, 1e-6))
+        gains -= np.linalg.solve(matrix + _GAIN_DOUBT * np.eye(len(moving)), off + _GAIN_DOUBT * (gains - 1.0))
+    return _scaled(rig, moving, gains)
+
+
+def _scaled(rig: NeuralRig, controls: IntArray, gains: FloatArray) -> NeuralRig:
+    linear = rig.linear.copy()
+    linear[controls, len(rig.shapes) :] *= gains[:, None]
+    return replace(rig, linear=linear)
+
+
+def _slopes(rig: NeuralRig, now: NeuralRig, controls: IntArray, values: FloatArray, points: FloatArray) -> FloatArray:
+    """(f, k, n, 3) how points before bones answer to the gains of k controls."""
+    x, outputs, shapes = from_default(rig.controls, values), now.outputs(values), len(rig.shapes)
+    still = _before_bones(now, outputs, points)
+    found = np.zeros((len(x), len(controls), *still.shape[1:]))
+    for frame, row in enumerate(x[:, controls]):
+        moved = np.flatnonzero(row)
+        if not len(moved):
+            continue
+        changed = np.tile(outputs[frame], (len(moved), 1))
+        changed[:, shapes:] += _GAIN_CHANGE * row[moved, None] * rig.linear[controls[moved], shapes:]
+        there = _before_bones(now, changed, np.broadcast_to(points[frame], (len(moved), *still.shape[1:])))
+        found[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
+    return found

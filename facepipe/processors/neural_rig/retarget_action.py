@@ -38,8 +38,8 @@ class Retarget(RetargetOptions, FileAction["RetargetReport"]):
     def write(self, job: Job) -> RetargetReport:
         from facepipe.processors.neural_rig.carried_rig import Subject
         from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig, save_neural_rig
+        from facepipe.processors.neural_rig.read_motion import read_subject_frames
         from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
-        from facepipe.processors.neural_rig.subject_frames import read_subject_frames
         from facepipe.stage import open_face
 
         rig = load_neural_rig(self.rig)

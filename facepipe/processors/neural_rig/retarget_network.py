@@ -9,8 +9,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.processors.neural_rig.options import SampleMotionOptions
-from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
-from facepipe.processors.neural_rig.plan_frames import plan
+from facepipe.processors.neural_rig.output_basis import output_metric, skinned_moves
+from facepipe.processors.neural_rig.sample_motion import plan
 from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
 
 _INPUTS = 256  # coordinates of a deformation, at most

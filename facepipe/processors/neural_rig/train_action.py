@@ -109,8 +109,8 @@ class Train(
             return TrainEncoder(options=self._as(TrainEncoderOptions))(motion, bar.update, checkpoint)
 
     def _motion(self, job: Job) -> Motion:
+        from facepipe.processors.neural_rig.motion import ReadClips
         from facepipe.processors.neural_rig.read_motion import ReadMotion
-        from facepipe.processors.neural_rig.recorded_clips import ReadClips
         from facepipe.processors.neural_rig.sample_motion import SampleMotion, controls_of
         from facepipe.stage import open_face
 

@@ -17,8 +17,7 @@ from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
 from facepipe.processors.neural_rig.options import TrainNeuralRigOptions
 from facepipe.processors.neural_rig.output_basis import OutputBasis
-from facepipe.processors.neural_rig.peers import Straight, best_blendshapes, ridge
-from facepipe.processors.neural_rig.straight_rig import straight_rig
+from facepipe.processors.neural_rig.straight_models import Straight, best_blendshapes, ridge, straight_rig
 from facepipe.rig.neural_rig import NeuralRig, from_default, with_influences
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from facepipe.processors.rebuild.personal_template import PersonalTemplate
     from facepipe.processors.rebuild.project import Project, ProjectScan, read_project
     from facepipe.processors.rebuild.rebuild import Rebuild, Rebuilt
-    from facepipe.processors.rebuild.refine_neutral import RefinedNeutral, RefineNeutral
-    from facepipe.processors.rebuild.refine_report import RefineReport
+    from facepipe.processors.rebuild.refine_neutral import RefinedNeutral, RefineNeutral, RefineReport
     from facepipe.processors.rebuild.register_scans import (
         Composite,
         CompositeReport,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     )
     from facepipe.processors.rebuild.scan_fit import ScanFit
     from facepipe.processors.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
-    from facepipe.processors.rebuild.stages import Readers
+    from facepipe.processors.rebuild.steps import Readers
     from facepipe.processors.rebuild.template import Template
 else:
     __getattr__, __dir__ = lazy(__name__)

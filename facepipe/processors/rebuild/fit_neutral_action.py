@@ -33,7 +33,7 @@ from facepipe.processors.rebuild.options import FitNeutralOptions
 from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.processors.rebuild.judged import FitNeutralReport
+    from facepipe.processors.rebuild.action_reports import FitNeutralReport
     from facepipe.stage import Face
 
 _STEPS = 18  # of a fit, at most
@@ -66,11 +66,11 @@ class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import QualityLimits, load_database, misses
+        from facepipe.processors.rebuild.action_reports import FitNeutralReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.fit_neutral import FitNeutral
-        from facepipe.processors.rebuild.judged import FitNeutralReport
+        from facepipe.processors.rebuild.scan_fit import FaceOnScan
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
-        from facepipe.processors.rebuild.scan_picture import FaceOnScan
         from facepipe.processors.rebuild.template import Template
 
         template = Template.of(face.parts(), str(self.template))

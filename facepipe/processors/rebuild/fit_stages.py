@@ -11,16 +11,20 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.processors.database import quality_from
 from facepipe.processors.rebuild.fit_neutral import FitNeutral
-from facepipe.processors.rebuild.fitted import FittedExpression, FittedNeutral
-from facepipe.processors.rebuild.kept_result import EXPRESSION, NEUTRAL, REFINED, SHAPES, TEMPLATE
+from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
-from facepipe.processors.rebuild.project import ProjectScan, Refinement
-from facepipe.processors.rebuild.project_names import expression_weights
+from facepipe.processors.rebuild.project import ProjectScan, Refinement, expression_weights
 from facepipe.processors.rebuild.refine_neutral import RefineNeutral
-from facepipe.processors.rebuild.region_weights import region_weights
 from facepipe.processors.rebuild.register_scans import Composite, ExpressionScan, NeutralScan, RegisterScans
 from facepipe.processors.rebuild.split_expressions import SplitExpressions
-from facepipe.processors.rebuild.stage_content import (
+from facepipe.processors.rebuild.step_results import (
+    EXPRESSION,
+    NEUTRAL,
+    REFINED,
+    SHAPES,
+    TEMPLATE,
+    FittedExpression,
+    FittedNeutral,
     options_json,
     place_json,
     place_of,
@@ -28,11 +32,11 @@ from facepipe.processors.rebuild.stage_content import (
     shape_arrays,
     shapes_of,
 )
-from facepipe.processors.rebuild.stages import Stages
-from facepipe.processors.rebuild.together_stage import together_stage
-from facepipe.processors.rebuild.work_folder import StageResult, array_digest
+from facepipe.processors.rebuild.steps import StageResult, Stages, array_digest
+from facepipe.processors.rebuild.template import region_weights
 
 Shapes = Mapping[str, FloatArray]
+Expressions = Mapping[str, FittedExpression]
 
 
 class FitStages:
@@ -187,3 +191,72 @@ class FitStages:
 
 def _markers(neutral: NeutralScan) -> dict[str, list[float]]:
     return {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()}
+
+
+def together_stage(
+    stages: Stages, name: str, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
+) -> StageResult:
+    """The neutral refined on all scans, from fits to each alone.
+
+    :param name: of the stage
+    :param shapes: the personal template of `first`
+    :raises FacepipeError: what can't be read, fitted or written
+    """
+
+    def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        found = _fit(stages, first, shapes, expressions)
+        together = {
+            "moved_mean_mm": found.moved_mean_mm,
+            "weights": dict(zip(expressions, found.weights, strict=True)),
+        }
+        report = plain(found.neutral.report)
+        report |= {"weights": _shown_weights(report["weights"], first.report["weights"]), "together": together}
+        arrays = {"points": found.neutral.points, "expression": found.neutral.expression}
+        return arrays, {"report": report, "place": place_json(found.neutral.place)}
+
+    return stages.stage(name, _inputs(stages, first, shapes, expressions), compute, NEUTRAL)
+
+
+def _fit(
+    stages: Stages, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
+) -> TogetherFit:
+    project, placed = stages.project, []
+    scans = {scan.name: scan for scan in project.expressions}
+    for name, one in expressions.items():
+        scan, marks = stages.read(scans[name])
+        given = ExpressionScan(scan=scan, landmarks=marks, weights=one.composite.weights)
+        placed.append(PlacedExpression(expression=given, place=one.place))
+    scan, marks = stages.read(project.neutral)
+    fit = FitTogether(neutral=project.neutral_options, expressions=project.expression_options)
+    neutral, coefficients = replace(first.scan, landmarks=marks), np.array(first.report["coefficients"])
+    return fit(stages.template, scan, neutral, coefficients, stages.database(), shapes, placed)
+
+
+def _shown_weights(found: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
+    """Weights of the shapes that the neutral's scan shows besides: together they are fitted as one shape, of which
+    `found` has how much, by what was found alone."""
+    share = next(iter(found.values()), 1.0)
+    return {shape: share * weight for shape, weight in alone.items()}
+
+
+def _inputs(
+    stages: Stages, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
+) -> dict[str, Any]:
+    project = stages.project
+    scans = {scan.name: scan for scan in project.expressions}
+    inputs = stages.inputs(project.neutral, project.neutral_options, database=stages.digest(project.database))
+    return inputs | {
+        "first": array_digest(first.scan.points, first.scan.shown, np.array(first.report["coefficients"])),
+        "weights": dict(first.report["weights"]),
+        "place": place_json(first.place),
+        "shapes": array_digest(*shapes.values()),
+        "expressions": {
+            name: stages.inputs(
+                scans[name],
+                project.expression_options,
+                weights=dict(one.composite.weights),
+                place=place_json(one.place),
+            )
+            for name, one in expressions.items()
+        },
+    }

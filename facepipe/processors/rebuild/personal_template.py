@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.processors.database import FaceDatabase, predicted_shapes, whole_face
+from facepipe.parts import Recipe
+from facepipe.processors.database import FaceDatabase, WholeFace, predicted_shapes, whole_face
+from facepipe.processors.rebuild.author_neutral import AuthorNeutral
 from facepipe.processors.rebuild.options import PersonalTemplateOptions
 from facepipe.processors.rebuild.template import Template
+from facepipe.stage import Face
+
+_MOVED = 0.05  # of a shape's largest motion: points that move less are not what it moves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,3 +82,83 @@ def _transferred(template: Template, neutral: FloatArray, done: Callable[[], obj
         found[name] = transfer.solve(template.points[None], (template.points + delta)[None]) - neutral
         done()
     return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonalReport(Report):
+    """Where a person's starting shapes come from, and how they move."""
+
+    source: str  # "from the database" or "from the template"
+    motion_mm: Mapping[str, float]  # shape -> largest motion
+    change_mean_mm: float  # from the template's own, over the points that these move, all shapes
+    authored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorPersonal:
+    """Puts starting shapes on a person's face, in place of the template's."""
+
+    template: Template
+    make: PersonalTemplate = field(default_factory=PersonalTemplate)
+    database: FaceDatabase | None = None
+
+    @property
+    def count(self) -> int:
+        """How many shapes there are to make."""
+        if self._from_database and self.database is not None:
+            return len(self.database.shapes)
+        return len(_shapes_of(self.template))
+
+    def __call__(
+        self, face: Face, *, recipe: Recipe | None = None, done: Callable[[], object] = lambda: None
+    ) -> PersonalReport:
+        """Author the shapes on `face`, which stands over the neutral.
+
+        :param done: called once for each shape
+        :raises TopologyError: a face or database of another topology than the template
+        :raises InputError: nothing to make shapes of
+        """
+        own = whole_face(face.parts(), face.where)
+        if own.topology.digest != self.template.topology.digest:
+            raise TopologyError(face.where, f"other meshes or faces than {self.template.where}, expected the same")
+        shapes = self.make(self.template, own.points, self.database, done)
+        report = AuthorNeutral(shapes=shapes)(face, own.points, recipe=recipe)
+        return PersonalReport(
+            source="from the database" if self._from_database else "from the template",
+            motion_mm={name: float(_lengths(delta).max(initial=0.0)) for name, delta in shapes.items()},
+            change_mean_mm=_change(shapes, _shapes_of(self.template)),
+            authored=report.authored,
+            warnings=(*report.warnings, *_kept(own, shapes)),
+        )
+
+    @property
+    def _from_database(self) -> bool:
+        return self.make.options.shapes_from != "template" and (
+            self.database is not None and self.database.expressions is not None
+        )
+
+
+def _shapes_of(template: Template) -> Mapping[str, FloatArray]:
+    return whole_face(template.parts, template.where).deltas
+
+
+def _lengths(delta: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(delta, axis=1))
+
+
+def _change(shapes: Mapping[str, FloatArray], generic: Mapping[str, FloatArray]) -> float:
+    """Mean distance of shapes from those of their names, over the points that these move; 0 where there are none."""
+    off = [np.zeros(0)]
+    for name, delta in shapes.items():
+        motion = _lengths(generic[name]) if name in generic else np.zeros(len(delta))
+        moved = motion > _MOVED * motion.max(initial=0.0)
+        off.append(_lengths(delta - generic[name])[moved] if moved.any() else np.zeros(0))
+    every = np.concatenate(off)
+    return float(every.mean()) if len(every) else 0.0
+
+
+def _kept(own: WholeFace, shapes: Mapping[str, FloatArray]) -> Iterator[str]:
+    left = [name for name in own.deltas if name not in shapes]
+    if left:
+        some = ", ".join(left[:6]) + (" ..." if len(left) > 6 else "")
+        yield f"{len(left)} shapes that the source lacks stay as they are: {some}"

@@ -22,7 +22,7 @@ from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.rebuild.options import PersonalTemplateOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.rebuild.author_personal import PersonalReport
+    from facepipe.processors.rebuild.personal_template import PersonalReport
     from facepipe.stage import Face
 
 
@@ -41,8 +41,7 @@ class PersonalTemplateAction(PersonalTemplateOptions, StageAction["PersonalRepor
         from facepipe.importers import read_face
         from facepipe.kinds import found_of
         from facepipe.processors.database import load_database
-        from facepipe.processors.rebuild.author_personal import AuthorPersonal
-        from facepipe.processors.rebuild.personal_template import PersonalTemplate
+        from facepipe.processors.rebuild.personal_template import AuthorPersonal, PersonalTemplate
         from facepipe.processors.rebuild.template import Template
 
         template = Template.of(read_face(self.template).parts(), str(self.template))

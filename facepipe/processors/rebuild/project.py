@@ -34,7 +34,7 @@ from facepipe.core.names import file_name
 from facepipe.core.reading import is_file, read_toml
 from facepipe.core.trust import check_writable
 from facepipe.declare import from_json
-from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES
+from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.options import (
     FitNeutralOptions,
     PersonalTemplateOptions,
@@ -118,6 +118,14 @@ def read_project(path: Path) -> Project:
         ),
         split_options=from_json(SplitExpressionsOptions, options.get("split", {}), f"{where} -> options.split"),
     )
+
+
+def expression_weights(project: Project, scan: ProjectScan, shapes: tuple[str, ...]) -> dict[str, float]:
+    """Weights of an expression by the names of the personal template's `shapes`.
+
+    :raises InputError: a shape that is not there
+    """
+    return resolved(scan.weights, shapes, f"{project.path} -> expressions -> {scan.name} -> weights")
 
 
 def _refinement(where: str, options: Mapping[str, Any]) -> Refinement | None:

@@ -11,13 +11,13 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.similarity import Similarity
-from facepipe.processors.database import Quality, quality_from
+from facepipe.processors.database import FaceDatabase, Quality, quality_from
 from facepipe.processors.rebuild.fit_stages import FitStages
-from facepipe.processors.rebuild.fitted import Fitted, FittedNeutral
-from facepipe.processors.rebuild.project import Project
-from facepipe.processors.rebuild.project_names import check_names
-from facepipe.processors.rebuild.stages import Readers, Stages
-from facepipe.processors.rebuild.template import Template
+from facepipe.processors.rebuild.personal_template import PersonalTemplate
+from facepipe.processors.rebuild.project import Project, expression_weights
+from facepipe.processors.rebuild.step_results import Fitted, FittedNeutral
+from facepipe.processors.rebuild.steps import Readers, Stages
+from facepipe.processors.rebuild.template import Template, region_weights
 
 _ALONE = "alone/"  # folder of what a joint fit begins with
 
@@ -69,7 +69,7 @@ class Rebuild:
 
         :raises FacepipeError: what can't be read, fitted or written; the results of the stages before stay
         """
-        check_names(self._project, self._template, self._stages.database())
+        _check_names(self._project, self._template, self._stages.database())
         fits = FitStages(self._stages)
         neutral = self._neutral(fits)
         stages: dict[str, Fitted] = {"neutral": neutral}
@@ -124,3 +124,15 @@ class Rebuild:
         left = sorted(own - set(shapes))
         where = self._template.where
         return (f"{where}: the database lacks {', '.join(left)}: the template's offsets are kept",) if left else ()
+
+
+def _check_names(project: Project, template: Template, database: FaceDatabase) -> None:
+    """All regions and shapes that a project names are there: asked before the first fit, as fits take minutes.
+
+    :raises FacepipeError: one that is not, or a database that starting shapes can't come from
+    """
+    if project.refinement is not None:
+        region_weights(template.parts, project.refinement.regions, f"{project.path} -> options.refinement")
+    shapes = PersonalTemplate(options=project.template_options).names(template, database)
+    for scan in project.expressions:
+        expression_weights(project, scan, shapes)

@@ -81,7 +81,7 @@ class RebuildAction(StageAction["RebuildReport"]):
         return (project.template, project.database, *each)
 
     def check(self) -> None:
-        from facepipe.processors.rebuild.work_folder import CORRECTIONS
+        from facepipe.processors.rebuild.steps import CORRECTIONS
 
         super().check()
         folder = None if self.report is None else Path(self.report).resolve()
@@ -94,9 +94,9 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.core.atomic import apart
         from facepipe.processors.database import QualityLimits, misses
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-        from facepipe.processors.rebuild.readers import readers
         from facepipe.processors.rebuild.rebuild import Rebuild, stage_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
+        from facepipe.processors.rebuild.steps import readers
         from facepipe.processors.rebuild.template import Template
 
         template = Template.of(face.parts(), str(self.base))
@@ -126,7 +126,7 @@ class RebuildAction(StageAction["RebuildReport"]):
                 report.pictures.write(path, result, bar.update)
 
     def text(self, report: RebuildReport, out: Path) -> str:
-        from facepipe.processors.rebuild.rebuild_text import rebuild_text
+        from facepipe.processors.rebuild.rebuild_report import rebuild_text
 
         return f"{out}\n{rebuild_text(report)}"
 

@@ -1,4 +1,4 @@
-"""The report folder of a rebuild: its figures, and pictures of what they stand for."""
+"""The report of a rebuild: its folder of figures and pictures of what they stand for, and its text."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.reports import Report, unsaid
+from facepipe.core.texts import table
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
 _NAMED = 8  # weights of an expression that the page gives
+_SHOWN = 10  # shapes that the text names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +115,7 @@ class RebuildPictures:
         from facepipe.pictures.fit_sheet import round_above
         from facepipe.pictures.rebuild_pictures import Turntable
         from facepipe.processors.database.whole_faces import whole_parts
-        from facepipe.processors.rebuild.scan_distances import in_place, scan_distances
+        from facepipe.processors.rebuild.scan_fit import in_place, scan_distances
 
         distances, places = {}, self.rebuilt.places
         for stage, (one, points) in self._scans().items():
@@ -201,3 +203,38 @@ def _read(one: ProjectScan) -> Scan:
     from facepipe.importers.scan_file import read_scan
 
     return replace(read_scan(one.scan), name=str(one.scan))
+
+
+def rebuild_text(report: RebuildReport) -> str:
+    """Tables of scans and shapes, and a line for each thing besides."""
+    lines = [table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(report.stages)])]
+    if "refined" in report.stages:
+        lines.append(refined_line(report.stages["refined"]))
+    if "shapes" in report.stages:
+        lines += _shape_lines(**{name: report.stages["shapes"][name] for name in ("shapes", "unseen")})
+    if report.reused:
+        lines.append(f"reused: {', '.join(report.reused)}")
+    if report.corrected:
+        lines.append(f"corrected by hand: {', '.join(report.corrected)}")
+    return "\n".join(lines)
+
+
+def _scan_rows(stages: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for name, stage in stages.items():
+        if "fit" in stage:
+            fit = stage["fit"]
+            distances = (f"{fit['surface_mean_mm']:.3f}", f"{fit['surface_p95_mm']:.3f}")
+            seen = (f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}")
+            yield (name.removeprefix("expressions/"), *distances, *seen)
+
+
+def _shape_lines(shapes: Mapping[str, Any], unseen: list[str]) -> Iterator[str]:
+    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes told by the scans, the others the template's"
+    told = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
+    rows: list[tuple[str, ...]] = [("changed most", "observed", "gain", "change mm", "scans")]
+    for name in told:
+        one = shapes[name]
+        numbers = (f"{one['observed']:.2f}", f"{one['gain']:.2f}", f"{one['change_mm']:.2f}")
+        rows.append((name, *numbers, " ".join(one["scans"])))
+    if told:
+        yield table(rows)

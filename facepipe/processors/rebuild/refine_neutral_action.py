@@ -33,7 +33,7 @@ from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
-    from facepipe.processors.rebuild.judged import RefineNeutralReport
+    from facepipe.processors.rebuild.action_reports import RefineNeutralReport
     from facepipe.processors.rebuild.shown_shapes import ShownShapes
     from facepipe.stage import Face
 
@@ -67,14 +67,12 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
     def author(self, face: Face, job: Job) -> RefineNeutralReport:
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import QualityLimits, misses
+        from facepipe.processors.rebuild.action_reports import RefineNeutralReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-        from facepipe.processors.rebuild.judged import RefineNeutralReport
-        from facepipe.processors.rebuild.refine_neutral import RefineNeutral
-        from facepipe.processors.rebuild.refine_report import flipped_before
-        from facepipe.processors.rebuild.region_weights import region_weights
+        from facepipe.processors.rebuild.refine_neutral import RefineNeutral, flipped_before
+        from facepipe.processors.rebuild.scan_fit import FaceOnScan
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
-        from facepipe.processors.rebuild.scan_picture import FaceOnScan
-        from facepipe.processors.rebuild.template import Template
+        from facepipe.processors.rebuild.template import Template, region_weights
 
         parts = face.parts()
         weights = region_weights(parts, self.regions, str(self.neutral))

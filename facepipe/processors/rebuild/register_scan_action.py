@@ -32,7 +32,7 @@ from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
 
 if TYPE_CHECKING:
     from facepipe.processors.database import WholeFace
-    from facepipe.processors.rebuild.judged import RegisterScanReport
+    from facepipe.processors.rebuild.action_reports import RegisterScanReport
     from facepipe.processors.rebuild.register_scans import NeutralScan
     from facepipe.processors.rebuild.template import Template
     from facepipe.stage import Face
@@ -109,11 +109,11 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
     def author(self, face: Face, job: Job) -> RegisterScanReport:
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import whole_face
+        from facepipe.processors.rebuild.action_reports import RegisterScanReport, fit_misses
         from facepipe.processors.rebuild.expression_file import author_expression
-        from facepipe.processors.rebuild.judged import RegisterScanReport, fit_misses
         from facepipe.processors.rebuild.register_scans import ExpressionScan, RegisterScans
+        from facepipe.processors.rebuild.scan_fit import FaceOnScan
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
-        from facepipe.processors.rebuild.scan_picture import FaceOnScan
         from facepipe.processors.rebuild.template import Template
 
         parts = face.parts()
@@ -147,8 +147,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         """The neutral, with the place of its scan where one is given, and what there is to say of that."""
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.rebuild.composites import resolved
-        from facepipe.processors.rebuild.neutral_place import placed_neutral
-        from facepipe.processors.rebuild.register_scans import NeutralScan
+        from facepipe.processors.rebuild.register_scans import NeutralScan, placed_neutral
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
         from facepipe.processors.rebuild.shown_shapes import ShownShapes
 

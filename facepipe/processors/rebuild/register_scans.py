@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.core.names import suggestion
 from facepipe.core.reports import Report
@@ -25,6 +25,9 @@ from facepipe.scans import Scan, ScanLandmarks
 _FEWEST = 4  # landmarks and markers
 _SAME_SIZE = 0.02  # scans nearer in scale than this are of one scale
 _REACH_OF_VARIATION = 0.01  # how much the residual's own variance counts per mm^2: about one number each 10 x 10 mm
+_FEWEST_OF_NEUTRAL = 6
+_RIGID = 1e6  # of the residual's precision: nothing bends
+_LANDMARKS_MM = 5.0  # landmarks only begin: the surface places the scan far better than hands do
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,3 +213,63 @@ def _resized(name: str, scale: float, neutral: NeutralScan, hold: bool) -> tuple
     if hold or neutral.place is None:
         return ()
     return (f"{name}: 1 unit is {scale / neutral.place.scale:.4g} times that of the neutral's scan, fitted freely",)
+
+
+def placed_neutral(
+    template: Template,
+    points: FloatArray,
+    scan: Scan,
+    landmarks: ScanLandmarks,
+    expression: FloatArray | None = None,
+) -> NeutralScan:
+    """A neutral with the place and size of its scan, see `neutral_place`.
+
+    :param expression: (n, 3) whole delta that the scan shows besides, such as closed eyes
+    """
+    neutral = NeutralScan(points=points, landmarks=landmarks, expression=expression)
+    return replace(neutral, place=neutral_place(template, neutral.shown, scan, landmarks))
+
+
+def neutral_place(
+    template: Template, points: FloatArray, scan: Scan, landmarks: ScanLandmarks, seen: IntArray | None = None
+) -> Similarity:
+    """From a scan to its neutral, found by landmarks, then by the surface; the neutral stays.
+
+    :param points: (n, 3) whole points, as the scan shows them
+    :param seen: rows of the skin to place it by, ascending; None: all that a scan can show
+    :raises InputError: too few landmarks, or a scan that can't be used
+    :raises FitError: a scan that does not show this face
+    """
+    known = landmarks.known
+    if known.sum() < _FEWEST_OF_NEUTRAL:
+        what = f"{int(known.sum())} of 68 are known, expected {_FEWEST_OF_NEUTRAL} or more"
+        raise InputError(f"{scan.name} -> landmarks", what)
+    surface = neutral_surface(template, points, held=_RIGID)
+    surface = surface if seen is None else replace(surface, seen=seen)
+    start = robust_similarity(landmarks.points[known], surface.base[template.landmarks][known])
+    anchors = Anchors.at_points(template.landmarks, landmarks.points)
+    options = RegistrationOptions(anchor_sigma_mm=_LANDMARKS_MM)
+    target, _ = scan_target(scan)
+    try:
+        return register(surface, target, anchors, start, options).place
+    except FitError as error:
+        raise error.under(scan.name) from None
+
+
+def neutral_surface(template: Template, points: FloatArray, held: float = 0.0) -> DeformableSurface:
+    """The skin of a known neutral, with no modes.
+
+    :param points: (n, 3) whole points
+    :param held: how much a residual is drawn to 0, per mm^2
+    """
+    count = len(template.rows)
+    return DeformableSurface(
+        base=points[template.rows],
+        modes=np.zeros((0, count, 3)),
+        expected=np.zeros(0),
+        precision=np.zeros(0),
+        triangles=template.triangles,
+        seen=template.seen,
+        held=np.full(count, held),
+        labels=template.labels,
+    )

@@ -1,15 +1,20 @@
-"""A scan made ready to be fitted to, and how well a face lies on it."""
+"""A scan made ready to be fitted to, how a face lies on it, and the picture of both."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.geometry.registration import Registered, ScanTarget
+from facepipe.core.arrays import FloatArray
+from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.registration import Registered, RegistrationOptions, ScanTarget
+from facepipe.geometry.similarity import Similarity
 from facepipe.processors.clean_scan import CleanScan
 from facepipe.processors.rebuild.options import UNITS
+from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
 
 _ALIKE = 0.15  # a scale nearer than this to a unit's is told as that unit
@@ -69,3 +74,68 @@ def scan_fit(scan: str, found: Registered, face: npt.NDArray[np.bool_], names: t
         outliers=tuple(names[number] for number in found.outliers),
         steps=found.steps,
     )
+
+
+def in_place(scan: Scan, place: Similarity) -> Scan:
+    """The scan, mended and with normals, where a fit has found it to be.
+
+    :raises InputError: a scan that can't be used
+    """
+    found = scan_target(scan)[0].moved(place)
+    return replace(scan, points=found.points, triangles=found.triangles, normals=found.normals, colors=None)
+
+
+def scan_distances(
+    template: Template, points: FloatArray, scan: Scan, place: Similarity, reach_mm: float | None = None
+) -> FloatArray:
+    """(n,) millimetres from whole points (n, 3) to the scan, NaN where it doesn't show them.
+
+    A point is shown where it can be seen from outside and the nearest place of the scan is within reach, faces the same
+    way and is not on the scan's border.
+
+    :param place: from the scan's coordinates to those of the points
+    :param reach_mm: that of a registration by default
+    :raises InputError: a scan that can't be used
+    """
+    reach = RegistrationOptions().reach_mm if reach_mm is None else reach_mm
+    by_row = row_distances(template, points[template.rows], scan_target(scan)[0], place, reach)
+    return np.where(template.row_of >= 0, by_row[template.row_of], np.nan)
+
+
+def row_distances(
+    template: Template, rows: FloatArray, target: ScanTarget, place: Similarity, reach_mm: float
+) -> FloatArray:
+    """(m,) the same of the skin's rows (m, 3), from a scan made ready."""
+    seen = template.seen
+    normals = point_normals(rows, template.triangles)[seen]
+    matches = target.matches(rows[seen], normals, reach_mm, RegistrationOptions().angle, place)
+    found = np.full(len(rows), np.nan)
+    found[seen[matches.kept]] = matches.distances[matches.kept]
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceOnScan:
+    """A face as a scan shows it, and the scan."""
+
+    template: Template
+    points: FloatArray  # (n, 3) whole points
+    scan: Scan
+    place: Similarity  # from the scan's coordinates to those of the points
+    neutral: FloatArray | None = None  # (n, 3) the points without what the scan shows besides, where that is something
+
+    def draw(self, path: Path) -> None:
+        """Scan, face and their distance."""
+        from facepipe.pictures import save_png
+        from facepipe.pictures.fit_sheet import FitPicture, fit_sheet
+        from facepipe.processors.database.whole_faces import whole_parts
+
+        template = self.template
+        shown = FitPicture(
+            parts=whole_parts(template.parts, self.points),
+            landmarks=self.points[template.rows[template.landmarks]],
+            scan=in_place(self.scan, self.place),
+            distances=scan_distances(template, self.points, self.scan, self.place),
+            neutral=None if self.neutral is None else whole_parts(template.parts, self.neutral),
+        )
+        save_png(fit_sheet(shown), path)

@@ -11,7 +11,7 @@ from facepipe.core.errors import FacepipeError
 from facepipe.kinds import StageAction
 
 if TYPE_CHECKING:
-    from facepipe.processors.rebuild.judged import Judged
+    from facepipe.processors.rebuild.action_reports import Judged
     from facepipe.scans import Scan, ScanLandmarks
     from facepipe.stage import Face
 

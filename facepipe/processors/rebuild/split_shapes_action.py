@@ -26,7 +26,7 @@ from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.rebuild.options import SplitExpressionsOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.rebuild.judged import SplitShapesReport
+    from facepipe.processors.rebuild.action_reports import SplitShapesReport
     from facepipe.processors.rebuild.split_expressions import SplitReport
     from facepipe.stage import Face
 
@@ -43,9 +43,13 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
 
     def author(self, face: Face, job: Job) -> SplitShapesReport:
         from facepipe.processors.database import whole_face
-        from facepipe.processors.rebuild.author_split import author_shapes, quality_with, split_files
-        from facepipe.processors.rebuild.expression_file import read_expression
-        from facepipe.processors.rebuild.judged import SplitShapesReport
+        from facepipe.processors.rebuild.action_reports import SplitShapesReport
+        from facepipe.processors.rebuild.expression_file import (
+            author_shapes,
+            quality_with,
+            read_expression,
+            split_files,
+        )
         from facepipe.processors.rebuild.split_expressions import SplitExpressions
         from facepipe.processors.rebuild.template import Template
 

@@ -1,7 +1,8 @@
-"""The template of a rebuild: a face stage's surface, and what of it a scan can show."""
+"""The template of a rebuild: a face stage's surface, what of it a scan can show, and how far its points may follow."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,16 +10,18 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
 from facepipe.geometry.polygons import components
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
 from facepipe.geometry.visibility import seen_from_outside
-from facepipe.parts import FaceParts
+from facepipe.parts import FaceParts, all_regions
 from facepipe.processors.database.whole_faces import Topology, whole_points
 from facepipe.processors.skin.features import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 
 _LIP = 0.35  # of a slit's width: so far from its rims, points are told as of the upper or lower lip or lid
+_NO_REGIONS = ", expected a face with regions (facepipe regions)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,3 +141,23 @@ def _labels(surface: Surface) -> IntArray:
         near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
         labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
     return labels
+
+
+def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
+    """(n,) 0 to 1 for whole points: the sum of the soft masks of the regions `names`, 1 all over where none is named.
+
+    :raises InputError: a region that the face has not, with the names of those that it has
+    """
+    if not names:
+        return np.ones(sum(len(mesh.points) for mesh in parts.meshes))
+    regions = all_regions(parts.meshes)
+    for name in names:
+        if name not in regions:
+            raise InputError(
+                f"{where} -> region {name[:60]}",
+                f"no such region{suggestion(name, regions) if regions else _NO_REGIONS}",
+            )
+    masks = np.stack([regions[name] for name in dict.fromkeys(names)]).astype(np.float64)
+    if not (np.isfinite(masks).all() and masks.max(initial=0.0) > 0.0):
+        raise InputError(f"{where} -> region {', '.join(names)}", "no point is in it, expected some")
+    return np.asarray(np.clip(masks.sum(axis=0), 0.0, 1.0))

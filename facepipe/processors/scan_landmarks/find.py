@@ -17,11 +17,18 @@ from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
 from facepipe.geometry.polygons import border_points
 from facepipe.processors.clean_scan import CleanScan
-from facepipe.processors.scan_landmarks.accuracy import found_sigmas
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
-from facepipe.processors.scan_landmarks.look_again import Seen, look_again
-from facepipe.processors.scan_landmarks.search import Candidate, Draw, Network, axis_views, candidates, sphere_views
-from facepipe.scans import Scan, ScanLandmarks
+from facepipe.processors.scan_landmarks.search import (
+    Candidate,
+    Draw,
+    Network,
+    Seen,
+    axis_views,
+    candidates,
+    look_again,
+    sphere_views,
+)
+from facepipe.scans import LANDMARK_COUNT, Scan, ScanLandmarks
 
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show
@@ -35,6 +42,7 @@ _UNSURE = 0.03  # of a side: spread of a landmark that is left out
 _OFF = 0.03  # of a side: a landmark farther from the surface than this lies where the scan has ended
 _END = 0.05  # of a side: the outline of a scan that ends nearer than this to the jaw's landmarks passes for the jaw
 _JAW = 17  # landmarks
+_JAW_MM, _FEATURES_MM = 3.5, 2.2  # RMS along each coordinate, over simulated scans
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,3 +207,8 @@ def _at_end(places: FloatArray, ends: FloatArray, side: float) -> npt.NDArray[np
     if len(ends):
         near[:_JAW] = cKDTree(ends).query(places[:_JAW])[0] < _END * side
     return near
+
+
+def found_sigmas() -> FloatArray:
+    """(68,) mm: the jaw has no mark to tell it."""
+    return np.where(np.arange(LANDMARK_COUNT) < _JAW, _JAW_MM, _FEATURES_MM)

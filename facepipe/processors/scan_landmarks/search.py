@@ -1,4 +1,7 @@
-"""Where on a scan of any pose and unit there may be a face: pictures from all around, crops all over them."""
+"""Where on a scan of any pose and unit there may be a face, and the landmarks of one whose place is roughly known.
+
+Pictures from all around are searched, in crops all over them; then rays of several views meet in the landmarks.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
-from facepipe.geometry.pinhole import Pinhole
-from facepipe.processors.scan_landmarks.crops import crop_matrix, cut_crops, in_picture
+from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 
 # A picture (size, size, 3) of sRGB in 0..1 and the depth (size, size), infinite where nothing is.
@@ -18,12 +20,23 @@ Draw = Callable[[Look, Pinhole], tuple[FloatArray, FloatArray]]
 # Landmarks (b, 68, 2) and presence (b,) of crops (b, 3, S, S).
 Network = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
-PICTURE = 224  # pixels a side
+_SEARCHED = 224  # pixels a side
 _SIDES = (0.28, 0.38, 0.52, 0.72, 1.0)  # of crops, shares of the picture's
 _STRIDE = 0.25  # of a crop's side
 _COVERED = 0.5  # share of a crop that must show the scan
 _MAYBE = 0.5  # presence
 _APART = 0.25  # of a side: of two candidates nearer than this, the surer one
+_LOOKED_AT = 208  # pixels a side
+_MARGIN = 1.6  # sides of a crop that a picture shows
+_LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))  # turn in radians, scale: as of photos
+_MEETING = 0.012  # of a side: distance at which a ray counts half
+_COARSE = 1.5  # pixels of a picture a pixel of a crop: beyond, half the picture is enough
+
+# The landmarks of the other side.
+_JAW, _BROWS, _NOSE = range(16, -1, -1), range(26, 16, -1), (27, 28, 29, 30, 35, 34, 33, 32, 31)
+_EYES = (45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40)
+_LIPS = (54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65)
+MIRRORED = np.array([*_JAW, *_BROWS, *_NOSE, *_EYES, *_LIPS])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +104,7 @@ def lifted(landmarks: FloatArray, depth: FloatArray, view: Pinhole) -> FloatArra
 def _view(middle: FloatArray, radius: float, backward: FloatArray, upward: FloatArray) -> Pinhole:
     right = np.cross(upward, backward)
     right /= np.linalg.norm(right)
-    return Pinhole.around(middle, np.stack([right, np.cross(backward, right), backward]), radius, PICTURE)
+    return Pinhole.around(middle, np.stack([right, np.cross(backward, right), backward]), radius, _SEARCHED)
 
 
 def _grid(covered: FloatArray, turns: int, size: int) -> FloatArray:
@@ -127,3 +140,109 @@ def _differ(one: FaceFrame, other: FaceFrame) -> bool:
     far = np.linalg.norm(one.middle - other.middle) > _APART * other.side
     turned = np.trace(one.axes @ other.axes.T) < 1 + 2 * np.cos(0.6)
     return bool(far or turned or not 0.7 < one.side / other.side < 1.4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Landmarks in space, by several views."""
+
+    landmarks: FloatArray  # (68, 3)
+    spread: FloatArray  # (68,) median distance of the rays, as a share of the crop's side
+    presence: float  # mean over the views
+
+
+def look_again(
+    look: Look,
+    frame: FaceFrame,
+    angles: Sequence[tuple[float, float]],
+    draw: Draw,
+    network: Network,
+    size: int,
+) -> Seen:
+    """Landmarks by views at `angles`: yaw and pitch in radians."""
+    views = [frame.view(yaw, pitch, _LOOKED_AT, _MARGIN) for yaw, pitch in angles]
+    seen = [_one_view(look, view, draw, network, size) for view in views]
+    presence = np.array([one[1] for one in seen])
+    directions = np.stack([view.directions(one[0]) for view, one in zip(views, seen, strict=True)])
+    weights = np.repeat(np.maximum(presence, 1e-3)[:, None], 68, axis=1)
+    origins = np.stack([view.eye for view in views])
+    places, distances = meeting_points(origins, directions, weights, _MEETING * frame.side)
+    return Seen(landmarks=places, spread=np.median(distances, axis=0) / frame.side, presence=float(presence.mean()))
+
+
+def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int) -> tuple[FloatArray, float]:
+    """Landmarks (68, 2) in pixels, and presence: of the middle first, then of crops aligned by what that showed."""
+    from facepipe.core.errors import InputError
+    from facepipe.learn.features.crops import face_crop
+
+    picture, _ = draw(look, view)
+    matrix = crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)
+    for _ in range(2):
+        landmarks, presence = network(cut_crops(picture, matrix[None], size))
+        try:
+            matrix = face_crop(in_picture(landmarks, matrix[None])[0], size)
+        except InputError:
+            return in_picture(landmarks, matrix[None])[0], 0.0
+    matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
+    crops = cut_crops(picture, matrices, size)
+    landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
+    other = landmarks[len(crops) :][:, MIRRORED]
+    other[..., 0] = size - other[..., 0]
+    both = (landmarks[: len(crops)] + other) / 2
+    return in_picture(both, matrices).mean(axis=0), float(presence.mean())
+
+
+def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
+    """The crop turned and scaled about its centre."""
+    centre = matrix[:, :2] @ np.full(2, size / 2) + matrix[:, 2]
+    linear = scale * matrix[:, :2] @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.column_stack([linear, centre - linear @ np.full(2, size / 2)])
+
+
+def crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> FloatArray:
+    """(2, 3) from crop pixels to picture pixels: a square about `middle` (2,), turned by radians."""
+    scale = side / size
+    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.column_stack([linear, np.asarray(middle) - linear @ np.full(2, size / 2)])
+
+
+def cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArray:
+    """(k, 3, size, size) float32 crops of a picture (h, w, 3) by matrices (k, 2, 3), bilinear; outside, its border."""
+    import torch
+    from torch.nn import functional
+
+    image = torch.as_tensor(np.asarray(picture, np.float32)).permute(2, 0, 1)[None]
+    scales = np.linalg.norm(matrices[:, :, 0], axis=1)
+    half = functional.avg_pool2d(image, 2)
+    crops = np.empty((len(matrices), 3, size, size), np.float32)
+    for source, chosen in ((image, scales <= _COARSE), (half, scales > _COARSE)):
+        if chosen.any():
+            crops[chosen] = _sampled_crops(source, _places(matrices[chosen], size, picture.shape[:2]))
+    return crops
+
+
+def in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:
+    """(k, 68, 2) landmarks of crops in pixels of the picture."""
+    turned = np.einsum("kij,klj->kli", matrices[:, :, :2], landmarks)
+    return np.asarray(turned + matrices[:, None, :, 2])
+
+
+def _places(matrices: FloatArray, size: int, shape: tuple[int, ...]) -> FloatArray:
+    """(k, size, size, 2) x and y of every pixel, -1 to 1 over the picture."""
+    center = np.arange(size, dtype=np.float32) + 0.5
+    scaled = np.asarray(2 * matrices / np.array([[shape[1]], [shape[0]]]), np.float32)[
+        ..., None, None
+    ]  # (k, 2, 3, 1, 1)
+    across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
+    places = across * center[None, :] + (down * center[:, None] + (start - 1))  # (k, 2, size, size)
+    return np.ascontiguousarray(np.moveaxis(places, 1, 3))
+
+
+def _sampled_crops(image: object, places: FloatArray) -> FloatArray:
+    import torch
+    from torch.nn import functional
+
+    count, size = places.shape[:2]
+    grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
+    found = functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return np.asarray(found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy())

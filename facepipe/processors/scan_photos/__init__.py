@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.scan_photos.camera import PhotoCamera
-    from facepipe.processors.scan_photos.cameras_file import Cameras, read_cameras, write_cameras
+    from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera, read_cameras, write_cameras
     from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
-    from facepipe.processors.scan_photos.report import ScanPhotosReport
-    from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos
+    from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos, ScanPhotosReport
     from facepipe.processors.scan_photos.triangulation import read_markers, triangulate
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.processors.scan_photos.camera import PhotoCamera
+from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.photos import Photo
-from facepipe.processors.scan_photos.rectify import rectify
-from facepipe.processors.scan_photos.stereo import depth_map, disparities
+from facepipe.processors.scan_photos.stereo import depth_map, disparities, rectify
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.processors.scan_photos.subject import Subject
 

@@ -7,31 +7,56 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.reports import Report, unsaid
 from facepipe.core.threads import one_thread
-from facepipe.processors.scan_landmarks.accuracy import found_sigmas
-from facepipe.processors.scan_photos.camera import PhotoCamera
-from facepipe.processors.scan_photos.cameras_file import Cameras
-from facepipe.processors.scan_photos.cloud import make_cloud
+from facepipe.processors.scan_landmarks.find import found_sigmas
+from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera
 from facepipe.processors.scan_photos.depth import depth_maps
-from facepipe.processors.scan_photos.landmarks import landmark_sightings, place_landmarks
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo, photo_files, read_photos
-from facepipe.processors.scan_photos.placement import scale_of_markers, upright
-from facepipe.processors.scan_photos.report import ScanPhotosReport
 from facepipe.processors.scan_photos.structure import Structure, find_structure
-from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_subject
-from facepipe.processors.scan_photos.surface import make_surface
-from facepipe.processors.scan_photos.triangulation import Sightings, triangulate_all
+from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_subject, scale_of_markers, upright
+from facepipe.processors.scan_photos.surface import make_cloud, make_surface
+from facepipe.processors.scan_photos.triangulation import (
+    Sightings,
+    landmark_sightings,
+    place_landmarks,
+    triangulate_all,
+)
 from facepipe.scans import Scan, ScanLandmarks
 
 Step = Callable[[str, int], None]
 _DOUBTFUL = 1.5  # pixels: mean distance of matched points from where photos show them
 _MARKED = 0.006  # of a photo's longer side: how far a marker may be from where it was seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPhotosReport(Report):
+    """How a scan came out of photos. Lengths are in `unit`; None: the scale is unknown, they are of the scan's own."""
+
+    photos_used: tuple[str, ...] = ()
+    photos_unused: tuple[str, ...] = ()  # could not be placed
+    cameras: str = "found"  # or "given"
+    unit: str | None = None  # mm, cm or m
+    reprojection_px: float = 0.0  # mean distance of matched points from where photos show them
+    matched_points: int = 0
+    pairs: int = 0  # of photos, whose depth was found together
+    spacing: float = 0.0  # distance of the dense points
+    dense_points: int = 0  # after cleaning
+    consistency: float = 0.0  # median distance between the surfaces that different photos give, along the view
+    consistency_px: float = 0.0  # the same in widths of a pixel on the skin
+    points: int = 0  # of the scan
+    triangles: int = 0
+    landmarks: int = 0  # of 68
+    markers: int = 0
+    seconds: float = 0.0
+    used: Any = unsaid()  # the `Cameras` of the photos that were used
 
 
 def no_step(name: str, total: int) -> None:

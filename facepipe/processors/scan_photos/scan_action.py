@@ -32,8 +32,7 @@ from facepipe.kinds import FileAction, Job, Watch, action
 from facepipe.processors.scan_photos.options import ScanPhotosOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.scan_photos.report import ScanPhotosReport
-    from facepipe.processors.scan_photos.scan import ScanPhotos, Step
+    from facepipe.processors.scan_photos.scan import ScanPhotos, ScanPhotosReport, Step
 
 
 @action("scan", "make a scan of photos around a face")
@@ -77,7 +76,7 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         return replace(made.report, used=made.cameras)
 
     def _scanner(self) -> ScanPhotos:
-        from facepipe.processors.scan_photos.cameras_file import read_cameras
+        from facepipe.processors.scan_photos.cameras import read_cameras
         from facepipe.processors.scan_photos.scan import ScanPhotos
         from facepipe.processors.scan_photos.triangulation import read_markers
 
@@ -91,7 +90,7 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
 
     def save(self, report: ScanPhotosReport, path: Path) -> None:
         """The cameras."""
-        from facepipe.processors.scan_photos.cameras_file import write_cameras
+        from facepipe.processors.scan_photos.cameras import write_cameras
 
         write_cameras(path, report.used)
 

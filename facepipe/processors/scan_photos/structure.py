@@ -16,7 +16,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
-from facepipe.processors.scan_photos.camera import PhotoCamera
+from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo
 

@@ -19,7 +19,7 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig import Motion, ReadClips, TrainEncoder, TrainEncoderOptions, save_neural_rig
-from facepipe.processors.neural_rig.read_targets import read_targets
+from facepipe.processors.neural_rig.frames_of_stages import read_targets
 from facepipe.rig import rest_coefficients
 from facepipe.rig.neural_rig import Control, NeuralRig, share_limits, values_of
 from facepipe.stage import save_parts

@@ -23,10 +23,9 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.processors.neural_rig.bone_gains import with_own_gains
 from facepipe.processors.neural_rig.carried_rig import Subject, carried
 from facepipe.processors.neural_rig.options import RetargetOptions
-from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
+from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, with_own_gains
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
 

@@ -28,7 +28,7 @@ from facepipe.processors.neural_rig import (
     save_neural_rig,
     with_neural_rig,
 )
-from facepipe.processors.neural_rig.output_metric import output_metric, skinned_moves
+from facepipe.processors.neural_rig.output_basis import output_metric, skinned_moves
 from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 

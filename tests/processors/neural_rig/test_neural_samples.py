@@ -26,7 +26,7 @@ from facepipe.processors.neural_rig import (
     TrainNeuralRig,
     TrainNeuralRigOptions,
 )
-from facepipe.processors.neural_rig.frame_blocks import frame_blocks
+from facepipe.processors.neural_rig.motion import frame_blocks
 from facepipe.stage import open_face, save_parts
 
 FEW = SampleMotionOptions(spread=12, sweep=5, together=10)

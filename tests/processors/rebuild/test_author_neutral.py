@@ -18,8 +18,7 @@ from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts, Mesh, Recipe
 from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport
-from facepipe.processors.rebuild.carried_joints import carried_skeleton
+from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport, carried_skeleton
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
 

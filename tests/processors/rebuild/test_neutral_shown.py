@@ -27,9 +27,8 @@ from facepipe.processors.rebuild import (
     Template,
     read_project,
 )
-from facepipe.processors.rebuild.neutral_place import placed_neutral
-from facepipe.processors.rebuild.scan_distances import scan_distances
-from facepipe.processors.rebuild.scan_picture import FaceOnScan
+from facepipe.processors.rebuild.register_scans import placed_neutral
+from facepipe.processors.rebuild.scan_fit import FaceOnScan, scan_distances
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 

@@ -19,7 +19,7 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
 from facepipe.processors.database import whole_face
 from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.rebuild.work_folder import KIND
+from facepipe.processors.rebuild.steps import KIND
 from facepipe.scans import Scan
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import file_recipe

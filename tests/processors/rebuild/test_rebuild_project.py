@@ -11,7 +11,7 @@ from rebuild_project import HEAD
 from facepipe.core.errors import InputError
 from facepipe.processors.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
 from facepipe.processors.rebuild.project import Refinement
-from facepipe.processors.rebuild.work_folder import WorkFolder
+from facepipe.processors.rebuild.steps import WorkFolder
 
 
 @pytest.fixture

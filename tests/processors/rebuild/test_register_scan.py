@@ -23,8 +23,8 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
 from facepipe.processors.database import whole_points
 from facepipe.processors.rebuild import Template
-from facepipe.processors.rebuild.neutral_place import placed_neutral
 from facepipe.processors.rebuild.register_scan_action import RegisterScanAction
+from facepipe.processors.rebuild.register_scans import placed_neutral
 from facepipe.scans import Scan
 
 

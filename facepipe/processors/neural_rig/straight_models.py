@@ -1,4 +1,4 @@
-"""What a neural rig is compared with: the best that is straight in the controls."""
+"""The best that is straight in a rig's controls: what a neural rig is compared with, or is where that is enough."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.processors.neural_rig.motion import Motion
-from facepipe.rig.neural_rig import from_default
+from facepipe.processors.neural_rig.output_basis import OutputBasis
+from facepipe.rig.neural_rig import NeuralRig, from_default
 
 _PENALTIES = 10.0 ** np.arange(-8.0, 3.0, 0.5)  # of the largest singular value's square
 
@@ -58,3 +59,23 @@ def ridge(motion: Motion, tolerance: float, most: int) -> Straight:
 def _rows(motion: Motion) -> FloatArray:
     x = from_default(motion.controls, motion.values)
     return np.concatenate([x, np.ones((len(x), 1))], axis=1)
+
+
+def straight_rig(motion: Motion, basis: OutputBasis) -> NeuralRig:
+    """The map of least squared error on all frames, which is 0 where the controls are at their defaults."""
+    inputs = from_default(motion.controls, motion.values)
+    outputs = basis.outputs(motion) @ np.linalg.inv(basis.metric)
+    count = outputs.shape[1]
+    return NeuralRig(
+        controls=motion.controls,
+        rest=basis.rest,
+        shapes=basis.shapes,
+        linear=np.linalg.lstsq(inputs, outputs, rcond=None)[0],
+        hidden=np.zeros((0, len(motion.controls))),
+        hidden_bias=np.zeros(0),
+        last=np.zeros((count, 0)),
+        last_bias=np.zeros(count),
+        topology=motion.topology.digest,
+        bones=motion.bones,
+        channels=basis.channels,
+    )

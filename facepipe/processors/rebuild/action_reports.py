@@ -8,10 +8,9 @@ from typing import Any, TypeVar
 from facepipe.core.reports import Report, unsaid
 from facepipe.processors.database import Quality, QualityLimits, misses
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
-from facepipe.processors.rebuild.refine_report import RefineReport
+from facepipe.processors.rebuild.refine_neutral import RefineReport
 from facepipe.processors.rebuild.register_scans import CompositeReport
-from facepipe.processors.rebuild.scan_fit import ScanFit
-from facepipe.processors.rebuild.scan_picture import FaceOnScan
+from facepipe.processors.rebuild.scan_fit import FaceOnScan, ScanFit
 from facepipe.processors.rebuild.split_expressions import SplitReport
 
 J = TypeVar("J", bound="Judged")

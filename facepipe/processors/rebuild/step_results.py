@@ -1,7 +1,9 @@
-"""What each stage of a rebuild keeps: what is found in a work folder may be anyone's."""
+"""What each step of a rebuild finds and keeps, as arrays and JSON; what lies in a work folder may be anyone's."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,13 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
+from facepipe.geometry.similarity import Similarity
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
-from facepipe.processors.rebuild.refine_report import RefineReport
-from facepipe.processors.rebuild.register_scans import CompositeReport
+from facepipe.processors.rebuild.refine_neutral import RefineReport
+from facepipe.processors.rebuild.register_scans import Composite, CompositeReport, NeutralScan
 from facepipe.processors.rebuild.split_expressions import SplitReport
-from facepipe.processors.rebuild.stage_content import place_of
 from facepipe.records import ArrayReader, from_json
 
 Array = npt.NDArray[Any]
@@ -74,3 +77,64 @@ def _check_place(content: object) -> None:
     turns = sound and np.allclose(place.rotation @ place.rotation.T, np.eye(3), atol=1e-3)
     if not turns or not np.isfinite(place.translation).all():
         raise InputError("place", "no rotation, translation and scale")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """How a result lies on its scan."""
+
+    place: Similarity  # from the scan's coordinates to those of the points
+    report: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedNeutral(Fitted):
+    """The neutral, as corrected."""
+
+    scan: NeutralScan
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedExpression(Fitted):
+    """An expression, as corrected."""
+
+    composite: Composite
+
+
+def plain(report: Report) -> dict[str, Any]:
+    """A report as JSON holds it."""
+    found: dict[str, Any] = json.loads(report.to_json())
+    return found
+
+
+def place_json(place: Similarity) -> dict[str, Any]:
+    """A similarity as JSON."""
+    return {
+        "rotation": place.rotation.tolist(),
+        "translation": place.translation.tolist(),
+        "scale": place.scale,
+    }
+
+
+def place_of(values: Mapping[str, Any]) -> Similarity:
+    """A similarity of JSON."""
+    return Similarity(
+        rotation=np.array(values["rotation"], np.float64),
+        translation=np.array(values["translation"], np.float64),
+        scale=float(values["scale"]),
+    )
+
+
+def shape_arrays(shapes: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Shapes by arrays' names; float32, as files hold points."""
+    return {f"shape/{name}": np.asarray(delta, np.float32) for name, delta in shapes.items()}
+
+
+def shapes_of(arrays: Mapping[str, npt.NDArray[Any]], names: list[str]) -> dict[str, FloatArray]:
+    """The shapes back, in the order of `names`."""
+    return {name: np.asarray(arrays[f"shape/{name}"], np.float64) for name in names}
+
+
+def options_json(options: Any) -> dict[str, Any]:
+    """Options as inputs of a stage."""
+    return dataclasses.asdict(options)
