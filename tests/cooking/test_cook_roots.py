@@ -271,7 +271,7 @@ def test_links_in_a_work_folder_lead_nowhere_else(tmp_path: Path) -> None:
     folder = WorkFolder(tmp_path / "work")
     for name in ("expressions/smile", "neutral"):
         with pytest.raises(InputError, match="outside the roots"):
-            folder.stage(name, {}, lambda: ({}, {}))
+            folder.step(name, {}, lambda: ({}, {}))
     assert not any((tmp_path / "out").iterdir())
 
 

@@ -100,7 +100,7 @@ def predicted_shapes(
 
     The mean person's expressions are carried over to the neutral, and what the person has beyond them is what the
     person's identity vector says (document face-model-from-scans, S14). Means alone lie beside the features of a face
-    that has them elsewhere; a model of so few people as a database has can't tell that from the neutral.
+    that has them elsewhere; a model of the few people in a database can't see that in the neutral.
 
     :param seen: expression -> (n, 3) points of it that are known
     :param done: called once for each expression

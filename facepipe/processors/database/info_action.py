@@ -1,4 +1,4 @@
-"""Tell what is in a database: who, since when, how exactly, and how it came to be.
+"""List what is in a database: who, since when, how exactly, and how it came to be.
 
 example: facepipe database info faces.fpdb --json
 """
@@ -21,7 +21,7 @@ class DatabaseInfoReport(DatabaseReport):
     bytes: int
 
 
-@action("database info", "tell what is in a database")
+@action("database info", "list what is in a database")
 @dataclass(frozen=True, kw_only=True)
 class DatabaseInfo(Inspector[DatabaseInfoReport]):
     """The action."""

@@ -24,7 +24,7 @@ class RemoveFromDatabase(InPlaceAction[DatabaseReport]):
 
     database: Path = source("database: .fpdb")
     names: tuple[str, ...] = source(
-        "names of faces, as info tells them", metavar="NAME", split=lambda name: (None, name)
+        "names of faces, as info lists them", metavar="NAME", split=lambda name: (None, name)
     )
 
     def write(self, job: Job) -> DatabaseReport:

@@ -49,7 +49,7 @@ class Topology:
 
     @property
     def digest(self) -> str:
-        """``sha256:...`` that tells one topology from another."""
+        """``sha256:...`` that differs between topologies."""
         found = hashlib.sha256(repr((self.names, self.points)).encode())
         for counts, indices in zip(self.counts, self.indices, strict=True):
             found.update(counts.astype("<i4").tobytes() + b"|" + indices.astype("<i4").tobytes() + b"|")

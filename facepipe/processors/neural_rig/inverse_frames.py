@@ -17,7 +17,7 @@ from facepipe.rig.neural_rig import NeuralRig, share_limits
 _POSES = 3  # where points are weighed, the first at rest
 _BUSY_POSE = 0.3  # share of the controls that are moved in the others
 _EVEN = 0.2  # share of the points that are taken evenly
-_RIDGE = 1e-6  # of the mean diagonal: what no point tells counts as little
+_RIDGE = 1e-6  # of the mean diagonal: what no point shows counts as little
 ENOUGH = 1e-5  # of ranges: a smaller step ends it
 _AT_ONCE = 64  # frames
 _WINDOW = 120  # frames of a clip that are solved together; those before are known
@@ -67,7 +67,7 @@ class ShapeData:
 class SkinnedData:
     """Of a rig with bones: distances and derivatives of all points, second derivatives of some that stand for all.
 
-    Some are drawn by how much of the controls they tell (leverage), and weighed by how rarely they are drawn.
+    Some are drawn by how much they say of the controls (leverage), and weighed by how rarely they are drawn.
     Source: Drineas, Mahoney and Muthukrishnan, "Sampling algorithms for l2 regression and applications", SODA 2006.
     """
 
@@ -135,8 +135,8 @@ def _leverage(moved: FloatArray) -> FloatArray:
     flat = moved.reshape(len(moved), -1)
     matrix = flat @ flat.T
     matrix += _RIDGE * max(float(np.trace(matrix)) / len(matrix), 1e-30) * np.eye(len(matrix))
-    told = (flat * np.linalg.solve(matrix, flat)).sum(axis=0).reshape(3, -1).sum(axis=0)
-    return np.asarray(told / max(float(told.sum()), 1e-30))
+    shown = (flat * np.linalg.solve(matrix, flat)).sum(axis=0).reshape(3, -1).sum(axis=0)
+    return np.asarray(shown / max(float(shown.sum()), 1e-30))
 
 
 @dataclass(frozen=True, kw_only=True)

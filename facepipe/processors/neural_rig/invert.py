@@ -143,7 +143,7 @@ def _check(rig: NeuralRig, points: FloatArray, start: FloatArray | None, blocks:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlReport:
-    """How well targets tell one control, in the median of the frames."""
+    """How well targets determine one control, in the median of the frames."""
 
     moves_mm: float  # RMS over all points of what it does, over its whole range
     own_share: float  # 0..1 of that which no others together can do
@@ -170,7 +170,7 @@ class InverseReport(Report):
 
     @property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Controls that may be anywhere, for all that the targets tell."""
+        """Controls that may be anywhere, for all that the targets show."""
         return tuple(name for name, one in self.controls.items() if not one.identifiable)
 
 

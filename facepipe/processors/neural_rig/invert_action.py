@@ -79,5 +79,5 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
         lost, lines = report.not_identifiable, [f"{out}: controls of {spent}", table(rows)]
         if lost:
             more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-            lines.append(f"targets don't tell {', '.join(lost[:_SHOWN])}{more}")
+            lines.append(f"targets don't determine {', '.join(lost[:_SHOWN])}{more}")
         return "\n".join(lines)

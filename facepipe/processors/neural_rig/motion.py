@@ -138,7 +138,7 @@ def frame_blocks(codes: FloatArray, values: FloatArray, options: FrameBlocksOpti
     A clip ends where more than two steps pass without a frame, unless the controls are held there (writers leave out
     what does not change). A step is the shortest time between two frames, at least one time code. Longer clips than a
     block are cut into even pieces; the first frames after a cut are left out: neighbours of what is held out are
-    nearly the same, and would tell it.
+    nearly the same, and would give it away.
 
     :param codes: (f,) ascending time codes
     :param values: (f, c) of the controls
@@ -158,7 +158,7 @@ def _pieces(clips: list[IntArray], options: FrameBlocksOptions) -> Iterator[IntA
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedClips:
-    """Frames of controls without points: a face's own rig tells where these go."""
+    """Frames of controls without points: a face's own rig says where these go."""
 
     values: FloatArray  # (f, c)
     blocks: IntArray  # (f,)
@@ -189,8 +189,8 @@ class ReadClips:
         found = RecordedClips(values=np.zeros((0, len(controls))), blocks=np.zeros(0, dtype=int))
         warnings: list[str] = []
         for path in paths:
-            clips, told = _known(path, read_clips(path), controls)
-            warnings += told
+            clips, lines = _known(path, read_clips(path), controls)
+            warnings += lines
             for clip in clips:
                 own = _clip_frames(clip, controls, self.options)
                 values, blocks = own.after(found.values, found.blocks)

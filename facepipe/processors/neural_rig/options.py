@@ -138,7 +138,9 @@ class InvertNeuralRigOptions:
     starts: int = option(6, "starts of frames that fit much worse than the others, or are few", 1, 100)
     steps: int = option(60, "most steps from a start (lm)", 1, 1e6)
     points: int = option(500, "points that second derivatives are of, with bones (lm)", 3, 1e7)
-    accuracy_mm: float = option(0.01, "how near targets are known, for what is told of controls", 0, 10, "mm")
+    accuracy_mm: float = option(
+        0.01, "how exactly targets are known, for what the report says of controls", 0, 10, "mm"
+    )
     adam_steps: int = option(1000, "steps (adam)", 1, 1e7)
     adam_rate: float = option(0.05, "first rate, of ranges; it falls to a hundredth (adam)", 1e-6, 10.0)
     seed: int = option(0, "of random starts", 0, 2**31)

@@ -14,7 +14,7 @@ from facepipe.rig import Rig, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 
 _MOVES = 1e-9  # of a coefficient over all frames; less is rounding
-_FIRM = 1e-6  # of the mean square: outputs that do the same are told apart by their size
+_FIRM = 1e-6  # of the mean square: outputs that do the same are separated by their size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def output_metric(moves: FloatArray, rest: FloatArray, triangles: IntArray, deta
     """(o, o) lower triangular C: ``|outputs C|^2`` is the squared error over all points, to first order.
 
     Differential coordinates of a point are its offset from the mean of its neighbours (Sorkine, "Differential
-    Representations for Mesh Processing", 2006); they tell dents that distances hardly do.
+    Representations for Mesh Processing", 2006); they show dents that distances hardly do.
 
     :param moves: (o, n, 3) what a unit of each output moves
     :param detail: what an error of differential coordinates counts beside one of points

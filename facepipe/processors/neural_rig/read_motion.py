@@ -30,7 +30,7 @@ _SAME = 1e-6  # of a time code
 
 @dataclass(frozen=True, kw_only=True)
 class ReadMotion:
-    """Reads what another program baked of its own rig; docs/neural_rig.md tells the convention.
+    """Reads what another program baked of its own rig; docs/neural_rig.md has the convention.
 
     :param prims: paths of prims whose own numbers are the controls; none for what the convention says
     """
@@ -173,7 +173,7 @@ class SubjectFrames:
     """Whole points, and what the controls of the rig were."""
 
     points: FloatArray  # (f, n, 3) millimetres
-    values: FloatArray | None  # (f, c); None: nothing tells
+    values: FloatArray | None  # (f, c); None: unknown
     between: int = 0  # other frames, left out where clips were cut into blocks
 
 

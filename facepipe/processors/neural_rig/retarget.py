@@ -21,7 +21,7 @@ from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
 
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
 _GAIN_NOISES = 10.0 ** np.arange(-3.0, 1.01)  # millimetres
-_GAIN_POINTS = 400  # that the gains are told by
+_GAIN_POINTS = 400  # that the gains are found from
 _GAIN_STEPS = 3  # of Gauss and Newton: bones turn points, which is nearly straight
 _GAIN_DOUBT = 0.01  # what a squared change of a gain costs, in squares of the noise at a point
 _GAIN_CHANGE = 1e-4  # of a gain: how points answer to it
@@ -181,9 +181,9 @@ def _strengths(rig: NeuralRig) -> FloatArray:
 def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> NeuralRig:
     """The rig whose controls move its bones as strongly as the subject's do: a gain on each control's straight part.
 
-    Gains are shared by all points, so frames tell them better than any point's own map; a difference that points can
-    make alike by maps of their own counts less (generalised least squares: residuals weighed by the inverse of what
-    such maps and the noise are expected to bring). Controls that frames don't tell keep a gain of 1.
+    Gains are shared by all points, so frames determine them better than any point's own map; a difference that points
+    can make alike by maps of their own counts less (generalised least squares: residuals weighed by the inverse of what
+    such maps and the noise are expected to bring). Controls that frames don't determine keep a gain of 1.
 
     :param values: (f, c) controls of the frames
     :param points: (f, n, 3) millimetres

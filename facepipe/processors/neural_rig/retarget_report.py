@@ -41,7 +41,7 @@ class RetargetReport(Report):
 def compared(
     found: NeuralRig, rig: NeuralRig, subject: Subject, points: FloatArray, values: FloatArray | None
 ) -> RetargetReport:
-    """The report on frames (f, n, 3), which tells nothing yet of those that were learned.
+    """The report on frames (f, n, 3), without those that were learned, which are added later.
 
     :param found: the subject's rig
     :param rig: the first subject's

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
 _CANDIDATES = 2048  # points that those of the encoder are chosen from
-_SEEN_WITH = 0.3  # mm of noise that points are chosen for: much less, and those of one place would tell all
+_SEEN_WITH = 0.3  # mm of noise that points are chosen for: with much less, those of one place would do
 _CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
 _STILL = 1e-6  # mm: a point that moves no further does not move
 
@@ -37,7 +37,7 @@ _STILL = 1e-6  # mm: a point that moves no further does not move
 class EncoderReport(Report):
     """How near an encoder comes to the controls of frames that it was not trained on, in shares of their ranges.
 
-    Controls that move nothing, or the same as others do together, can't be told from points: they have large errors
+    Controls that move nothing, or the same as others do together, can't be found from points: they have large errors
     here whatever the encoder.
     """
 

@@ -85,7 +85,7 @@ class TrainNeuralRig:
         """Train on some blocks of frames, and measure on the others; on a GPU where torch has one.
 
         :param done: called once for each step
-        :param checkpoint: a file that tells now and then where the training stands, and in the end that it has ended;
+        :param checkpoint: a file that records now and then where the training stands, and in the end that it has ended;
             it goes on from there if it is there, and gives the same. Whoever is done with it removes it
         :raises InputError: no control that moves, a single block of frames, or a checkpoint of another training
         """

@@ -131,16 +131,16 @@ def split_files(
         raise InputError(base.name, f"two expressions are called '{twice}', expected each name once")
     composites = {one.name: one.composite for one in expressions}
     fit = split(template, base.points, base.deltas, composites)
-    told = tuple(line for one in expressions for line in one.warnings)
+    warnings = tuple(line for one in expressions for line in one.warnings)
     flipped = np.zeros(len(template.topology.triangles), bool)
     for name in seen_shapes(fit):
         before, after = (base.points + deltas[name] for deltas in (base.deltas, fit.shapes))
         flipped |= flipped_triangles(before, after, template.topology.triangles)
-    return ActorShapes(fit=fit, flipped_triangles=int(flipped.sum()), warnings=(*told, *fit.report.warnings))
+    return ActorShapes(fit=fit, flipped_triangles=int(flipped.sum()), warnings=(*warnings, *fit.report.warnings))
 
 
 def author_shapes(face: Face, base: WholeFace, fit: SplitFit, recipe: Recipe) -> AuthorNeutralReport:
-    """Author the shapes that scans told of on `face`, which stands over the personal template.
+    """Author the shapes that scans show on `face`, which stands over the personal template.
 
     :raises TopologyError, InputError: as `AuthorNeutral`
     """

@@ -107,8 +107,10 @@ class FitNeutral:
             return free, ()
         size = UNITS[self.options.unit]
         if abs(free.scale / size - 1.0) > 0.3:
-            told = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
-            raise InputError(scan.name, f"is said to be in {self.options.unit}, but has the size of a face in {told}")
+            size_of = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
+            raise InputError(
+                scan.name, f"is said to be in {self.options.unit}, but has the size of a face in {size_of}"
+            )
         held = robust_similarity(landmarks.points[known] * size, reference[known], scale=False)
         return replace(held, scale=size), ()
 
@@ -169,7 +171,7 @@ def neutral_fit(
 
 
 def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
-    """Triangles are told as flipped against what the identity model shows of this person: people's own corners of lips
+    """Triangles count as flipped against what the identity model shows of this person: people's own corners of lips
     and lids turn some against the template's."""
     flipped = flipped_triangles(model, points, template.topology.triangles)
     return Quality(

@@ -49,7 +49,7 @@ class FitTogether:
     """Identity coefficients and residual of one face, the weights of each scanned expression's shapes, and the place of
     each scan, solved in one system.
 
-    Each expression tells where its points would be at rest, as surely as people do alike: with the variance of the
+    Each expression shows where its points would be at rest, as surely as people do alike: with the variance of the
     noise, and of the person's own motion beyond the template's. So landmarks where it hardly moves count like the
     neutral's own, and its surface where the neutral's scan shows none.
     """
@@ -136,7 +136,7 @@ class FitTogether:
     def _balanced(self, views: Sequence[View], shows: BoolArray) -> list[View]:
         """The views, each point of which counts together as much as on one scan, shared by what they know of it.
 
-        What surfaces tell is wrong in the same way on every scan: where points lie along them. Landmarks err one by
+        What surfaces show is wrong in the same way on every scan: where points lie along them. Landmarks err one by
         one; a landmark of n scans counts as much as sqrt(n), since the model's prior was made for one scan.
 
         :param shows: (m,) points that the first scan shows

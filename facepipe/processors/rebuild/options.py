@@ -1,4 +1,4 @@
-"""Options of what rebuild does, stage by stage."""
+"""Options of what rebuild does, step by step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rebuild: from a project's scans to the actor's neutral and shapes, stage by stage (document S13 to S16)."""
+"""Rebuild: from a project's scans to the actor's neutral and shapes, step by step (document S13 to S16)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.database import FaceDatabase, Quality, quality_from
-from facepipe.processors.rebuild.fit_stages import FitStages
+from facepipe.processors.rebuild.fit_steps import FitSteps
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.project import Project, expression_weights
 from facepipe.processors.rebuild.step_results import Fitted, FittedNeutral
-from facepipe.processors.rebuild.steps import Readers, Stages
+from facepipe.processors.rebuild.steps import Readers, Steps
 from facepipe.processors.rebuild.template import Template, region_weights
 
 _ALONE = "alone/"  # folder of what a joint fit begins with
@@ -28,13 +28,13 @@ class Rebuilt:
 
     neutral: FloatArray  # (n, 3) whole points, millimetres
     shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta
-    reports: Mapping[str, Mapping[str, Any]]  # stage -> its report: "neutral", "refined", "expressions/NAME", "shapes"
+    reports: Mapping[str, Mapping[str, Any]]  # step -> its report: "neutral", "refined", "expressions/NAME", "shapes"
     personal: Mapping[str, FloatArray]  # name -> (n, 3) whole delta of the personal template
     shown: FloatArray  # (n, 3) whole points of the neutral as its scan shows them, with closed eyes for example
     composites: Mapping[str, FloatArray]  # expression -> (n, 3) whole points
-    places: Mapping[str, Similarity]  # stage of a scan -> from the scan's coordinates to those of the points
+    places: Mapping[str, Similarity]  # step of a scan -> from the scan's coordinates to those of the points
     quality: Quality  # of neutral and shapes, for a database
-    reused: tuple[str, ...]  # stages whose results were there
+    reused: tuple[str, ...]  # steps whose results were there
     corrected: tuple[str, ...]  # results that a corrected mesh replaced
     warnings: tuple[str, ...]
 
@@ -44,8 +44,8 @@ def is_joint(project: Project) -> bool:
     return project.joint and bool(project.expressions)
 
 
-def stage_count(project: Project) -> int:
-    """How many stages a project has."""
+def step_count(project: Project) -> int:
+    """How many steps a project has."""
     scans = len(project.expressions)
     once = 2 + scans + bool(scans) + (project.refinement is not None)
     return once + (2 + scans) * is_joint(project)
@@ -54,7 +54,7 @@ def stage_count(project: Project) -> int:
 class Rebuild:
     """One run of a project over its work folder.
 
-    :param said: called with the name of each stage as it begins
+    :param said: called with the name of each step as it begins
     :raises InputError: a work folder that can't be made
     """
 
@@ -62,24 +62,24 @@ class Rebuild:
         self, project: Project, template: Template, readers: Readers, said: Callable[[str], object] = lambda name: None
     ) -> None:
         self._project, self._template = project, template
-        self._stages = Stages(project, template, readers, said)
+        self._steps = Steps(project, template, readers, said)
 
     def __call__(self) -> Rebuilt:
-        """All stages.
+        """All steps.
 
-        :raises FacepipeError: what can't be read, fitted or written; the results of the stages before stay
+        :raises FacepipeError: what can't be read, fitted or written; the results of the steps before stay
         """
-        _check_names(self._project, self._template, self._stages.database())
-        fits = FitStages(self._stages)
+        _check_names(self._project, self._template, self._steps.database())
+        fits = FitSteps(self._steps)
         neutral = self._neutral(fits)
-        stages: dict[str, Fitted] = {"neutral": neutral}
+        steps: dict[str, Fitted] = {"neutral": neutral}
         if self._project.refinement is not None:
-            neutral = stages["refined"] = fits.refined(neutral, self._project.refinement)
+            neutral = steps["refined"] = fits.refined(neutral, self._project.refinement)
         points = neutral.scan.points
         start = shapes = fits.personal(points)
         found = {scan.name: fits.expression(scan, neutral.scan, shapes) for scan in self._project.expressions}
-        stages |= {f"expressions/{name}": one for name, one in found.items()}
-        reports = {name: one.report for name, one in stages.items()}
+        steps |= {f"expressions/{name}": one for name, one in found.items()}
+        reports = {name: one.report for name, one in steps.items()}
         if found:
             shapes, reports["shapes"] = fits.split(points, shapes, {name: one.composite for name, one in found.items()})
         shapes = fits.corrected_shapes(points, shapes)
@@ -91,18 +91,18 @@ class Rebuild:
             personal=start,
             shown=neutral.scan.shown,
             composites={name: one.composite.points for name, one in found.items()},
-            places={name: one.place for name, one in stages.items()},
+            places={name: one.place for name, one in steps.items()},
             quality=self._quality(neutral, start, shapes),
-            reused=tuple(self._stages.reused),
-            corrected=tuple(self._stages.corrected),
-            warnings=(*lines, *self._left_shapes(shapes), *self._stages.idle_corrections()),
+            reused=tuple(self._steps.reused),
+            corrected=tuple(self._steps.corrected),
+            warnings=(*lines, *self._left_shapes(shapes), *self._steps.idle_corrections()),
         )
 
-    def _neutral(self, fits: FitStages) -> FittedNeutral:
+    def _neutral(self, fits: FitSteps) -> FittedNeutral:
         """On its scan alone, or on all scans together, which begins with fits to each."""
         if not is_joint(self._project):
             return fits.neutral()
-        alone = FitStages(self._stages, below=_ALONE)
+        alone = FitSteps(self._steps, below=_ALONE)
         first = alone.neutral()
         shapes = alone.personal(first.scan.points)
         found = {scan.name: alone.expression(scan, first.scan, shapes) for scan in self._project.expressions}

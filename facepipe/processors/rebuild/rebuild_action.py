@@ -15,7 +15,7 @@ shapes that each shows:
 
 [options.refinement] with regions = ["nose", ...] draws the neutral, or these regions of it, closer to its scan.
 
-Each stage's result is kept in the project's work folder and used again until its inputs change: neutral, refined,
+Each step's result is kept in the project's work folder and used again until its inputs change: neutral, refined,
 template, expressions/NAME, shapes. Beside it lies the mesh (NAME.usdc); a corrected one, saved as
 corrections/NAME.usdc (.obj, .glb ...) in the work folder, takes its place in all that follows, and
 corrections/shapes/jawOpen.usdc that of a shape.
@@ -24,7 +24,7 @@ With --joint the neutral is refined on all scans together, from fits to each alo
 in about twice the time.
 
 OUT is an override layer over the template. --report makes a folder of pictures: each scan beside what was registered to
-it, and how much the scans told of each shape. Exit code 1: done, but a limit of the quality gate of `facepipe database
+it, and how much of each shape the scans show. Exit code 1: done, but a limit of the quality gate of `facepipe database
 add` is missed.
 
 examples:
@@ -94,13 +94,13 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.core.atomic import apart
         from facepipe.processors.database import QualityLimits, misses
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-        from facepipe.processors.rebuild.rebuild import Rebuild, stage_count
+        from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
         from facepipe.processors.rebuild.steps import readers
         from facepipe.processors.rebuild.template import Template
 
         template = Template.of(face.parts(), str(self.base))
-        with job.watch("rebuild", stage_count(self._project)) as bar, apart():  # stages stay where a later one fails
+        with job.watch("rebuild", step_count(self._project)) as bar, apart():  # steps stay where a later one fails
             rebuilt = Rebuild(self._project, template, readers(), _named_steps(bar))()
         quality, missed = to_json(rebuilt.quality), misses(rebuilt.quality, QualityLimits())
         authored = AuthorNeutral(shapes=rebuilt.shapes)(face, rebuilt.neutral, recipe=job.recipe(quality=quality))
@@ -132,7 +132,7 @@ class RebuildAction(StageAction["RebuildReport"]):
 
 
 def _named_steps(bar: Any) -> Callable[[str], None]:
-    """Count stages as they begin, with their names where the bar can show them."""
+    """Count steps as they begin, with their names where the bar can show them."""
 
     def began(name: str) -> None:
         if hasattr(bar, "set_postfix_str"):

@@ -30,10 +30,10 @@ _SHOWN = 10  # shapes that the text names
 class RebuildReport(Report):
     """What a rebuild did."""
 
-    stages: Mapping[str, Any] = field(default_factory=dict)  # stage -> its report
+    stages: Mapping[str, Any] = field(default_factory=dict)  # step -> its report
     quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
-    reused: tuple[str, ...] = ()  # stages whose results were there
-    corrected: tuple[str, ...] = ()  # stages in whose place an artist put a mesh
+    reused: tuple[str, ...] = ()  # steps whose results were there
+    corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
     missed: tuple[str, ...] = ()  # a line for each limit
     pictures: RebuildPictures | None = unsaid()
     job: Job | None = unsaid()
@@ -77,33 +77,31 @@ class RebuildPictures:
 
         title = f"Rebuild: {self.project.path.stem}"
         parts = [tag("h1", title), *(tag("p", line, class_="bad") for line in result.get("missed", ()))]
-        parts.append(
-            scans_table({scan.name: self.rebuilt.reports[stage] for stage, (scan, _) in self._scans().items()})
-        )
-        for stage, shown in self._turntables(drawn):
-            path = folder / f"{stage}.png"
+        parts.append(scans_table({scan.name: self.rebuilt.reports[step] for step, (scan, _) in self._scans().items()}))
+        for step, shown in self._turntables(drawn):
+            path = folder / f"{step}.png"
             path.parent.mkdir(exist_ok=True)
             rows = turntable(shown)
             save_png(stacked([*rows.values()]), path)
-            parts += self._scan_figures(stage, rows, shown.largest_mm)
+            parts += self._scan_figures(step, rows, shown.largest_mm)
             drawn()
         parts += self._shapes(drawn)
         text = json.dumps(result, sort_keys=True, indent=2, default=str)
         write_bytes(folder / "report.json", f"{text}\n".encode())
         write_bytes(folder / "report.html", page(title, *parts))
 
-    def _scan_figures(self, stage: str, rows: Mapping[str, Image], largest_mm: float) -> Iterator[Markup]:
+    def _scan_figures(self, step: str, rows: Mapping[str, Image], largest_mm: float) -> Iterator[Markup]:
         from facepipe.core.markup import heading, tag
         from facepipe.pictures.figures import color_scale, figure
 
-        scan, _ = self._scans()[stage]
+        scan, _ = self._scans()[step]
         yield heading(scan.name, scan.scan.name)
-        yield from (tag("p", note) for note in self._notes(stage))
+        yield from (tag("p", note) for note in self._notes(step))
         yield tag("div", *(figure(image, name) for name, image in rows.items()), class_="grid")
         yield color_scale((0.0, largest_mm), "distance of the registered face from the scan", "no place on the scan")
 
     def _scans(self) -> dict[str, tuple[ProjectScan, FloatArray]]:
-        """Stage -> its scan, and the whole points (n, 3) that were found."""
+        """Step -> its scan, and the whole points (n, 3) that were found."""
         found = {"neutral": (self.project.neutral, self.rebuilt.shown)}
         composites = self.rebuilt.composites
         return found | {f"expressions/{one.name}": (one, composites[one.name]) for one in self.project.expressions}
@@ -118,18 +116,18 @@ class RebuildPictures:
         from facepipe.processors.rebuild.scan_fit import in_place, scan_distances
 
         distances, places = {}, self.rebuilt.places
-        for stage, (one, points) in self._scans().items():
-            distances[stage] = scan_distances(self.template, points, _read(one), places[stage])
+        for step, (one, points) in self._scans().items():
+            distances[step] = scan_distances(self.template, points, _read(one), places[step])
             drawn()
         together = np.concatenate(list(distances.values()))
         largest, framing = round_above(together[np.isfinite(together)]), self._framing()
-        for stage, (one, points) in self._scans().items():
+        for step, (one, points) in self._scans().items():
             yield (
-                stage,
+                step,
                 Turntable(
                     parts=whole_parts(self.template.parts, points),
-                    scan=in_place(_read(one), places[stage]),
-                    distances=distances[stage],
+                    scan=in_place(_read(one), places[step]),
+                    distances=distances[step],
                     largest_mm=largest,
                     framing=framing,
                     size=self.size,
@@ -146,8 +144,8 @@ class RebuildPictures:
         height = np.ptp(self.rebuilt.neutral[marks, 1])
         return np.concatenate([skin[skin[:, 1] >= seen[:, 1].min() - _BELOW_CHIN * height], seen])
 
-    def _notes(self, stage: str) -> tuple[str, ...]:
-        report = self.rebuilt.reports[stage]
+    def _notes(self, step: str) -> tuple[str, ...]:
+        report = self.rebuilt.reports[step]
         fit = report["fit"]
         lines = [
             f"distance from the scan: mean {fit['surface_mean_mm']:.3f} mm, 95 % below {fit['surface_p95_mm']:.3f} mm; "
@@ -155,13 +153,13 @@ class RebuildPictures:
         ]
         if fit["outliers"]:
             lines.append(f"lie off, and don't count: {', '.join(fit['outliers'])}")
-        if stage == "neutral" and "refined" in self.rebuilt.reports:
+        if step == "neutral" and "refined" in self.rebuilt.reports:
             lines.append(refined_line(self.rebuilt.reports["refined"]))
         if report["weights"]:
             weights = sorted(report["weights"].items(), key=lambda one: -one[1])
             more = f" and {len(weights) - _NAMED} more" if len(weights) > _NAMED else ""
             lines.append(", ".join(f"{name} {weight:.2f}" for name, weight in weights[:_NAMED]) + more)
-        if stage in self.rebuilt.corrected or (stage == "neutral" and "refined" in self.rebuilt.corrected):
+        if step in self.rebuilt.corrected or (step == "neutral" and "refined" in self.rebuilt.corrected):
             lines.append("corrected by hand: numbers are of the mesh before, colours of the corrected one")
         return tuple(lines)
 
@@ -219,22 +217,22 @@ def rebuild_text(report: RebuildReport) -> str:
     return "\n".join(lines)
 
 
-def _scan_rows(stages: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    for name, stage in stages.items():
-        if "fit" in stage:
-            fit = stage["fit"]
+def _scan_rows(steps: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for name, step in steps.items():
+        if "fit" in step:
+            fit = step["fit"]
             distances = (f"{fit['surface_mean_mm']:.3f}", f"{fit['surface_p95_mm']:.3f}")
             seen = (f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}")
             yield (name.removeprefix("expressions/"), *distances, *seen)
 
 
 def _shape_lines(shapes: Mapping[str, Any], unseen: list[str]) -> Iterator[str]:
-    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes told by the scans, the others the template's"
-    told = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
+    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes seen by the scans, the others are the template's"
+    seen = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
     rows: list[tuple[str, ...]] = [("changed most", "observed", "gain", "change mm", "scans")]
-    for name in told:
+    for name in seen:
         one = shapes[name]
         numbers = (f"{one['observed']:.2f}", f"{one['gain']:.2f}", f"{one['change_mm']:.2f}")
         rows.append((name, *numbers, " ".join(one["scans"])))
-    if told:
+    if seen:
         yield table(rows)

@@ -7,8 +7,8 @@ scan, each triangle changed like its neighbours.
 
 --region names soft masks of the face (`facepipe regions` lists them): points outside stay exactly where they are, those
 at the border go part of the way. Without it all of the face may follow. Eyes and teeth go with the skin around them
-where they are in the region. What SCAN shows besides the neutral, such as closed eyes, NEUTRAL's recipe tells where
-`facepipe fit-neutral --weights` was told; else --weights says so.
+where they are in the region. What SCAN shows besides the neutral, such as closed eyes, is in NEUTRAL's recipe where
+`facepipe fit-neutral --weights` had it; else --weights says so.
 
 OUT is an override layer over NEUTRAL; --flatten writes a standalone file. Exit code 1: done, but a limit of the quality
 gate of `facepipe database add` is missed.
@@ -77,7 +77,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         parts = face.parts()
         weights = region_weights(parts, self.regions, str(self.neutral))
         template, scan = Template.of(parts, str(self.neutral)), read_scan(self.scan)
-        landmarks, told = landmarks_of(self.landmarks, scan)
+        landmarks, notes = landmarks_of(self.landmarks, scan)
         shown = self._shown(parts)
         expression = shown.expression(shown.weights, len(template.points))
         with named(self.scan), job.watch("refine", _STEPS) as bar:
@@ -98,7 +98,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         picture = FaceOnScan(
             template=template, points=found.points + expression, scan=scan, place=found.place, neutral=neutral
         )
-        missed, warnings = misses(report.quality, QualityLimits()), (*told, *report.warnings, *authored.warnings)
+        missed, warnings = misses(report.quality, QualityLimits()), (*notes, *report.warnings, *authored.warnings)
         return RefineNeutralReport.of(report, warnings, missed, regions=self.regions, picture=picture)
 
     def _shown(self, parts: FaceParts) -> ShownShapes:

@@ -121,7 +121,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         given = self._shown(tuple(own.deltas))
         scan = read_scan(self.scan)
         landmarks, found = landmarks_of(self.landmarks, scan)
-        neutral, told = self._neutral(template, own)
+        neutral, notes = self._neutral(template, own)
         expression = ExpressionScan(scan=scan, landmarks=landmarks, weights=given)
         with named(self.scan), job.watch("register", _STEPS) as bar:
             composite = RegisterScans(options=self)(
@@ -131,7 +131,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         recipe = job.recipe(weights=composite.weights, fit=asdict(report.fit))
         authored = author_expression(face, self.name, own.points, composite, recipe)
         unused = ("markers don't count without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
-        warnings = (*found, *told, *unused, *report.warnings, *authored.warnings)
+        warnings = (*found, *notes, *unused, *report.warnings, *authored.warnings)
         shown = FaceOnScan(template=template, points=composite.points, scan=scan, place=composite.place)
         return RegisterScanReport.of(report, warnings, fit_misses(report.fit), name=self.name, picture=shown)
 

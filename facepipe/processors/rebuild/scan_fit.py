@@ -17,7 +17,7 @@ from facepipe.processors.rebuild.options import UNITS
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
 
-_ALIKE = 0.15  # a scale nearer than this to a unit's is told as that unit
+_ALIKE = 0.15  # a scale nearer than this to a unit's counts as that unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +42,10 @@ def scan_target(scan: Scan) -> tuple[ScanTarget, tuple[str, ...]]:
     """
     found = CleanScan()(scan)
     mended = found.scan
-    told = tuple(f"{scan.name}: {line}" for line in found.report.warnings)
+    repairs = tuple(f"{scan.name}: {line}" for line in found.report.warnings)
     if mended.is_cloud:
-        return ScanTarget.of_cloud(mended.points, np.asarray(mended.normals)), told
-    return ScanTarget.of_surface(mended.points, mended.triangles), told
+        return ScanTarget.of_cloud(mended.points, np.asarray(mended.normals)), repairs
+    return ScanTarget.of_surface(mended.points, mended.triangles), repairs
 
 
 def unit_of(mm_per_unit: float) -> str | None:

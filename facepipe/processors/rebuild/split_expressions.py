@@ -17,18 +17,18 @@ from facepipe.processors.rebuild.options import SplitExpressionsOptions
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
 
-_OBSERVED = 0.05  # shapes told less than this stay as the template has them
+_OBSERVED = 0.05  # shapes seen less than this stay as the template has them
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeReport:
-    """How much the scans told of one shape."""
+    """How much the scans show of one shape."""
 
     observed: float  # 0..1, the rest being the template's
     gain: float  # motion along the template's, over the template's
     change_mm: float  # mean distance from the template's, over what the shape moves
     scans: tuple[str, ...]  # that show it
-    alike: tuple[str, ...]  # shapes that the scans can't tell it from
+    alike: tuple[str, ...]  # shapes that the scans can't separate from it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,8 @@ class SplitReport(Report):
     weights: Mapping[str, Mapping[str, float]]  # scan -> shape -> weight, as it was found
     residual_mean_mm: Mapping[str, float]  # scan -> what the shapes leave of it
     residual_p95_mm: Mapping[str, float]
-    rank: int  # of the weights: shapes that scans could tell apart
-    unseen: tuple[str, ...]  # shapes that no scan told: the template's
+    rank: int  # of the weights: shapes that scans could separate
+    unseen: tuple[str, ...]  # shapes that no scan shows: the template's
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,10 @@
 """Split registered expressions into the person's own shapes.
 
 EXPRESSIONs are what `facepipe register-scan` made over --personal, as they are or with the shape corrected by hand.
-Each is a sum of the shapes that its recipe names; together they tell how this person's shapes differ from the personal
+Each is a sum of the shapes that its recipe names; together they show how this person's shapes differ from the personal
 template's. Shapes that no scan shows stay as they are.
 
-OUT is an override layer over --personal. --flatten writes a standalone file. The table tells of each shape that scans
+OUT is an override layer over --personal. --flatten writes a standalone file. The table gives for each shape that scans
 show: how much of it they decided (the rest being the template's), its motion along the template's (1: as much), how
 far it is from the template's, and which scans show it. Exit code 1: done, but what the shapes leave of an expression
 is over 2 mm at more than one point in twenty.
@@ -77,7 +77,7 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
             scans.append((name, *left, ", ".join(f"{shape} {weight:.2f}" for shape, weight in weights.items())))
         kept = len(report.shapes) - len(seen)
         last = (
-            f"{len(seen)} shapes of scans, {report.rank} told apart; {kept} as the personal template has them; "
+            f"{len(seen)} shapes of scans, {report.rank} separated; {kept} as the personal template has them; "
             f"{report.flipped_triangles} triangles flipped"
         )
         return "\n".join([str(out), table(shapes), "", table(scans), "", last])

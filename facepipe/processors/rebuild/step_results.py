@@ -29,7 +29,7 @@ _MORE = ("together",)  # of a report of all scans together
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """Arrays and JSON of one kind of stage."""
+    """Arrays and JSON of one kind of step."""
 
     points: tuple[str, ...] = ()  # arrays (n, 3)
     matched: bool = False  # and one of (n,) integers
@@ -136,5 +136,5 @@ def shapes_of(arrays: Mapping[str, npt.NDArray[Any]], names: list[str]) -> dict[
 
 
 def options_json(options: Any) -> dict[str, Any]:
-    """Options as inputs of a stage."""
+    """Options as inputs of a step."""
     return dataclasses.asdict(options)

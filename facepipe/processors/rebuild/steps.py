@@ -1,4 +1,4 @@
-"""The work folder of a rebuild: each stage's result, kept until its inputs change, and an artist's corrections.
+"""The work folder of a rebuild: each step's result, kept until its inputs change, and an artist's corrections.
 
 A result is ``NAME.fpstage`` (arrays, and JSON with the key of the inputs that it came from), written whole or not at
 all, so that an interrupted rebuild goes on where it was. Beside it ``NAME.usdc`` shows the mesh. A corrected mesh of
@@ -44,8 +44,8 @@ _SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageResult:
-    """What one stage found."""
+class StepResult:
+    """What one step found."""
 
     arrays: Mapping[str, Array]
     content: Mapping[str, Any]  # JSON: report, weights, place
@@ -62,22 +62,22 @@ class WorkFolder:
         except OSError as error:
             raise InputError(path, f"can't be made: {error.strerror or error}") from error
 
-    def stage(
+    def step(
         self,
         name: str,
         inputs: Mapping[str, Any],
         compute: Callable[[], tuple[Mapping[str, Array], Mapping[str, Any]]],
         check: Callable[[Mapping[str, Array], Mapping[str, Any]], object] = lambda arrays, content: None,
-    ) -> StageResult:
-        """The result of a stage: the one that is there where it came from the same `inputs`, otherwise a new one.
+    ) -> StepResult:
+        """The result of a step: the one that is there where it came from the same `inputs`, otherwise a new one.
 
         A damaged file is made anew, and so is one that holds something else.
 
         :param inputs: JSON: digests of files and arrays, options
-        :param check: raises InputError where arrays and content are not what the stage keeps
+        :param check: raises InputError where arrays and content are not what the step keeps
         :raises FacepipeError: of `compute`; what was there stays then. Or links that lead outside the roots
         """
-        key = stage_key(inputs)
+        key = _step_key(inputs)
         path = self.place(f"{name}.fpstage")
         collect(path.parent)  # nothing may be written there any more
         known = self._read(path, key, check)
@@ -89,7 +89,7 @@ class WorkFolder:
         fresh = self._read(path, key, check)
         if fresh is None:
             raise InputError(path, "changed while it was written, expected one rebuild at a time in a work folder")
-        return StageResult(arrays=fresh.arrays, content=fresh.content, reused=False)
+        return StepResult(arrays=fresh.arrays, content=fresh.content, reused=False)
 
     def place(self, name: str) -> Path:
         """Where a file of results is written.
@@ -101,7 +101,7 @@ class WorkFolder:
         return path
 
     def correction(self, name: str) -> Path | None:
-        """The corrected mesh of a stage's result.
+        """The corrected mesh of a step's result.
 
         :raises InputError: more than one
         """
@@ -120,7 +120,7 @@ class WorkFolder:
 
     def _read(
         self, path: Path, key: str, check: Callable[[Mapping[str, Array], Mapping[str, Any]], object]
-    ) -> StageResult | None:
+    ) -> StepResult | None:
         if not path.is_file():
             return None
         try:
@@ -131,11 +131,11 @@ class WorkFolder:
             check(found.arrays, content)
         except InputError:
             return None
-        return StageResult(arrays=found.arrays, content=content, reused=True)
+        return StepResult(arrays=found.arrays, content=content, reused=True)
 
 
-def stage_key(inputs: Mapping[str, Any]) -> str:
-    """``sha256:...`` of what a stage's result depends on, facepipe's version among it."""
+def _step_key(inputs: Mapping[str, Any]) -> str:
+    """``sha256:...`` of what a step's result depends on, facepipe's version among it."""
     text = json.dumps({"facepipe": __version__, **inputs}, sort_keys=True, allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
@@ -159,10 +159,10 @@ class Readers:
     face: Callable[[Path], FaceParts]  # a corrected mesh
 
 
-class Stages:
+class Steps:
     """The work folder of one run, and what happened in it.
 
-    :param said: called with the name of each stage as it begins
+    :param said: called with the name of each step as it begins
     :raises InputError: a work folder that can't be made
     """
 
@@ -178,20 +178,20 @@ class Stages:
         self.reused: list[str] = []
         self.corrected: list[str] = []
 
-    def stage(
+    def step(
         self,
         name: str,
         inputs: Mapping[str, Any],
         compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]],
         kept: Kept,
-    ) -> StageResult:
-        """The result of a stage, with a mesh beside it where it has points: for eyes and for an artist's hand.
+    ) -> StepResult:
+        """The result of a step, with a mesh beside it where it has points: for eyes and for an artist's hand.
 
         :raises FacepipeError: of `compute`
         """
         self._said(name)
         count = self.template.topology.point_count
-        found = self._folder.stage(name, inputs, compute, partial(kept.check, count=count))
+        found = self._folder.step(name, inputs, compute, partial(kept.check, count=count))
         if found.reused:
             self.reused.append(name)
         if "points" in found.arrays:
@@ -199,7 +199,7 @@ class Stages:
         return found
 
     def after_correction(self, name: str, points: FloatArray) -> FloatArray:
-        """The points (n, 3) of a stage, or of the mesh that an artist put in their place.
+        """The points (n, 3) of a step, or of the mesh that an artist put in their place.
 
         :raises InputError: a mesh that can't be read, or more than one
         :raises TopologyError: a mesh of another topology
@@ -258,7 +258,7 @@ class Stages:
             **more,
         }
 
-    def _show(self, name: str, found: StageResult) -> None:
+    def _show(self, name: str, found: StepResult) -> None:
         path = self._folder.place(f"{name}.usdc")
         if not (found.reused and path.is_file()):
             save_parts(self.template.topology.parts(found.arrays["points"]), path)

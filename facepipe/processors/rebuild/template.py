@@ -20,7 +20,7 @@ from facepipe.processors.database.whole_faces import Topology, whole_points
 from facepipe.processors.skin.features import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 
-_LIP = 0.35  # of a slit's width: so far from its rims, points are told as of the upper or lower lip or lid
+_LIP = 0.35  # of a slit's width: so far from its rims, points count as of the upper or lower lip or lid
 _NO_REGIONS = ", expected a face with regions (facepipe regions)"
 
 

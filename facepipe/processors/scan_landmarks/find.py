@@ -152,7 +152,7 @@ class _Search:
         return max(judged, key=lambda one: one[0])[1] if judged else None
 
     def _judged(self, one: Candidate) -> tuple[float, FaceFrame] | None:
-        """How sure a face is, and its frame as three views tell it; None where they don't agree on one."""
+        """How sure a face is, and its frame as three views show it; None where they don't agree on one."""
         once = self._moved(one.frame, _SURE / 2, np.inf)
         return None if once is None else self._moved(once[1], _SURE, _STEADY)
 
@@ -210,5 +210,5 @@ def _at_end(places: FloatArray, ends: FloatArray, side: float) -> npt.NDArray[np
 
 
 def found_sigmas() -> FloatArray:
-    """(68,) mm: the jaw has no mark to tell it."""
+    """(68,) mm: the jaw has no mark to find it by."""
     return np.where(np.arange(LANDMARK_COUNT) < _JAW, _JAW_MM, _FEATURES_MM)

@@ -36,7 +36,7 @@ class FaceFrame:
 
 
 def face_frame(landmarks: FloatArray) -> FaceFrame | None:
-    """The frame of landmarks (68, 3), rows of NaN where unknown; None where they don't tell it."""
+    """The frame of landmarks (68, 3), rows of NaN where unknown; None where they are too few or don't fit a face."""
     eyes_and_mouth = [landmarks[part] for part in (RIGHT_EYE, LEFT_EYE, MOUTH)]
     if any(np.isfinite(one[:, 0]).sum() < 2 for one in eyes_and_mouth):
         return None

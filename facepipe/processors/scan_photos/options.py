@@ -46,7 +46,7 @@ class ScanPhotosOptions:
     gap: float = option(4.0, "the surface ends this far from the nearest point, in distances of points", 1.0, 100.0)
     radius: float = option(
         250.0,
-        "of the ball that the cameras look at, where nothing tells the scale: about millimetres of a head",
+        "of the ball that the cameras look at, where the scale is unknown: about millimetres of a head",
         1e-6,
         1e6,
     )

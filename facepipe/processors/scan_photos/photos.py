@@ -94,7 +94,7 @@ def _fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
 
 
 def _image(file: Path) -> tuple[Image, float | None]:
-    """The picture, upright, and its focal length on 36 mm film where EXIF tells."""
+    """The picture, upright, and its focal length on 36 mm film where EXIF has it."""
     from PIL import ImageOps
 
     image = open_image(read_bytes(file, _MOST_BYTES), file)

@@ -176,7 +176,7 @@ class ScanPhotos:
         return "mm" if self.marker_distance is not None else None
 
     def _placed(self, photos: list[Photo], structure: Structure, subject: Subject) -> tuple[Structure, Subject]:
-        """Upright, and in millimetres where two markers tell."""
+        """Upright, and in millimetres where two markers give the scale."""
         if self.marker_distance is None:
             return upright(structure, subject, self.options.radius)
         factor = scale_of_markers(self._markers(photos, structure), self.marker_distance)

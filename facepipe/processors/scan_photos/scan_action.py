@@ -1,15 +1,15 @@
 """Make a scan of photos: a coloured mesh of a face from 5 or more photos around it, taken at one moment.
 
-Needs `pip install 'facepipe[scan]'`. Where the cameras stood and what lenses they have is found from the photos, in a
-unit that nothing tells; --cameras gives what a calibrated rig knows (the photos' names, intrinsics and extrinsics), and
-the scan then has its unit and coordinates. --save-cameras writes them, for the other expressions of a rig that did
-not move. Neighbouring photos should show much the same, some 15 degrees apart; sharp, in even light that moves with
-nobody. --masks, white where the person is, help where the backdrop has a pattern of its own.
+Needs `pip install 'facepipe[scan]'`. Where the cameras stood and what lenses they have is found from the photos, in an
+unknown unit; --cameras gives what a calibrated rig knows (the photos' names, intrinsics and extrinsics), and the scan
+then has its unit and coordinates. --save-cameras writes them, for the other expressions of a rig that did not move.
+Neighbouring photos should show much the same, some 15 degrees apart; sharp, in even light that moves with nobody.
+--masks, white where the person is, help where the backdrop has a pattern of its own.
 
-Landmarks go into OUT's name with .landmarks.json: markers painted on the actor, which --markers tells the pixels of in
-two or more photos ({"photos": {"front.jpg": {"chin": [2011, 3020], ...}, ...}}), and of the 68 landmarks those inside
-the face, where the extra [train] is there. --marker-distance A B MM, what lies straight between two markers, gives
-the scan its scale. Rebuild finds the scale of a scan without.
+Landmarks go into OUT's name with .landmarks.json: markers painted on the actor, whose pixels in two or more photos
+--markers gives ({"photos": {"front.jpg": {"chin": [2011, 3020], ...}, ...}}), and those of the 68 landmarks that lie
+inside the face, where the extra [train] is installed. --marker-distance A B MM, the straight distance between two
+markers, gives the scan its scale. Rebuild finds the scale of a scan that has none.
 
 examples:
   facepipe scan neutral/ -o neutral.ply
@@ -52,7 +52,7 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
     )
     markers: Path | None = source("pixels of markers in the photos", default=None, flag="--markers", metavar="JSON")
     marker_distance: tuple[str, ...] | None = option(
-        None, "two markers and what lies straight between them, millimetres", words=3, metavar="A B MM"
+        None, "two markers and the straight distance between them, millimetres", words=3, metavar="A B MM"
     )
     save_cameras: Path | None = beside("write the cameras that were used", ".json", "save")
 

@@ -21,7 +21,7 @@ from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOpt
 from facepipe.processors.scan_photos.photos import Photo
 
 _FEATURES = 6000  # of a photo, at most
-_GUESS = 2.0  # focal length over the longer side where EXIF tells nothing: portrait lenses are long
+_GUESS = 2.0  # focal length over the longer side where EXIF has none: portrait lenses are long
 _ADVICE = "neighbouring photos must show much the same of the face, about 15 degrees apart"
 
 

@@ -115,42 +115,42 @@ def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
         calls.append(1)
         return {"points": np.arange(6.0).reshape(2, 3)}, {"calls": len(calls)}
 
-    first = WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 1}, compute)
-    again = WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 1}, compute)
+    first = WorkFolder(tmp_path / "work").step("expressions/a", {"x": 1}, compute)
+    again = WorkFolder(tmp_path / "work").step("expressions/a", {"x": 1}, compute)
     assert (first.reused, again.reused, again.content) == (False, True, {"calls": 1})
     assert np.array_equal(again.arrays["points"], np.arange(6.0).reshape(2, 3))
-    assert WorkFolder(tmp_path / "work").stage("expressions/a", {"x": 2}, compute).content == {"calls": 2}
+    assert WorkFolder(tmp_path / "work").step("expressions/a", {"x": 2}, compute).content == {"calls": 2}
 
 
 def test_what_a_killed_run_left_beside_a_result_goes_where_that_is_taken_again(tmp_path: Path) -> None:
     folder, left = WorkFolder(tmp_path), tmp_path / ".facepipe-0123456789abcdef"
-    folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
+    folder.step("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
     left.mkdir()
     (left / ".facepipe-lock").write_text("")
-    assert folder.stage("a", {}, lambda: ({}, {})).reused
+    assert folder.step("a", {}, lambda: ({}, {})).reused
     assert not left.exists()
 
 
 def test_a_failing_stage_leaves_what_was_there(tmp_path: Path) -> None:
     folder = WorkFolder(tmp_path)
-    folder.stage("a", {"x": 1}, lambda: ({"points": np.ones((1, 3))}, {}))
+    folder.step("a", {"x": 1}, lambda: ({"points": np.ones((1, 3))}, {}))
     kept = (tmp_path / "a.fpstage").read_bytes()
 
     def fails() -> tuple[dict[str, np.ndarray], dict[str, int]]:
         raise InputError("scan", "is gone")
 
     with pytest.raises(InputError):
-        folder.stage("a", {"x": 2}, fails)
+        folder.step("a", {"x": 2}, fails)
     assert (tmp_path / "a.fpstage").read_bytes() == kept
 
 
 @pytest.mark.parametrize("damage", [b"", b"nonsense", None])
 def test_a_damaged_result_is_made_anew(tmp_path: Path, damage: bytes | None) -> None:
     folder, path = WorkFolder(tmp_path), tmp_path / "a.fpstage"
-    folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
+    folder.step("a", {}, lambda: ({"points": np.ones((1, 3))}, {}))
     path.write_bytes(path.read_bytes()[:-3] if damage is None else damage)
-    assert not folder.stage("a", {}, lambda: ({"points": np.ones((1, 3))}, {})).reused
-    assert folder.stage("a", {}, lambda: ({"points": np.zeros((1, 3))}, {})).reused
+    assert not folder.step("a", {}, lambda: ({"points": np.ones((1, 3))}, {})).reused
+    assert folder.step("a", {}, lambda: ({"points": np.zeros((1, 3))}, {})).reused
 
 
 def test_two_corrections_of_one_result_are_refused(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_the_table_tells_of_each_shape(files: Files, capsys: pytest.CaptureFixtu
     assert float(jaw[1]) > 0.5
     assert 1.1 < float(jaw[2]) < 1.45
     assert jaw[4] == "open"
-    assert "1 shapes of scans, 1 told apart; 1 as the personal template has them" in out
+    assert "1 shapes of scans, 1 separated; 1 as the personal template has them" in out
     assert np.array_equal(files.delta("actor.usda", "browUp"), files.delta("personal.usda", "browUp"))
     told = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
     assert told["shapes"]["jawOpen"]["gain"] == pytest.approx(float(jaw[2]), abs=0.006)

@@ -1,4 +1,4 @@
-"""The fits of a rebuild as stages: neutral, its refinement, personal template, expressions, shapes."""
+"""The fits of a rebuild as steps: neutral, its refinement, personal template, expressions, shapes."""
 
 from __future__ import annotations
 
@@ -32,51 +32,51 @@ from facepipe.processors.rebuild.step_results import (
     shape_arrays,
     shapes_of,
 )
-from facepipe.processors.rebuild.steps import StageResult, Stages, array_digest
+from facepipe.processors.rebuild.steps import StepResult, Steps, array_digest
 from facepipe.processors.rebuild.template import region_weights
 
 Shapes = Mapping[str, FloatArray]
 Expressions = Mapping[str, FittedExpression]
 
 
-class FitStages:
+class FitSteps:
     """Each fit from the results of those before it, kept in the work folder.
 
     :param below: folder of the results, ending in a slash; of expressions there, no more than weights and places is
         used, and no correction
     """
 
-    def __init__(self, stages: Stages, *, below: str = "") -> None:
-        self._stages, self._project, self._template = stages, stages.project, stages.template
+    def __init__(self, steps: Steps, *, below: str = "") -> None:
+        self._steps, self._project, self._template = steps, steps.project, steps.template
         self._below = below
 
     def neutral(self) -> FittedNeutral:
         """:raises FacepipeError: what can't be read, fitted or written"""
-        project, stages = self._project, self._stages
+        project, steps = self._project, self._steps
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            scan, marks = stages.read(project.neutral)
+            scan, marks = steps.read(project.neutral)
             fit_neutral = FitNeutral(options=project.neutral_options)
-            fit = fit_neutral(self._template, scan, marks, stages.database(), weights=project.neutral.weights)
+            fit = fit_neutral(self._template, scan, marks, steps.database(), weights=project.neutral.weights)
             arrays = {"points": fit.points, "expression": fit.expression}
             return arrays, {"report": plain(fit.report), "place": place_json(fit.place)}
 
-        inputs = stages.inputs(project.neutral, project.neutral_options, database=stages.digest(project.database))
+        inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
-        return self._neutral(stages.stage(f"{self._below}neutral", inputs, compute, NEUTRAL))
+        return self._neutral(steps.step(f"{self._below}neutral", inputs, compute, NEUTRAL))
 
     def together(
         self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
     ) -> FittedNeutral:
-        """The neutral refined on all scans, from fits to each alone, see `together_stage`.
+        """The neutral refined on all scans, from fits to each alone, see `_together_step`.
 
         :raises FacepipeError: what can't be read, fitted or written
         """
-        return self._neutral(together_stage(self._stages, f"{self._below}neutral", first, shapes, expressions))
+        return self._neutral(_together_step(self._steps, f"{self._below}neutral", first, shapes, expressions))
 
-    def _neutral(self, found: StageResult) -> FittedNeutral:
-        points = self._stages.after_correction(f"{self._below}neutral", found.arrays["points"])
-        landmarks = self._stages.landmarks(self._project.neutral)
+    def _neutral(self, found: StepResult) -> FittedNeutral:
+        points = self._steps.after_correction(f"{self._below}neutral", found.arrays["points"])
+        landmarks = self._steps.landmarks(self._project.neutral)
         place = place_of(found.content["place"])
         expression = found.arrays["expression"] if self._project.neutral.weights else None
         scan = NeutralScan(points=points, place=place, landmarks=landmarks, expression=expression)
@@ -87,22 +87,22 @@ class FitStages:
 
         :raises FacepipeError: an unknown region, or what can't be read, fitted or written
         """
-        project, stages = self._project, self._stages
+        project, steps = self._project, self._steps
         where = f"{project.path} -> options.refinement"
         weights = region_weights(self._template.parts, refinement.regions, where)
         points, flipped = neutral.scan.points, quality_from(neutral.report["quality"], "neutral").flipped_triangles
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            scan, marks = stages.read(project.neutral)
+            scan, marks = steps.read(project.neutral)
             refine = RefineNeutral(options=refinement.options)
             expression = neutral.scan.expression
             found = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
             return {"points": found.points}, {"report": plain(found.report)}
 
-        inputs = stages.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
+        inputs = steps.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
         inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
-        found = stages.stage("refined", inputs, compute, REFINED)
-        scan = replace(neutral.scan, points=stages.after_correction("refined", found.arrays["points"]))
+        found = steps.step("refined", inputs, compute, REFINED)
+        scan = replace(neutral.scan, points=steps.after_correction("refined", found.arrays["points"]))
         return FittedNeutral(scan=scan, place=neutral.place, report=found.content["report"])
 
     def personal(self, neutral: FloatArray) -> dict[str, FloatArray]:
@@ -110,19 +110,19 @@ class FitStages:
 
         :raises FacepipeError: what can't be read, made or written
         """
-        project, stages = self._project, self._stages
+        project, steps = self._project, self._steps
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            shapes = PersonalTemplate(options=project.template_options)(self._template, neutral, stages.database())
+            shapes = PersonalTemplate(options=project.template_options)(self._template, neutral, steps.database())
             return shape_arrays(shapes), {"names": list(shapes)}
 
         inputs = {
             "neutral": array_digest(neutral),
-            "template": stages.digest(project.template),
-            "database": stages.digest(project.database),
+            "template": steps.digest(project.template),
+            "database": steps.digest(project.database),
             "options": options_json(project.template_options),
         }
-        found = stages.stage(f"{self._below}template", inputs, compute, TEMPLATE)
+        found = steps.step(f"{self._below}template", inputs, compute, TEMPLATE)
         return shapes_of(found.arrays, found.content["names"])
 
     def expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes) -> FittedExpression:
@@ -130,25 +130,25 @@ class FitStages:
 
         :raises FacepipeError: what can't be read, fitted or written
         """
-        options, stages = self._project.expression_options, self._stages
+        options, steps = self._project.expression_options, self._steps
         weights = expression_weights(self._project, scan, tuple(shapes))
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            one, marks = stages.read(scan)
+            one, marks = steps.read(scan)
             given = ExpressionScan(scan=one, landmarks=marks, weights=weights)
             found = RegisterScans(options=options)(self._template, neutral, shapes, given)
             content = {"report": plain(found.report), "place": place_json(found.place)}
             return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
 
-        inputs = stages.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
+        inputs = steps.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
         inputs |= {"shapes": array_digest(*(shapes[shape] for shape in weights)), "markers": _markers(neutral)}
         inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
         inputs |= {"keeps": ["points", "matched", "report", "place"]}
         name = f"{self._below}expressions/{scan.name}"
-        found = stages.stage(name, inputs, compute, EXPRESSION)
+        found = steps.step(name, inputs, compute, EXPRESSION)
         points = np.asarray(found.arrays["points"], np.float64)
         composite = Composite(
-            points=points if self._below else stages.after_correction(name, points),
+            points=points if self._below else steps.after_correction(name, points),
             weights=weights,  # as asked for: what this person does more or less belongs into the shapes
             matched=found.arrays["matched"].astype(bool),
         )
@@ -162,14 +162,14 @@ class FitStages:
 
         :raises FacepipeError: what can't be split or written
         """
-        options, stages = self._project.split_options, self._stages
+        options, steps = self._project.split_options, self._steps
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
             found = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
             return shape_arrays(found.shapes), {"names": list(found.shapes), "report": plain(found.report)}
 
         inputs = {
-            "template": stages.digest(self._project.template),
+            "template": steps.digest(self._project.template),
             "neutral": array_digest(neutral),
             "shapes": array_digest(*shapes.values()),
             "names": list(shapes),
@@ -177,15 +177,15 @@ class FitStages:
             "weights": {name: dict(one.weights) for name, one in composites.items()},
             "options": options_json(options),
         }
-        found = stages.stage("shapes", inputs, compute, SHAPES)
+        found = steps.step("shapes", inputs, compute, SHAPES)
         return shapes_of(found.arrays, found.content["names"]), found.content["report"]
 
     def corrected_shapes(self, neutral: FloatArray, shapes: Shapes) -> dict[str, FloatArray]:
         """A corrected shape is the mesh with the shape on it whole: ``corrections/shapes/jawOpen.usdc``."""
         corrected = {}
         for name, delta in shapes.items():
-            points = self._stages.after_correction(f"shapes/{name}", neutral + delta)
-            corrected[name] = points - neutral if f"shapes/{name}" in self._stages.corrected else delta
+            points = self._steps.after_correction(f"shapes/{name}", neutral + delta)
+            corrected[name] = points - neutral if f"shapes/{name}" in self._steps.corrected else delta
         return corrected
 
 
@@ -193,18 +193,18 @@ def _markers(neutral: NeutralScan) -> dict[str, list[float]]:
     return {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()}
 
 
-def together_stage(
-    stages: Stages, name: str, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
-) -> StageResult:
+def _together_step(
+    steps: Steps, name: str, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
+) -> StepResult:
     """The neutral refined on all scans, from fits to each alone.
 
-    :param name: of the stage
+    :param name: of the step
     :param shapes: the personal template of `first`
     :raises FacepipeError: what can't be read, fitted or written
     """
 
     def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-        found = _fit(stages, first, shapes, expressions)
+        found = _fit(steps, first, shapes, expressions)
         together = {
             "moved_mean_mm": found.moved_mean_mm,
             "weights": dict(zip(expressions, found.weights, strict=True)),
@@ -214,22 +214,20 @@ def together_stage(
         arrays = {"points": found.neutral.points, "expression": found.neutral.expression}
         return arrays, {"report": report, "place": place_json(found.neutral.place)}
 
-    return stages.stage(name, _inputs(stages, first, shapes, expressions), compute, NEUTRAL)
+    return steps.step(name, _inputs(steps, first, shapes, expressions), compute, NEUTRAL)
 
 
-def _fit(
-    stages: Stages, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
-) -> TogetherFit:
-    project, placed = stages.project, []
+def _fit(steps: Steps, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions) -> TogetherFit:
+    project, placed = steps.project, []
     scans = {scan.name: scan for scan in project.expressions}
     for name, one in expressions.items():
-        scan, marks = stages.read(scans[name])
+        scan, marks = steps.read(scans[name])
         given = ExpressionScan(scan=scan, landmarks=marks, weights=one.composite.weights)
         placed.append(PlacedExpression(expression=given, place=one.place))
-    scan, marks = stages.read(project.neutral)
+    scan, marks = steps.read(project.neutral)
     fit = FitTogether(neutral=project.neutral_options, expressions=project.expression_options)
     neutral, coefficients = replace(first.scan, landmarks=marks), np.array(first.report["coefficients"])
-    return fit(stages.template, scan, neutral, coefficients, stages.database(), shapes, placed)
+    return fit(steps.template, scan, neutral, coefficients, steps.database(), shapes, placed)
 
 
 def _shown_weights(found: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
@@ -240,18 +238,18 @@ def _shown_weights(found: Mapping[str, float], alone: Mapping[str, float]) -> di
 
 
 def _inputs(
-    stages: Stages, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
+    steps: Steps, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
 ) -> dict[str, Any]:
-    project = stages.project
+    project = steps.project
     scans = {scan.name: scan for scan in project.expressions}
-    inputs = stages.inputs(project.neutral, project.neutral_options, database=stages.digest(project.database))
+    inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
     return inputs | {
         "first": array_digest(first.scan.points, first.scan.shown, np.array(first.report["coefficients"])),
         "weights": dict(first.report["weights"]),
         "place": place_json(first.place),
         "shapes": array_digest(*shapes.values()),
         "expressions": {
-            name: stages.inputs(
+            name: steps.inputs(
                 scans[name],
                 project.expression_options,
                 weights=dict(one.composite.weights),
