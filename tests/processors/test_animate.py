@@ -160,7 +160,7 @@ def test_frames_beside_whole_ones_are_interpolated(tmp_path: Path) -> None:
     found = read_performance(path)
     np.testing.assert_allclose(found.values[:, 0], [0, 0.8, 1.75, 4])  # of two rows at one time the last
     assert any("up to 0.25 of a frame" in line for line in found.warnings)
-    assert any("1 frames stand at the time of the one before" in line for line in found.warnings)
+    assert any("1 frames have the time of the frame before" in line for line in found.warnings)
 
 
 def test_midnight(tmp_path: Path) -> None:

@@ -99,9 +99,9 @@ def test_rigs_are_trained_and_carried_from_it(tmp_path: Path, capsys: pytest.Cap
     words: tuple[object, ...] = ("retarget", tmp_path / "first.fpnr", tmp_path / "head.usda")
     words = (*words, "--frames", tmp_path / "frames.usdc", "-o", tmp_path / "second.fpnr")
     out = done(capsys, "neural-rig", *words, "--json")
-    told = json.loads(out)
-    assert told["controls"] == "given"
-    assert told["error_mean_mm"] < 0.7 * told["copy_mean_mm"]
+    printed = json.loads(out)
+    assert printed["controls"] == "given"
+    assert printed["error_mean_mm"] < 0.7 * printed["copy_mean_mm"]
     words = ("train", tmp_path / "frames.usdc", "-o", tmp_path / "own.fpnr", "--steps", 20, "--no-encoder", "--json")
     out = done(capsys, "neural-rig", *words)
     assert json.loads(out)["source"] == "samples"

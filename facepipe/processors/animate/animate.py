@@ -134,15 +134,15 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     sliders = [one.name for one in parts.sliders if spelling(one.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
     names = [name for name in performance.names if not angle_of(name)]
-    found = match_shapes(names, [*shapes, *sliders])
-    column_of = {target: columns[name] for name, targets in found.items() for target in targets}
+    matched = match_shapes(names, [*shapes, *sliders])
+    column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
     free = [one for one in (*shapes, *sliders) if one not in column_of]
-    what = "no such shape or slider" if sliders else "no such shape"
+    lacking = "no such shape or slider" if sliders else "no such shape"
     return _Targets(
         {target: column for target, column in column_of.items() if target in shapes},
         {target: column for target, column in column_of.items() if target in sliders},
-        {name: ", ".join(targets) for name, targets in found.items() if targets != (name,)},
-        {name: f"{what}{did_you_mean(name, free)}" for name in names if name not in found},
+        {name: ", ".join(targets) for name, targets in matched.items() if targets != (name,)},
+        {name: f"{lacking}{did_you_mean(name, free)}" for name in names if name not in matched},
     )
 
 

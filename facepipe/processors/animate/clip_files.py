@@ -281,12 +281,12 @@ def _timecode_frames(where: Sequence[str], codes: Sequence[str], fps: float) -> 
     parsed = [_parsed(one, code, nominal) for one, code in zip(where, codes, strict=True)]
     seconds, frames = np.array([one[0] for one in parsed]), np.array([one[1] for one in parsed])
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
-    found = seconds * nominal + frames
+    counted = seconds * nominal + frames
     highest = int(frames.max())
-    if len(np.unique(seconds)) > 2 and highest + 1.5 * max(middle(np.diff(found)), 1.0) < nominal:
+    if len(np.unique(seconds)) > 2 and highest + 1.5 * max(middle(np.diff(counted)), 1.0) < nominal:
         shown = f"frames 0 to {highest} in every second"
         raise InputError(where[0], f"{shown}, expected up to {nominal - 1} at {fps:g} fps (--fps {highest + 1}?)")
-    return np.asarray(found - found[0])
+    return np.asarray(counted - counted[0])
 
 
 def _parsed(where: str, code: str, nominal: int) -> tuple[int, float]:

@@ -87,7 +87,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
     if len(back):
         raise InputError(f"{where} -> frame {back[0] + 2}", "is before the frame above it, expected ascending times")
     last = np.append(np.diff(frames) > 0, True)  # of rows at one time the last
-    warnings = [] if last.all() else [f"{int((~last).sum())} frames stand at the time of the one before: left out"]
+    warnings = [] if last.all() else [f"{int((~last).sum())} frames have the time of the frame before: left out"]
     frames, values = frames[last] - frames[last][0], values[last]
     step = max(1.0, float(np.rint(middle(np.diff(frames)))))
     count = int(frames[-1] / step + 0.5) + 1
@@ -95,7 +95,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
     grid = np.arange(count) * step
     off = np.abs(frames / step - np.rint(frames / step)).max() * step
     if off > _ON_FRAME:
-        warnings.append(f"frames stand up to {off:.2g} of a frame beside whole ones: interpolated")
+        warnings.append(f"frames are up to {off:.2g} of a frame off whole ones: interpolated")
     else:
         frames = np.rint(frames / step) * step
     turns = [i for i, name in enumerate(names) if angle_of(name)]

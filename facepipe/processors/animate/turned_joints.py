@@ -52,13 +52,15 @@ def joint_of(where: str, skeleton: Skeleton, part: str, wanted: str | None) -> i
 def _asked(where: str, skeleton: Skeleton, part: str, wanted: str) -> int:
     paths = [i for i, joint in enumerate(skeleton.joints) if joint == wanted]
     last = [i for i, joint in enumerate(skeleton.joints) if joint.rpartition("/")[2].casefold() == wanted.casefold()]
-    found = paths or last
-    if len(found) != 1:
-        what = f"{len(found)} joints '{wanted[:60]}' for {part}" if found else f"no joint '{wanted[:60]}' for {part}"
+    matches = paths or last
+    if len(matches) != 1:
+        problem = (
+            f"{len(matches)} joints '{wanted[:60]}' for {part}" if matches else f"no joint '{wanted[:60]}' for {part}"
+        )
         names = [one.rpartition("/")[2] for one in skeleton.joints]
         some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
-        raise InputError(where, f"{what}, expected a path or name of one: {some}{did_you_mean(wanted, names)}")
-    return found[0]
+        raise InputError(where, f"{problem}, expected a path or name of one: {some}{did_you_mean(wanted, names)}")
+    return matches[0]
 
 
 def _name(joint: str) -> str:
@@ -119,11 +121,11 @@ def _rest_world(skeleton: Skeleton, joint: int) -> FloatArray:
 
 def _about(angle: FloatArray, axis: int) -> FloatArray:
     """(T, 3, 3) right-handed rotations about an axis."""
-    one, other = (axis + 1) % 3, (axis + 2) % 3
+    first, second = (axis + 1) % 3, (axis + 2) % 3
     matrices = np.zeros((len(angle), 3, 3))
     matrices[:, axis, axis] = 1.0
-    matrices[:, one, one] = matrices[:, other, other] = np.cos(angle)
-    matrices[:, other, one], matrices[:, one, other] = np.sin(angle), -np.sin(angle)
+    matrices[:, first, first] = matrices[:, second, second] = np.cos(angle)
+    matrices[:, second, first], matrices[:, first, second] = np.sin(angle), -np.sin(angle)
     return matrices
 
 

@@ -71,25 +71,25 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
         from facepipe.core.reading import read_json
         from facepipe.processors.database.options import quality_from
 
-        found: dict[str, Quality] = {}
+        qualities: dict[str, Quality] = {}
         for word in self.quality:
             file, name = _report_file(word)
             if not name and len(sources) != 1:
                 raise InputError(f"--quality {word}", f"{len(sources)} faces, expected NAME=REPORT")
             name = name or sources[0].name
-            if name in found:
+            if name in qualities:
                 raise InputError(f"--quality {word}", f"a report of '{name}' twice, expected one")
-            found[name] = quality_from(read_json(Path(file), _MOST_REPORT), file)
+            qualities[name] = quality_from(read_json(Path(file), _MOST_REPORT), file)
         for one in sources:
-            if one.name not in found:
+            if one.name not in qualities:
                 try:
-                    own = one.quality()
+                    measures = one.quality()
                 except InputError:
                     if not self.ignore_quality:
                         raise
-                    own = None
-                found |= {} if own is None else {one.name: own}
-        return found
+                    measures = None
+                qualities |= {} if measures is None else {one.name: measures}
+        return qualities
 
     def text(self, report: DatabaseReport, out: Path) -> str:
         return text_of(report, out)

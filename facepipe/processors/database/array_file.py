@@ -48,11 +48,11 @@ def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapp
     """
     stored = {name: _stored(f"{path} -> {name}", arrays[name]) for name in sorted(arrays)}
     head = _header(kind, content, stored)
-    found = hashlib.sha256(head)
+    digest = hashlib.sha256(head)
     for array in stored.values():
-        found.update(array.reshape(-1).data)
+        digest.update(array.reshape(-1).data)
     key = '"sha256":"'  # with its quotes bare it is nowhere else: those within the content are escaped
-    head = head.replace(f"{key}{_NO_SUM}".encode(), f"{key}{found.hexdigest()}".encode(), 1)
+    head = head.replace(f"{key}{_NO_SUM}".encode(), f"{key}{digest.hexdigest()}".encode(), 1)
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(head)
         for array in stored.values():
@@ -106,19 +106,19 @@ def read_arrays(path: Path, kind: str) -> Content:
 
 
 def _read_header(path: Path, data: bytes, kind: str) -> tuple[dict[str, Any], int]:
-    what = f"is no {kind.removeprefix('facepipe ').rpartition(' ')[0]}"  # without its version
+    problem = f"is no {kind.removeprefix('facepipe ').rpartition(' ')[0]}"  # without its version
     size = _SIZE.unpack_from(data)[0] if len(data) >= _SIZE.size else 0
     if not 2 <= size <= min(_MAX_HEADER, len(data) - _SIZE.size):
-        raise InputError(path, f"{what}, or cut short")
+        raise InputError(path, f"{problem}, or cut short")
     start = _SIZE.size + size
     text = data[_SIZE.size : start]
     check_values(path, text)
     try:
         head = json.loads(text.decode())
     except (ValueError, RecursionError):
-        raise InputError(path, f"{what}, or damaged: its header is no JSON") from None
+        raise InputError(path, f"{problem}, or damaged: its header is no JSON") from None
     if not isinstance(head, dict):
-        raise InputError(path, f"{what}: its header is no object")
+        raise InputError(path, f"{problem}: its header is no object")
     return head, start
 
 
@@ -127,14 +127,14 @@ def _check_sum(path: Path, data: bytes, expected: object) -> None:
     place = data.find(sum_) if sum_ else -1
     if place < 0:
         raise InputError(path, "is damaged: no sum of its bytes")
-    found = hashlib.sha256(data[:place] + _NO_SUM.encode())
-    found.update(memoryview(data)[place + len(_NO_SUM) :])
-    if found.hexdigest().encode() != sum_:
+    digest = hashlib.sha256(data[:place] + _NO_SUM.encode())
+    digest.update(memoryview(data)[place + len(_NO_SUM) :])
+    if digest.hexdigest().encode() != sum_:
         raise InputError(path, "is damaged: its bytes don't have the sum that it states")
 
 
 def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str, Array]:
-    found: dict[str, Array] = {}
+    arrays: dict[str, Array] = {}
     end = 0
     for name in sorted(places):
         place, where = places[name], f"{path} -> {name}"
@@ -148,11 +148,11 @@ def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str
         end = last
         if end > len(data):
             raise InputError(where, "ends after the file")
-        found[name] = np.frombuffer(data[first:last], dtype).reshape(shape)
-        _check_numbers(where, found[name])
+        arrays[name] = np.frombuffer(data[first:last], dtype).reshape(shape)
+        _check_numbers(where, arrays[name])
     if end != len(data):
         raise InputError(path, f"{len(data)} bytes of arrays, expected {end}")
-    return found
+    return arrays
 
 
 def _check_numbers(where: str, array: Array) -> None:

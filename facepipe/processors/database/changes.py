@@ -91,12 +91,12 @@ def add_faces(
 
 
 def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callable[[], object]) -> list[Facts]:
-    found = []
+    facts = []
     for source in sources:
-        found.append(facts_of(source()))
+        facts.append(facts_of(source()))
         done()
-    check_faces(database, found)
-    return found
+    check_faces(database, facts)
+    return facts
 
 
 def _gate(names: Sequence[str], qualities: Mapping[str, Quality], options: AddOptions) -> tuple[str, ...]:
@@ -201,15 +201,15 @@ def _error(distances: FloatArray) -> StoredError:
     )
 
 
-def _entry(one: Facts, version: int, error: StoredError | None, qualities: Mapping[str, Quality]) -> Entry:
+def _entry(facts: Facts, version: int, error: StoredError | None, qualities: Mapping[str, Quality]) -> Entry:
     return Entry(
-        name=one.name,
-        source=one.source,
-        digest=one.digest,
-        content=one.content,
+        name=facts.name,
+        source=facts.source,
+        digest=facts.digest,
+        content=facts.content,
         version=version,
         stored_error=error,
-        quality=qualities.get(one.name),
+        quality=qualities.get(facts.name),
     )
 
 
@@ -279,4 +279,4 @@ def _removal_warnings(database: FaceDatabase, entries: Sequence[Entry], made: Fa
     free = [shape for shape, lacking in made.left_out.items() if not lacking]
     if not free or len(entries) < 2:
         return ()
-    return (f"nobody lacks {', '.join(sorted(free))} any more, which stay left out: create the database anew for them",)
+    return (f"no face lacks {', '.join(sorted(free))} any more: left out until the database is created anew",)

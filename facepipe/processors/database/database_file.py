@@ -81,10 +81,10 @@ def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
 
 def check_suffix(path: str | os.PathLike[str]) -> Path:
     """:raises InputError: another suffix than .fpdb"""
-    found = Path(path)
-    if found.suffix.lower() != SUFFIX:
-        raise InputError(found, f"suffix '{found.suffix}', expected {SUFFIX}")
-    return found
+    file = Path(path)
+    if file.suffix.lower() != SUFFIX:
+        raise InputError(file, f"suffix '{file.suffix}', expected {SUFFIX}")
+    return file
 
 
 def _plain(value: Any) -> Any:
@@ -162,14 +162,14 @@ class _Reader:
         where = f"{self.path} -> {name}"
         if name not in self._arrays:
             raise InputError(where, "array is missing")
-        found = self._arrays[name]
-        if found.dtype.kind != kind or len(found.shape) != len(shape):
-            raise InputError(where, f"array of {found.dtype} with {found.ndim} axes, expected {len(shape)}")
-        for size, axis in zip(found.shape, shape, strict=True):
+        array = self._arrays[name]
+        if array.dtype.kind != kind or len(array.shape) != len(shape):
+            raise InputError(where, f"array of {array.dtype} with {array.ndim} axes, expected {len(shape)}")
+        for size, axis in zip(array.shape, shape, strict=True):
             expected = axis if isinstance(axis, int) else self.sizes.setdefault(axis, size)
             if size != expected:
-                raise InputError(where, f"array of shape {found.shape}, expected {expected} {axis}")
-        return found
+                raise InputError(where, f"array of shape {array.shape}, expected {expected} {axis}")
+        return array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,15 +190,15 @@ def _header_of(content: dict[str, Any], path: Path) -> _Header:
 
     :raises InputError: a value is missing or of another type, a name is there twice, or versions don't ascend
     """
-    found = _Object(content, str(path))
-    entries = found.read("entries", lambda value, where: _each(value, where, _entry))
-    history = found.read("history", lambda value, where: _each(value, where, _update))
-    tolerance = found.read("tolerance_mm", _number)
+    members = _Object(content, str(path))
+    entries = members.read("entries", lambda value, where: _each(value, where, _entry))
+    history = members.read("history", lambda value, where: _each(value, where, _update))
+    tolerance = members.read("tolerance_mm", _number)
     header = _Header(
-        meshes=found.read("meshes", _names),
-        shapes=found.read("shapes", _names),
-        shape_meshes=found.read("shape_meshes", _name_lists),
-        left_out=found.read("left_out", _name_lists),
+        meshes=members.read("meshes", _names),
+        shapes=members.read("shapes", _names),
+        shape_meshes=members.read("shape_meshes", _name_lists),
+        left_out=members.read("left_out", _name_lists),
         entries=entries,
         history=history,
         tolerance_mm=tolerance,
@@ -232,27 +232,27 @@ def _names_after(history: tuple[Update, ...]) -> list[str]:
 
 
 def _entry(value: Any, where: str) -> Entry:
-    found = _Object(value, where)
+    members = _Object(value, where)
     return Entry(
-        name=found.read("name", _text),
-        source=found.read("source", _text),
-        digest=found.read("digest", _text),
-        content=found.read("content", _text),
-        version=found.read("version", _whole),
-        stored_error=found.read("stored_error", _or_none(lambda one, there: from_json(StoredError, one, there))),
-        quality=found.read("quality", _or_none(quality_from)),
+        name=members.read("name", _text),
+        source=members.read("source", _text),
+        digest=members.read("digest", _text),
+        content=members.read("content", _text),
+        version=members.read("version", _whole),
+        stored_error=members.read("stored_error", _or_none(lambda one, there: from_json(StoredError, one, there))),
+        quality=members.read("quality", _or_none(quality_from)),
     )
 
 
 def _update(value: Any, where: str) -> Update:
-    found = _Object(value, where)
+    members = _Object(value, where)
     return Update(
-        version=found.read("version", _whole),
-        verb=found.read("verb", _text),
-        entries=found.read("entries", _names),
-        dropped=found.read("dropped", _names),
-        ignored=found.read("ignored", lambda one, there: _each(one, there, _text)),
-        facepipe=found.read("facepipe", _text),
+        version=members.read("version", _whole),
+        verb=members.read("verb", _text),
+        entries=members.read("entries", _names),
+        dropped=members.read("dropped", _names),
+        ignored=members.read("ignored", lambda one, there: _each(one, there, _text)),
+        facepipe=members.read("facepipe", _text),
     )
 
 
@@ -299,10 +299,10 @@ def _number(value: Any, where: str) -> float:
 
 
 def _names(value: Any, where: str) -> tuple[str, ...]:
-    found = _each(value, where, _text)
-    if len(set(found)) != len(found):
+    names = _each(value, where, _text)
+    if len(set(names)) != len(names):
         raise InputError(where, "a name twice, expected each once")
-    return found
+    return names
 
 
 def _name_lists(value: Any, where: str) -> dict[str, tuple[str, ...]]:

@@ -88,23 +88,23 @@ def text_of(report: DatabaseReport, path: Path) -> str:
     return "\n".join([*lines, table(_rows(report.entries)), *map(_update, report.history)])
 
 
-def _identity(found: Mapping[str, Any]) -> str:
+def _identity(identity: Mapping[str, Any]) -> str:
     shares = [
-        f"{share:.0%} of the variance in {1 + sum(one < share - 1e-12 for one in found['variance_explained'])}"
+        f"{share:.0%} of the variance in {1 + sum(one < share - 1e-12 for one in identity['variance_explained'])}"
         for share in _SHARES
     ]
-    return f"identity: {found['components']} components, {', '.join(shares)}; first deviation " + (
-        f"{found['deviations_mm'][0]:.2f} mm RMS"
+    return f"identity: {identity['components']} components, {', '.join(shares)}; first deviation " + (
+        f"{identity['deviations_mm'][0]:.2f} mm RMS"
     )
 
 
-def _expressions(found: Mapping[str, Any] | None, tolerance: float) -> str:
-    if found is None:
+def _expressions(expressions: Mapping[str, Any] | None, tolerance: float) -> str:
+    if expressions is None:
         return "expressions: none"
-    core, error = " x ".join(map(str, found["core"])), found["stored_error_mm"]
+    core, error = " x ".join(map(str, expressions["core"])), expressions["stored_error_mm"]
     return (
-        f"expressions: {len(found['shapes'])} shapes of {found['faces']} faces, {found['basis']} directions, "
-        f"core {core}; held to {tolerance:g} mm RMS, "
+        f"expressions: {len(expressions['shapes'])} shapes of {expressions['faces']} faces, "
+        f"{expressions['basis']} directions, core {core}; held to {tolerance:g} mm RMS, "
         f"worst face {error['rms_mm']:.3f} RMS, {error['max_mm']:.2f} at most"
     )
 

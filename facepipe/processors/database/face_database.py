@@ -125,14 +125,14 @@ def carried_mean(
     model = database.expressions
     if model is None:
         raise InputError("database", "has no expressions, expected some")
-    own = np.asarray(neutral, dtype=np.float64)
-    if own.shape != database.identity.mean.shape:
-        raise InputError("neutral", f"points {own.shape}, expected {database.identity.mean.shape}")
+    points = np.asarray(neutral, dtype=np.float64)
+    if points.shape != database.identity.mean.shape:
+        raise InputError("neutral", f"points {points.shape}, expected {database.identity.mean.shape}")
     nobody = np.zeros(model.vectors.shape[1])
     mean = model.neutral(nobody)
-    transfer = Transfer(own, database.topology.triangles, np.zeros(len(own), dtype=bool))
-    found = np.empty((len(model.names), *own.shape))
+    transfer = Transfer(points, database.topology.triangles, np.zeros(len(points), dtype=bool))
+    deltas = np.empty((len(model.names), *points.shape))
     for number, name in enumerate(model.names):
-        found[number] = transfer.solve(mean[None], (mean + model.shape(nobody, name))[None]) - own
+        deltas[number] = transfer.solve(mean[None], (mean + model.shape(nobody, name))[None]) - points
         done()
-    return found
+    return deltas

@@ -56,11 +56,11 @@ class StageSource:
         recipe = file_recipe(self.path).recipe
         if recipe is None or recipe.verb != REBUILT:
             return None
-        found = found_of(recipe)
-        if "quality" not in found:
+        results = found_of(recipe)
+        if "quality" not in results:
             what = "is rebuilt and states no quality, expected it in its recipe (or --quality, or --ignore-quality)"
             raise InputError(self.path, what)
-        return quality_from(found["quality"], f"{self.path} -> recipe -> quality")
+        return quality_from(results["quality"], f"{self.path} -> recipe -> quality")
 
 
 def stage_sources(
@@ -71,18 +71,18 @@ def stage_sources(
     :param names: one for each; those of the files by default
     :raises InputError: names that are not one for each, or twice
     """
-    own = list(names) or [path.stem for path in paths]
-    if len(own) != len(paths):
-        raise InputError("names", f"{len(own)} names, expected {len(paths)}, one a face")
-    for number, name in enumerate(own):
-        if not name.strip() or name in own[:number]:
+    face_names = list(names) or [path.stem for path in paths]
+    if len(face_names) != len(paths):
+        raise InputError("names", f"{len(face_names)} names, expected {len(paths)}, one a face")
+    for number, name in enumerate(face_names):
+        if not name.strip() or name in face_names[:number]:
             raise InputError(paths[number], f"name '{name}' empty or twice, expected another by --names")
-    found: list[StageSource] = []
-    for path, name in zip(paths, own, strict=True):
-        base: StageSource | Topology | None = database.topology if database else found[0] if found else None
+    sources: list[StageSource] = []
+    for path, name in zip(paths, face_names, strict=True):
+        base: StageSource | Topology | None = database.topology if database else sources[0] if sources else None
         base_name = where if database else str(paths[0])
-        found.append(StageSource(path=path, name=name, base=base, base_name=base_name))
-    return found
+        sources.append(StageSource(path=path, name=name, base=base, base_name=base_name))
+    return sources
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,29 +139,31 @@ def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
         known |= {one.content: one.name} | ({one.digest: one.name} if one.digest else {})
 
 
-def _check_place(one: Facts, mean: FloatArray) -> None:
+def _check_place(face: Facts, mean: FloatArray) -> None:
     """:raises InputError: a face that stands elsewhere: what is place would enter the model as identity"""
-    fitted = fit_similarity(mean, one.points)
+    fitted = fit_similarity(mean, face.points)
     angle = float(np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1))))
-    shift = float(np.linalg.norm(one.points.mean(axis=0) - mean.mean(axis=0)))
+    shift = float(np.linalg.norm(face.points.mean(axis=0) - mean.mean(axis=0)))
     if not 1 / _SCALES < fitted.scale < _SCALES:
-        raise InputError(one.name, f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so")
+        raise InputError(
+            face.name, f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so"
+        )
     if angle > _TURNED or shift > _SHIFTED:
         what = f"stands {shift:.0f} mm and {angle:.0f} degrees away from the others"
-        raise InputError(one.name, f"{what}, expected faces in one place")
+        raise InputError(face.name, f"{what}, expected faces in one place")
 
 
 def mesh_warnings(facts: Sequence[Facts], meshes: Mapping[str, tuple[str, ...]]) -> list[str]:
     """A line for each face with shapes that leave meshes still which they move in other faces."""
     lines = []
-    for one in facts:
+    for face in facts:
         still = [
             f"{shape} ({', '.join(lost)})"
             for shape, known in meshes.items()
-            if shape in one.shapes and (lost := [mesh for mesh in known if mesh not in one.shapes[shape]])
+            if shape in face.shapes and (lost := [mesh for mesh in known if mesh not in face.shapes[shape]])
         ]
         if still:
-            lines.append(f"{one.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
+            lines.append(f"{face.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
     return lines
 
 

@@ -66,10 +66,10 @@ def misses(quality: Quality, limits: QualityLimits) -> tuple[str, ...]:
         ("95th percentile of the surface distance", quality.surface_p95_mm, limits.max_surface_p95_mm, " mm"),
         ("flipped triangles", quality.flipped_triangles, limits.max_flipped_triangles, ""),
     )
-    found = [f"{what} {value:g}{unit}, expected at most {most:g}" for what, value, most, unit in above if value > most]
+    lines = [f"{what} {value:g}{unit}, expected at most {most:g}" for what, value, most, unit in above if value > most]
     if quality.coverage < limits.min_coverage:
-        found.append(f"coverage {quality.coverage:g}, expected at least {limits.min_coverage:g}")
-    return tuple(found)
+        lines.append(f"coverage {quality.coverage:g}, expected at least {limits.min_coverage:g}")
+    return tuple(lines)
 
 
 @dataclass(frozen=True, kw_only=True)

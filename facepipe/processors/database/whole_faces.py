@@ -50,10 +50,10 @@ class Topology:
     @property
     def digest(self) -> str:
         """``sha256:...`` that differs between topologies."""
-        found = hashlib.sha256(repr((self.names, self.points)).encode())
+        sha = hashlib.sha256(repr((self.names, self.points)).encode())
         for counts, indices in zip(self.counts, self.indices, strict=True):
-            found.update(counts.astype("<i4").tobytes() + b"|" + indices.astype("<i4").tobytes() + b"|")
-        return f"sha256:{found.hexdigest()}"
+            sha.update(counts.astype("<i4").tobytes() + b"|" + indices.astype("<i4").tobytes() + b"|")
+        return f"sha256:{sha.hexdigest()}"
 
     def parts(self, points: FloatArray, name: str = "Face") -> FaceParts:
         """A face of whole points (n, 3), in millimetres, without anything else."""
@@ -81,10 +81,10 @@ class WholeFace:
     @property
     def content(self) -> str:
         """``sha256:...`` of the points and shapes, as float32: the same face in another file has the same."""
-        found = hashlib.sha256(self.points.astype("<f4").tobytes())
+        sha = hashlib.sha256(self.points.astype("<f4").tobytes())
         for name in sorted(self.deltas):
-            found.update(name.encode() + self.deltas[name].astype("<f4").tobytes())
-        return f"sha256:{found.hexdigest()}"
+            sha.update(name.encode() + self.deltas[name].astype("<f4").tobytes())
+        return f"sha256:{sha.hexdigest()}"
 
 
 def whole_points(parts: FaceParts) -> FloatArray:
@@ -125,7 +125,7 @@ def whole_face(
         raise TopologyError(name, "has no points, expected a face with meshes")
     between = sorted({shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.inbetweens})
     if between:
-        warnings.append(f"{name}: inbetweens are left out, of {', '.join(between)}")
+        warnings.append(f"{name}: inbetweens of {', '.join(between)} are left out")
     shapes = dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes)
     return WholeFace(
         name=name,
@@ -141,10 +141,10 @@ def _delta(parts: FaceParts, shape: str) -> FloatArray:
     ends = np.cumsum([len(mesh.points) for mesh in parts.meshes])
     delta = np.zeros((int(ends[-1]), 3))
     for mesh, end, to in zip(parts.meshes, ends, to_millimetres(parts), strict=True):
-        for one in mesh.blendshapes:
-            if one.name == shape:
+        for blendshape in mesh.blendshapes:
+            if blendshape.name == shape:
                 start = int(end) - len(mesh.points)
-                delta[start + one.point_indices] = np.asarray(one.offsets, np.float64) @ to[:3, :3].T
+                delta[start + blendshape.point_indices] = np.asarray(blendshape.offsets, np.float64) @ to[:3, :3].T
     return delta
 
 

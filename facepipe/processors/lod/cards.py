@@ -25,12 +25,12 @@ def cards_of(points: FloatArray, triangles: IntArray, mesh: IntArray) -> IntArra
     on_border = np.zeros(len(points), bool)
     on_border[pairs[uses == 1]] = True
     open_pieces = np.bincount(piece, on_border) >= _BORDER * np.bincount(piece)
-    found = piece[triangles[:, 0]]
-    number, first = np.unique(found, return_index=True)
+    triangle_piece = piece[triangles[:, 0]]
+    number, first = np.unique(triangle_piece, return_index=True)
     is_card = np.zeros(piece.max(initial=-1) + 1, bool)
     is_card[number] = open_pieces[number]
     enough = np.bincount(mesh[first], is_card[number], minlength=mesh.max(initial=-1) + 1) >= _FEWEST
-    return np.where(is_card[found] & enough[mesh], found, -1)
+    return np.where(is_card[triangle_piece] & enough[mesh], triangle_piece, -1)
 
 
 def apart(points: FloatArray, triangles: IntArray, card: IntArray) -> IntArray:
@@ -94,12 +94,12 @@ def widened(points: FloatArray, triangles: IntArray, card: IntArray, share: floa
 
 def _lengthwise(count: int, triangles: IntArray, card: IntArray) -> FloatArray:
     """(count,) how far along its card a point is: the slowest vibration of the card's edges (Fiedler 1973)."""
-    found = np.zeros(count)
+    along = np.zeros(count)
     order = np.argsort(card, kind="stable")
     for rows in np.split(triangles[order], np.flatnonzero(np.diff(card[order])) + 1):
-        points, own = np.unique(rows, return_inverse=True)
-        own = own.reshape(-1, 3)
+        points, corners = np.unique(rows, return_inverse=True)
+        corners = corners.reshape(-1, 3)
         joined = np.zeros((len(points), len(points)))
-        joined[own, np.roll(own, 1, axis=1)] = joined[np.roll(own, 1, axis=1), own] = 1.0
-        found[points] = np.linalg.eigh(np.diag(joined.sum(axis=1)) - joined)[1][:, 1]
-    return found
+        joined[corners, np.roll(corners, 1, axis=1)] = joined[np.roll(corners, 1, axis=1), corners] = 1.0
+        along[points] = np.linalg.eigh(np.diag(joined.sum(axis=1)) - joined)[1][:, 1]
+    return along

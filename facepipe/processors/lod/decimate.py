@@ -87,14 +87,14 @@ class Surface:
         """
         skin, others = int(self.is_skin.sum()), int((~self.is_skin).sum())
         for_skin = min(skin, max(round(count * skin_share), count - others))
-        found, left = [self._simplified(self.is_skin, for_skin)], min(count - for_skin, others)
+        pieces, left = [self._simplified(self.is_skin, for_skin)], min(count - for_skin, others)
         mesh, is_card = self._mesh(self._triangles), self.cards >= 0
         for number in np.unique(mesh[is_card]):
             own = is_card & (mesh == number)
-            found.append(self._fewer_cards(own, int(_HAIR * left * own.sum() / others)))
+            pieces.append(self._fewer_cards(own, int(_HAIR * left * own.sum() / others)))
         rest = ~self.is_skin & ~is_card
-        left -= sum(map(len, found[1:]))
-        return np.concatenate([*found, self._others(rest, left, above[~self._among(above, self.is_skin | is_card)])])
+        left -= sum(map(len, pieces[1:]))
+        return np.concatenate([*pieces, self._others(rest, left, above[~self._among(above, self.is_skin | is_card)])])
 
     def _fewer_cards(self, chosen: BoolArray, most: int) -> IntArray:
         """The cards of a mesh, some of them gone, the others with fewer triangles along them."""
@@ -128,11 +128,11 @@ class Surface:
         sizes = np.bincount(mesh[chosen], minlength=len(self._wedges))
         least = np.ceil(self._least * most * sizes / max(sizes.sum(), 1)).astype(int).tolist()
         while True:
-            found = self._simplified(chosen, most)
-            short = np.flatnonzero(np.bincount(self._mesh(found), minlength=len(sizes)) < least)
+            simplified = self._simplified(chosen, most)
+            short = np.flatnonzero(np.bincount(self._mesh(simplified), minlength=len(sizes)) < least)
             short = np.intersect1d(short, mesh[chosen])
             if not len(short):
-                return np.concatenate([*single, found])
+                return np.concatenate([*single, simplified])
             for number in short:
                 own = self._simplified(chosen & (mesh == number), least[number])
                 single.append(own if len(own) else above[self._mesh(above) == number])
@@ -163,18 +163,18 @@ class Surface:
 
     def meshes(self, level: IntArray) -> tuple[Mesh, ...]:
         """Each mesh at a level; one without triangles as it is."""
-        moved, found = self.places(level) - self._rig.points, []
+        moved, result = self.places(level) - self._rig.points, []
         firsts = self._rig.mesh_offsets
-        for number, one in enumerate(self._wedges):
-            own = level[self._mesh(level) == number] - self._starts[number]
-            mesh = mesh_of(one, own) if len(own) else one.mesh
+        for number, wedges in enumerate(self._wedges):
+            triangles = level[self._mesh(level) == number] - self._starts[number]
+            mesh = mesh_of(wedges, triangles) if len(triangles) else wedges.mesh
             away = moved[firsts[number] : firsts[number + 1]]
-            if len(own) and away.any():
-                kept = np.unique(one.points[own])
+            if len(triangles) and away.any():
+                kept = np.unique(wedges.points[triangles])
                 away = away[kept] @ np.linalg.inv(self._spaces[number])[:3, :3].T
                 mesh = replace(mesh, points=mesh.points + away.astype(mesh.points.dtype))
-            found.append(mesh)
-        return tuple(found)
+            result.append(mesh)
+        return tuple(result)
 
     def _simplified(self, chosen: BoolArray, most: int) -> IntArray:
         triangles = self._triangles[chosen]

@@ -96,9 +96,9 @@ class FullFace:
                 off = self._off(one, posed, rig.evaluate(coefficients=coefficients))
                 joints[number][name] = _distances(off[moved[one.rows]])
             step()
-        found = []
+        measured = []
         for number, (one, at) in enumerate(zip(places, rest, strict=True)):
-            found.append(
+            measured.append(
                 LevelErrors(
                     rest=_distances(self._off(one, self._rest, at)),
                     shapes=shapes[number],
@@ -108,7 +108,7 @@ class FullFace:
                     lost=self._lost(one),
                 )
             )
-        return found
+        return measured
 
     def _turns(self) -> Iterator[tuple[str, FloatArray]]:
         for number, joint in enumerate(self._rig.joints):
@@ -126,12 +126,12 @@ class FullFace:
     def _cards(self, places: _Places, at: FloatArray, level: IntArray) -> dict[str, Distances]:
         """How far the points of cards that are gone are from those that stay, at their places `at` (n, 3)."""
         gone = self._by_mesh(np.setdiff1d(np.flatnonzero(self._card), places.rows))
-        found = dict[str, Distances]()
+        distances = dict[str, Distances]()
         of_level = self._mesh(level[:, 0])
         for number, points in gone.items():
             left = closest_places(self._rest[points], at, level[of_level == number])
-            found[self._rig.mesh_names[number]] = _distances(left.distances * self._mm)
-        return found
+            distances[self._rig.mesh_names[number]] = _distances(left.distances * self._mm)
+        return distances
 
     def _lost(self, places: _Places) -> dict[str, int]:
         away = np.setdiff1d(self._used[~self._card[self._used]], places.rows)

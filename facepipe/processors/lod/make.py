@@ -92,7 +92,7 @@ def _warnings(levels: Sequence[Level], counts: Sequence[int]) -> Iterator[str]:
             yield f"{level.name}: {level.triangles:,} triangles, {count:,} can't be reached: seams and borders stay"
         if level.errors.lost:
             gone = ", ".join(f"{name} ({points:,})" for name, points in level.errors.lost.items())
-            yield f"{level.name}: no triangle is left of some pieces (points): {gone}: they are in no error"
+            yield f"{level.name}: some pieces have no triangle left, and no error counts them (points): {gone}"
 
 
 def lod_text(report: LodReport, out: Path) -> str:
@@ -100,17 +100,21 @@ def lod_text(report: LodReport, out: Path) -> str:
     rows: list[list[object]] = [
         ["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "on the skin", "joints"]
     ]
-    for one in report.levels:
-        errors = one.errors
+    for level in report.levels:
+        errors = level.errors
         rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
-        counts = (f"{count:,}" for count in (one.triangles, one.skin_triangles, one.points))
-        rows.append([one.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
-    said = [f"{out}: {report.triangles:,} triangles, and", table(rows), "mean / 95 % of the points, worst first"]
-    for one in report.levels:
-        for mesh, gone in one.errors.cards.items():
+        counts = (f"{count:,}" for count in (level.triangles, level.skin_triangles, level.points))
+        rows.append([level.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
+    lines = [
+        f"{out}: {report.triangles:,} triangles; its levels:",
+        table(rows),
+        "mean / 95 % of the points, worst first",
+    ]
+    for level in report.levels:
+        for mesh, gone in level.errors.cards.items():
             away = f"{gone.mean_mm:.2f} / {gone.p95_mm:.2f} mm from those that stay"
-            said.append(f"{one.name}: points of cards of {mesh} that are left out (in no error above): {away}")
-    return "\n".join(said)
+            lines.append(f"{level.name}: points of cards of {mesh} that are left out (not in the errors above): {away}")
+    return "\n".join(lines)
 
 
 def _worst(distances: Mapping[str, Distances]) -> str:

@@ -72,7 +72,7 @@ class ApplyNeuralRig(AttachOptions, StageAction[ApplyNeuralRigReport]):
         )
 
     def text(self, report: ApplyNeuralRigReport, out: Path) -> str:
-        what = f"{report.controls} sliders over {report.channels} channels and {report.shapes} shapes"
+        summary = f"{report.controls} sliders over {report.channels} channels and {report.shapes} shapes"
         left = f"{report.offsets:,} offsets, without those that are left out points are off by at most "
         clips = f", in clips by {report.clips_mm:.4f} mm" if report.clips_mm else ""
-        return f"{out}: {what}, {report.units} units; {left}{report.dropped_mm:.4f} mm{clips}"
+        return f"{out}: {summary}, {report.units} units; {left}{report.dropped_mm:.4f} mm{clips}"

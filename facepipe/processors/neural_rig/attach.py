@@ -76,17 +76,17 @@ class AttachNeuralRig:
         check_neural_rig(parts, rig, where)
         whole, tolerance = rig, self.options.offset_tolerance_mm
         rig, scales, moved = _kept(whole, tolerance)
-        own = own_shapes(parts) if self.options.keep_shapes else frozenset()
+        kept_shapes = own_shapes(parts) if self.options.keep_shapes else frozenset()
         names = tuple(shape_name(number) for number in range(len(rig.shapes)))
         offsets = np.where(moved[..., None], rig.shapes * scales[:, None, None], 0.0)
         shapes = dict(zip(names, offsets, strict=True))
-        clips = _clips(parts, rig, own, shapes, tolerance)
+        clips = _clips(parts, rig, kept_shapes, shapes, tolerance)
         shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clips.shapes)}
-        _check_names(where, own & shapes.keys())
-        kept = kept_sliders(parts, rig, own)
+        _check_names(where, kept_shapes & shapes.keys())
+        kept = kept_sliders(parts, rig, kept_shapes)
         attached = replace(
             parts,
-            meshes=_meshes(parts, rig, own, shapes),
+            meshes=_meshes(parts, rig, kept_shapes, shapes),
             sliders=with_mutual_mirrors((*neural_sliders(parts, rig, scales), *kept)),
             slider_network=neural_network(parts, rig, scales),
             animations=clips.animations,
@@ -117,11 +117,11 @@ def check_neural_rig(parts: FaceParts, rig: NeuralRig, where: str) -> None:
     if parts.skeleton.joints != rig.bones.joints:
         found, expected = len(parts.skeleton.joints), len(rig.bones.joints)
         raise TopologyError(where, f"{found} joints that differ, expected the {expected} that the neural rig moves")
-    own = bones_in(build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES))
-    for name, what in (("rest", "rest transforms"), ("inverse_bind", "bind transforms"), ("parent_world", "place")):
-        if not np.allclose(getattr(own, name), getattr(rig.bones, name), rtol=0, atol=_MATRIX):
-            raise TopologyError(where, f"{what} of the skeleton differ, expected those that the neural rig moves")
-    fewer = with_influences(own, most_influences(rig.bones))
+    bones = bones_in(build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES))
+    for name, label in (("rest", "rest transforms"), ("inverse_bind", "bind transforms"), ("parent_world", "place")):
+        if not np.allclose(getattr(bones, name), getattr(rig.bones, name), rtol=0, atol=_MATRIX):
+            raise TopologyError(where, f"{label} of the skeleton differ, expected those that the neural rig moves")
+    fewer = with_influences(bones, most_influences(rig.bones))
     if abs(fewer.influences - rig.bones.influences).max() > _WEIGHT:
         raise TopologyError(where, "skin weights differ, expected those that the neural rig moves")
 
@@ -177,13 +177,13 @@ def _check_names(where: str, taken: Collection[str]) -> None:
 
 
 def _meshes(
-    parts: FaceParts, rig: NeuralRig, own: Collection[str], shapes: Mapping[str, FloatArray]
+    parts: FaceParts, rig: NeuralRig, kept_shapes: Collection[str], shapes: Mapping[str, FloatArray]
 ) -> tuple[Mesh, ...]:
-    """The meshes at the rig's rest, with the shapes `own` of the face and (n, 3) millimetres of further ones."""
+    """The meshes at the rig's rest, with `kept_shapes` of the face and (n, 3) millimetres of further ones."""
     meshes, ends = [], np.cumsum([len(mesh.points) for mesh in parts.meshes])
     for mesh, space, turned, end in zip(parts.meshes, _spaces(parts, rig), _turned(parts, rig), ends, strict=True):
         points, back = slice(end - len(mesh.points), end), np.linalg.inv(space)[:3, :3]
-        before = [shape for shape in mesh.blendshapes if shape.name in own]
+        before = [shape for shape in mesh.blendshapes if shape.name in kept_shapes]
         if turned is not None:
             before = [at_rest(shape, back @ turned) for shape in before]
         further = _shapes({name: offsets[points] for name, offsets in shapes.items()}, back)
@@ -193,27 +193,27 @@ def _meshes(
 
 def _shapes(shapes: Mapping[str, FloatArray], linear: FloatArray) -> tuple[Blendshape, ...]:
     """Blendshapes of one mesh, of (n, 3) millimetres; those that move none of its points are not on it."""
-    found = []
-    for name, own in shapes.items():
-        points = np.flatnonzero(own.any(axis=1)).astype(np.int32)
+    blendshapes = []
+    for name, moves in shapes.items():
+        points = np.flatnonzero(moves.any(axis=1)).astype(np.int32)
         if len(points):
-            found.append(Blendshape(name=name, point_indices=points, offsets=own[points] @ linear.T))
-    return tuple(found)
+            blendshapes.append(Blendshape(name=name, point_indices=points, offsets=moves[points] @ linear.T))
+    return tuple(blendshapes)
 
 
 def _turned(parts: FaceParts, rig: NeuralRig) -> list[FloatArray | None]:
     """(n, 3, 3) of every mesh, from its own shapes' offsets to the world's, millimetres; None where they stay."""
     if rig.bones is not None or not parts.skeleton.joints:
         return [None] * len(parts.meshes)
-    own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-    matrices = own.skinning_matrices(own.rest)[:, :3, :3].reshape(-1, 9)
-    blended = to[:3, :3] @ (own.influences @ matrices).reshape(-1, 3, 3)
-    pieces = np.split(blended, own.mesh_offsets[1:-1])
+    face_rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    matrices = face_rig.skinning_matrices(face_rig.rest)[:, :3, :3].reshape(-1, 9)
+    blended = to[:3, :3] @ (face_rig.influences @ matrices).reshape(-1, 3, 3)
+    pieces = np.split(blended, face_rig.mesh_offsets[1:-1])
     return [piece @ space[:3, :3] for piece, space in zip(pieces, mesh_spaces(parts), strict=True)]
 
 
 def _clips(
-    parts: FaceParts, rig: NeuralRig, own: Collection[str], shapes: Mapping[str, FloatArray], tolerance: float
+    parts: FaceParts, rig: NeuralRig, kept_shapes: Collection[str], shapes: Mapping[str, FloatArray], tolerance: float
 ) -> BakedClips:
     """Clips of shapes that are there, and of joints: as they are where the skin is the face's, else by shapes too."""
     meshes = _meshes(parts, rig, (), {})
@@ -225,7 +225,9 @@ def _clips(
         spaces = [(there @ np.linalg.inv(here))[:3, :3] for there, here in pairs]
         baked = baked_clips(parts, replace(parts, meshes=meshes), joints, shapes, spaces, tolerance)
     again = {one.name: one for one in baked.animations}
-    kept = [again.get(one.name, one) for one in parts.animations if one.name in again or set(one.shapes) <= set(own)]
+    kept = [
+        again.get(one.name, one) for one in parts.animations if one.name in again or set(one.shapes) <= set(kept_shapes)
+    ]
     return replace(baked, animations=tuple(kept))
 
 
@@ -264,11 +266,11 @@ def _dropped(parts: FaceParts, attached: FaceParts, rig: NeuralRig) -> tuple[str
     lines, network, controls = [], parts.slider_network, {one.name for one in rig.controls}
     if network is not None and network.info.get("kind") != "neural rig" and set(network.sliders) - controls:
         lines.append("left out: the learned network of the sliders, which takes others than the rig's controls")
-    for what, before, after in (
+    for kind, before, after in (
         ("clips that play shapes which are not kept", parts.animations, attached.animations),
         ("sliders of joints or shapes that no longer move the face", parts.sliders, attached.sliders),
     ):
         there = {one.name for one in after}
         gone = [one.name for one in before if one.name not in there]
-        lines += [f"left out: {what}: {', '.join(gone)}"] if gone else []
+        lines += [f"left out: {kind}: {', '.join(gone)}"] if gone else []
     return tuple(lines)

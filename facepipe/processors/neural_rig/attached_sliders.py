@@ -38,9 +38,9 @@ def neural_sliders(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> tupl
 
     :param scales: (r,) activations of shapes, millimetres, at which their weights are 1
     """
-    own, count = {one.name: one for one in parts.sliders}, len(rig.shapes)
+    face_sliders, count = {one.name: one for one in parts.sliders}, len(rig.shapes)
     channels = _names(rig, parts.skeleton.joints)
-    found = []
+    sliders = []
     for control, row in zip(rig.controls, rig.linear * _factors(parts, rig, scales), strict=True):
         gains = (row / (control.maximum - control.minimum)).tolist()
         pairs = zip(channels, gains[count:], strict=True)
@@ -52,8 +52,8 @@ def neural_sliders(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> tupl
             channels=tuple((*channel, gain) for channel, gain in pairs if gain),
             shapes=tuple((shape_name(i), gain) for i, gain in enumerate(gains[:count]) if gain),
         )
-        found.append(_as_before(slider, control, own.get(control.name)))
-    return tuple(found)
+        sliders.append(_as_before(slider, control, face_sliders.get(control.name)))
+    return tuple(sliders)
 
 
 def _as_before(slider: Slider, control: Control, before: Slider | None) -> Slider:
@@ -121,18 +121,18 @@ def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
 
     :param matrices: (n, 3, 3) of the points of its mesh
     """
-    own = matrices[shape.point_indices]
+    turns = matrices[shape.point_indices]
 
     def turned(offsets: FloatArray | None) -> FloatArray | None:
-        return None if offsets is None else np.einsum("kij,kj->ki", own, offsets)
+        return None if offsets is None else np.einsum("kij,kj->ki", turns, offsets)
 
     inbetweens = tuple(
-        replace(one, offsets=np.einsum("kij,kj->ki", own, one.offsets), normal_offsets=turned(one.normal_offsets))
+        replace(one, offsets=np.einsum("kij,kj->ki", turns, one.offsets), normal_offsets=turned(one.normal_offsets))
         for one in shape.inbetweens
     )
     return replace(
         shape,
-        offsets=np.einsum("kij,kj->ki", own, shape.offsets),
+        offsets=np.einsum("kij,kj->ki", turns, shape.offsets),
         normal_offsets=turned(shape.normal_offsets),
         inbetweens=inbetweens,
     )
@@ -164,9 +164,9 @@ def baked_clips(
     """
     frames = np.stack([moved for one in animations for moved in _beyond_joints(parts, attached, spaces, one)])
     left = frames.reshape(len(frames), -1)  # in place: frames may be many
-    own = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
-    weights = np.linalg.lstsq(own @ own.T, own.astype(np.float32) @ left.T, rcond=1e-9)[0].T
-    left -= weights.astype(np.float32) @ own.astype(np.float32)
+    rig_shapes = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
+    weights = np.linalg.lstsq(rig_shapes @ rig_shapes.T, rig_shapes.astype(np.float32) @ left.T, rcond=1e-9)[0].T
+    left -= weights.astype(np.float32) @ rig_shapes.astype(np.float32)
     further = _further(frames, tolerance)
     amounts = left @ further.reshape(len(further), left.shape[1]).T.astype(np.float32)
     sizes = np.maximum(np.abs(amounts).max(axis=0, initial=0.0), np.finfo(np.float32).eps)

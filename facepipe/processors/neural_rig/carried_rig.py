@@ -29,8 +29,8 @@ class Subject:
     @classmethod
     def of(cls, parts: FaceParts, where: str) -> Subject:
         """The subject of a face stage."""
-        own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-        bones = bones_in(own, to) if own.joints else None
+        rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+        bones = bones_in(rig, to) if rig.joints else None
         return cls(where=where, topology=Topology.of(parts), rest=whole_points(parts), bones=bones)
 
     def checked(self, rig: NeuralRig) -> Subject:
@@ -40,10 +40,10 @@ class Subject:
         """
         if self.topology.digest != rig.topology:
             raise TopologyError(self.where, "other meshes than those of the neural rig, expected its topology")
-        own = () if self.bones is None else self.bones.joints
-        if rig.bones is not None and own != rig.bones.joints:
+        joints = () if self.bones is None else self.bones.joints
+        if rig.bones is not None and joints != rig.bones.joints:
             expected = f"expected the rig's {len(rig.bones.joints)} (facepipe skin --from gives a face another's)"
-            raise TopologyError(self.where, f"{len(own)} joints that are not those of the neural rig, {expected}")
+            raise TopologyError(self.where, f"{len(joints)} joints that are not those of the neural rig, {expected}")
         return self
 
 

@@ -32,12 +32,12 @@ class Checkpoint:
     key: str  # digest of frames and options
 
     @classmethod
-    def of(cls, path: Path, part: Literal["rig", "encoder"], motion: Motion, options: Any) -> Checkpoint:
+    def for_training(cls, path: Path, part: Literal["rig", "encoder"], motion: Motion, options: Any) -> Checkpoint:
         """:param options: a dataclass of plain values"""
-        found = hashlib.sha256(json.dumps(dataclasses.asdict(options), sort_keys=True).encode())
+        digest = hashlib.sha256(json.dumps(dataclasses.asdict(options), sort_keys=True).encode())
         for array in (motion.values, motion.points, motion.blocks, motion.coefficients):
-            found.update(b"" if array is None else np.ascontiguousarray(array).data)
-        return cls(path=path, part=part, key=found.hexdigest())
+            digest.update(b"" if array is None else np.ascontiguousarray(array).data)
+        return cls(path=path, part=part, key=digest.hexdigest())
 
     def state(self) -> Mapping[str, Array] | None:
         """What was kept last; None where nothing was yet.
@@ -52,18 +52,18 @@ class Checkpoint:
             what = f"a training of other frames or options ({self.part})"
             raise InputError(self.path, f"{what}, expected these (or another file)")
         prefix = f"{self.part}."
-        found = {name.removeprefix(prefix): one for name, one in file.arrays.items() if name.startswith(prefix)}
-        lacking = [name for name in _NAMES if name not in found]
+        arrays = {name.removeprefix(prefix): one for name, one in file.arrays.items() if name.startswith(prefix)}
+        lacking = [name for name in _NAMES if name not in arrays]
         if lacking:
             raise InputError(self.path, f"lacks {prefix}{lacking[0]}, expected a training")
-        return found
+        return arrays
 
     def keep(self, state: Mapping[str, Array]) -> None:
         """Write, whole or not at all; the other parts stay as they are."""
         file, prefix = self._file(), f"{self.part}."
         others = {name: one for name, one in file.arrays.items() if not name.startswith(prefix)}
-        own = {f"{prefix}{name}": one for name, one in state.items()}
-        write_arrays(self.path, KIND, {"keys": {**_keys(file), self.part: self.key}}, others | own)
+        arrays = {f"{prefix}{name}": one for name, one in state.items()}
+        write_arrays(self.path, KIND, {"keys": {**_keys(file), self.part: self.key}}, others | arrays)
 
     def _file(self) -> Content:
         return read_arrays(self.path, KIND) if self.path.exists() else Content({}, {})

@@ -34,7 +34,7 @@ class AnimatedFace:
         self._rig = build(parts)
 
     @classmethod
-    def of(cls, path: Path) -> AnimatedFace | None:
+    def read(cls, path: Path) -> AnimatedFace | None:
         """The face of a stage with what moves it; None where nothing does.
 
         :raises InputError: NaN, or several animations over time of which the skeleton plays none
@@ -64,10 +64,10 @@ class AnimatedFace:
         if not self._rig.joints:
             return None, None
         moves = np.linalg.solve(self._rig.rest, np.stack([self._local(int(number)) for number in samples]))
-        found = matrix_coefficients(moves)
-        if np.abs(coefficient_matrices(found) - moves).max() > _SHEAR:
+        coefficients = matrix_coefficients(moves)
+        if np.abs(coefficient_matrices(coefficients) - moves).max() > _SHEAR:
             return None, None
-        return bones_in(self._rig, to), coefficients_in(found, float(np.cbrt(np.linalg.det(to[:3, :3]))))
+        return bones_in(self._rig, to), coefficients_in(coefficients, float(np.cbrt(np.linalg.det(to[:3, :3]))))
 
     def _local(self, number: int) -> FloatArray:
         return sample_transforms(self.parts.skeleton, self.animation, number)
@@ -103,7 +103,7 @@ def read_targets(path: Path, rig: NeuralRig) -> Targets:
     codes: FloatArray = cache.codes
     animated = None
     if cache.has_face and not len(codes):
-        animated = AnimatedFace.of(path)
+        animated = AnimatedFace.read(path)
         codes = codes if animated is None else animated.codes(cache.codes_per_second)
     placed = animated or cached_points(cache, path)
     _check(path, Topology.of(FaceParts(meshes=placed.meshes)), rig)

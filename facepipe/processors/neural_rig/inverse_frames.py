@@ -40,7 +40,7 @@ class ShapeData:
     left: FloatArray  # (f,) squares that no sum of shapes makes
 
     @classmethod
-    def of(cls, rig: NeuralRig, points: FloatArray) -> ShapeData:
+    def from_targets(cls, rig: NeuralRig, points: FloatArray) -> ShapeData:
         """Of targets (f, n, 3)."""
         shapes = rig.shapes.reshape(len(rig.shapes), -1)
         activations, squares = np.empty((len(points), len(shapes))), np.empty(len(points))
@@ -86,11 +86,11 @@ class SkinnedData:
 
     def cost(self, x: FloatArray, frames: IntArray) -> FloatArray:
         """(k,) mm^2 of (k, c)."""
-        found = np.empty(len(x))
+        costs = np.empty(len(x))
         for number, outputs in enumerate(_outputs(self.rig, x)):
             off = self.rig.deformed(outputs) - self._targets[frames[number]]
-            found[number] = np.square(off).sum() / len(off)
-        return found
+            costs[number] = np.square(off).sum() / len(off)
+        return costs
 
     def normal(self, x: FloatArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """(k, c) derivatives and (k, c, c) second ones, those of Gauss and Newton, nearly."""
@@ -156,24 +156,24 @@ class Frames:
         :param done: called once for each frame
         """
         rest = np.zeros((count, len(self.box.lower)))
-        found = self._each(rest if start is None else start, np.arange(count), done)
+        settled = self._each(rest if start is None else start, np.arange(count), done)
         random, again = np.random.default_rng(self.options.seed), np.arange(count)
         still = self.data.cost(rest, again)
         for attempt in range(1, self.options.starts):
-            again = np.intersect1d(again, self._worse(found.cost, still))
+            again = np.intersect1d(again, self._worse(settled.cost, still))
             shape = (len(again), rest.shape[1])
             other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
             near = _nearest_good(again, count)
             if attempt == 1 and start is not None:
                 other = rest[again]
             elif attempt == 1 and blocks is not None and len(near):
-                other = found.x[near]
+                other = settled.x[near]
             tried = self._each(other, again)
-            apart = np.abs(tried.cost - found.cost[again]) > _SAME * found.cost[again]
-            found, again = _better(found, tried, again), again[apart]
+            apart = np.abs(tried.cost - settled.cost[again]) > _SAME * settled.cost[again]
+            settled, again = _better(settled, tried, again), again[apart]
         if blocks is None or self.options.smoothness == 0.0:
-            return found.x, float(found.steps.mean())
-        x, steps = found.x, found.steps
+            return settled.x, float(settled.steps.mean())
+        x, steps = settled.x, settled.steps
         for rows, before in _windows(np.asarray(blocks)):
             clip = self._settle(x[rows], rows, Smoothness(weight=self.options.smoothness, before=x[before]))
             x[rows] = clip.x
@@ -188,18 +188,18 @@ class Frames:
 
     def _each(self, start: FloatArray, frames: IntArray, done: Callable[[], object] = lambda: None) -> Settled:
         """Each on its own."""
-        found = []
+        batches = []
         for first in range(0, len(frames), _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
-            found.append(self._settle(start[rows], frames[rows]))
+            batches.append(self._settle(start[rows], frames[rows]))
             for _ in frames[rows]:
                 done()
-        if not found:
+        if not batches:
             return Settled(x=start, cost=np.zeros(0), steps=np.zeros(0, np.int64))
         return Settled(
-            x=np.concatenate([one.x for one in found]),
-            cost=np.concatenate([one.cost for one in found]),
-            steps=np.concatenate([one.steps for one in found]),
+            x=np.concatenate([one.x for one in batches]),
+            cost=np.concatenate([one.cost for one in batches]),
+            steps=np.concatenate([one.steps for one in batches]),
         )
 
     def _settle(self, start: FloatArray, frames: IntArray, smoothness: Smoothness | None = None) -> Settled:

@@ -62,7 +62,7 @@ class InvertNeuralRig:
         first = None if start is None else from_default(rig.controls, np.asarray(start, dtype=np.float64))
         with one_thread():
             rig = rig if rig.bones else with_orthonormal_shapes(rig)
-            data = SkinnedData(rig, points, self.options.points) if rig.bones else ShapeData.of(rig, points)
+            data = SkinnedData(rig, points, self.options.points) if rig.bones else ShapeData.from_targets(rig, points)
             if self.options.mode == "adam":
                 x, steps = self._adam(rig, points, first, done)
             else:
@@ -186,10 +186,10 @@ def _control_reports(names: list[str], matrices: FloatArray, off: FloatArray, ou
     sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
     ridge = _RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
     inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(count))
-    own = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
+    own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
     free = np.sqrt(max(outputs - count, 1))
-    std = np.minimum(off[:, None] / np.maximum(free * own, 1e-30), _ANYWHERE)
-    shares = own / np.maximum(sizes, 1e-30)
+    std = np.minimum(off[:, None] / np.maximum(free * own_sizes, 1e-30), _ANYWHERE)
+    shares = own_sizes / np.maximum(sizes, 1e-30)
     rows = zip(*(np.median(one, axis=0).tolist() for one in (sizes, shares, std)), strict=True)
     return {
         name: ControlReport(moves_mm=moves, own_share=share, std=error, identifiable=bool(error < 0.99 * _ANYWHERE))

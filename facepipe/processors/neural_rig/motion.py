@@ -60,7 +60,7 @@ class Motion:
         frames, count = len(self.values), self.topology.point_count
         if not frames or not self.controls:
             raise InputError(self.where, f"{frames} frames of {len(self.controls)} controls, expected some")
-        for what, values, shape in (
+        for label, values, shape in (
             ("controls", self.values, (frames, len(self.controls))),
             ("points", self.points, (frames, count, 3)),
             ("rest", self.rest, (count, 3)),
@@ -69,7 +69,7 @@ class Motion:
         ):
             if values is None or values.shape != shape:
                 found = None if values is None else values.shape
-                raise TopologyError(f"{self.where} -> {what}", f"shape {found}, expected {shape}")
+                raise TopologyError(f"{self.where} -> {label}", f"shape {found}, expected {shape}")
 
     def _bone_sizes(self, frames: int) -> list[tuple[str, FloatArray | None, tuple[int, ...]]]:
         joints = () if self.bones is None else (frames, len(self.bones.joints), 9)
@@ -186,17 +186,17 @@ class ReadClips:
 
         :raises InputError: no readable USD, a stage without a control of these, or NaN
         """
-        found = RecordedClips(values=np.zeros((0, len(controls))), blocks=np.zeros(0, dtype=int))
+        frames = RecordedClips(values=np.zeros((0, len(controls))), blocks=np.zeros(0, dtype=int))
         warnings: list[str] = []
         for path in paths:
             clips, lines = _known(path, read_clips(path), controls)
             warnings += lines
             for clip in clips:
-                own = _clip_frames(clip, controls, self.options)
-                values, blocks = own.after(found.values, found.blocks)
-                found = RecordedClips(values=values, blocks=blocks, between=found.between + own.between)
-        held, beyond = _within(found.values, controls)
-        return replace(found, values=held, warnings=(*warnings, *beyond))
+                added = _clip_frames(clip, controls, self.options)
+                values, blocks = added.after(frames.values, frames.blocks)
+                frames = RecordedClips(values=values, blocks=blocks, between=frames.between + added.between)
+        held, beyond = _within(frames.values, controls)
+        return replace(frames, values=held, warnings=(*warnings, *beyond))
 
 
 def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tuple[list[Clip], list[str]]:
@@ -205,11 +205,11 @@ def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tu
     known, warnings = [], []
     for clip in clips:
         others = [track.name for track in clip.tracks if track.name not in names]
-        own = tuple(track for track in clip.tracks if track.name in names)
-        if own:
-            known.append(Clip(name=clip.name, tracks=own))
-        left = [f"{len(others)} names that are no controls of the face: {_some(others)}"] if own and others else []
-        left += ["joints, which are no controls"] if own and clip.moves_joints else []
+        tracks = tuple(track for track in clip.tracks if track.name in names)
+        if tracks:
+            known.append(Clip(name=clip.name, tracks=tracks))
+        left = [f"{len(others)} names that are no controls of the face: {_some(others)}"] if tracks and others else []
+        left += ["joints, which are no controls"] if tracks and clip.moves_joints else []
         warnings += [f"{path} -> {clip.name}: left out {one}" for one in left]
     if not known:
         there = _some([track.name for clip in clips for track in clip.tracks]) or "nothing"

@@ -63,14 +63,14 @@ def save_neural_rig(
 
 def load_neural_rig(path: Path) -> NeuralRig:
     """:raises InputError: not readable, damaged, or not such a file"""
-    found = read_arrays(path, KIND)
+    file = read_arrays(path, KIND)
     try:
-        controls = _controls_from(found.content["controls"], f"{path} -> controls")
-        arrays: dict[str, Any] = {name: np.asarray(found.arrays[name], np.float64) for name in _ARRAYS}
-        rig = NeuralRig(controls=controls, topology=str(found.content["topology"]), **arrays)
-        if "bones" in found.content:
-            bones = _bones(path, rig, found)
-            rig = dataclasses.replace(rig, bones=bones, channels=np.asarray(found.arrays["channels"], np.int64))
+        controls = _controls_from(file.content["controls"], f"{path} -> controls")
+        arrays: dict[str, Any] = {name: np.asarray(file.arrays[name], np.float64) for name in _ARRAYS}
+        rig = NeuralRig(controls=controls, topology=str(file.content["topology"]), **arrays)
+        if "bones" in file.content:
+            bones = _bones(path, rig, file)
+            rig = dataclasses.replace(rig, bones=bones, channels=np.asarray(file.arrays["channels"], np.int64))
     except (KeyError, TypeError) as error:
         raise InputError(path, f"lacks {error}, expected a neural rig") from None
     _check_sizes(path, rig)
@@ -99,9 +99,9 @@ def _check_encoder(path: Path, rig: NeuralRig, encoder: NeuralEncoder) -> None:
         raise InputError(f"{path} -> encoder", "other controls than the rig's, expected the same in the same order")
 
 
-def _bones(path: Path, rig: NeuralRig, found: Content) -> Rig:
-    texts = {name: found.content["bones"][name] for name in _BONE_TEXTS}
-    arrays = {name: np.asarray(found.arrays[f"bones.{name}"]) for name in _BONE_ARRAYS}
+def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
+    texts = {name: file.content["bones"][name] for name in _BONE_TEXTS}
+    arrays = {name: np.asarray(file.arrays[f"bones.{name}"]) for name in _BONE_ARRAYS}
     joints = tuple(map(str, texts["joints"]))
     parents = arrays["parents"]
     for name, shape in {
@@ -115,7 +115,7 @@ def _bones(path: Path, rig: NeuralRig, found: Content) -> Rig:
             raise InputError(f"{path} -> bones.{name}", f"shape {arrays[name].shape}, expected {shape}")
     if not ((parents >= -1) & (parents < np.arange(len(joints)))).all():
         raise InputError(f"{path} -> bones.parents", "a joint before its parent, expected parents first")
-    weights = [np.asarray(found.arrays[f"bones.weights.{name}"]) for name in _SPARSE]
+    weights = [np.asarray(file.arrays[f"bones.weights.{name}"]) for name in _SPARSE]
     try:
         influences = sparse.csr_array(tuple(weights), shape=(len(rig.rest), len(joints) + 1))
         influences.check_format(full_check=True)
@@ -170,27 +170,27 @@ def _encoder_arrays(encoder: NeuralEncoder) -> tuple[dict[str, Any], dict[str, n
     return content, {**named, f"{_ENCODER}.chosen": encoder.chosen.astype(np.int32)}
 
 
-def _encoder_from(where: object, found: Content) -> NeuralEncoder:
+def _encoder_from(where: object, file: Content) -> NeuralEncoder:
     """What `_encoder_arrays` made.
 
     :raises InputError: no encoder, or a damaged one
     """
-    content = found.content.get(_ENCODER)
+    content = file.content.get(_ENCODER)
     if content is None:
         raise InputError(where, "has no encoder, expected a neural rig that was trained with one")
     try:
         layers = tuple(
-            EncoderLayer(**_encoder_values(found, f"{i}.", _LAYER_ARRAYS)) for i in range(int(content["layers"]))
+            EncoderLayer(**_encoder_values(file, f"{i}.", _LAYER_ARRAYS)) for i in range(int(content["layers"]))
         )
         encoder = NeuralEncoder(
             controls=_controls_from(content["controls"], f"{where} -> {_ENCODER} -> controls"),
             topology=str(content["topology"]),
             point_count=int(content["point_count"]),
-            chosen=np.asarray(found.arrays[f"{_ENCODER}.chosen"], np.int64),
+            chosen=np.asarray(file.arrays[f"{_ENCODER}.chosen"], np.int64),
             scale=float(content["scale"]),
             heads=int(content["heads"]),
             layers=layers,
-            **_encoder_values(found, "", _ENCODER_ARRAYS),
+            **_encoder_values(file, "", _ENCODER_ARRAYS),
         )
         _check_encoder_arrays(where, encoder)
     except (LookupError, TypeError, ValueError, OverflowError) as error:
@@ -198,26 +198,26 @@ def _encoder_from(where: object, found: Content) -> NeuralEncoder:
     return encoder
 
 
-def _encoder_values(found: Content, prefix: str, names: tuple[str, ...]) -> Mapping[str, Any]:
-    return {name: np.asarray(found.arrays[f"{_ENCODER}.{prefix}{name}"], np.float64) for name in names}
+def _encoder_values(file: Content, prefix: str, names: tuple[str, ...]) -> Mapping[str, Any]:
+    return {name: np.asarray(file.arrays[f"{_ENCODER}.{prefix}{name}"], np.float64) for name in names}
 
 
 def _check_encoder_arrays(where: object, encoder: NeuralEncoder) -> None:
     for name, shape in encoder_shapes(encoder).items():
-        own: Any = encoder
+        holder: Any = encoder
         if "." in name:
             number, name_of = name.split(".")
-            own, name = encoder.layers[int(number)], name_of
-        if getattr(own, name).shape != shape:
-            raise InputError(f"{where} -> {_ENCODER}.{name}", f"shape {getattr(own, name).shape}, expected {shape}")
+            holder, name = encoder.layers[int(number)], name_of
+        if getattr(holder, name).shape != shape:
+            raise InputError(f"{where} -> {_ENCODER}.{name}", f"shape {getattr(holder, name).shape}, expected {shape}")
     low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
     if low < 0 or high >= encoder.point_count:
-        what = f"points {low} to {high}, expected some of {encoder.point_count}"
-        raise InputError(f"{where} -> {_ENCODER}.chosen", what)
+        problem = f"points {low} to {high}, expected some of {encoder.point_count}"
+        raise InputError(f"{where} -> {_ENCODER}.chosen", problem)
     if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
-        what = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
+        problem = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
         raise InputError(
-            f"{where} -> {_ENCODER}", f"{what}, expected heads that share a token evenly and a scale above 0"
+            f"{where} -> {_ENCODER}", f"{problem}, expected heads that share a token evenly and a scale above 0"
         )
 
 
@@ -226,7 +226,7 @@ def encoder_shapes(encoder: NeuralEncoder) -> dict[str, tuple[int, ...]]:
     points, controls = len(encoder.chosen), len(encoder.controls)
     tokens, units, features = max(len(encoder.places), 1), encoder.point.shape[-1], len(encoder.feature_bias)
     width, reduced = encoder.token.shape[-1], len(encoder.reduce_bias)
-    found: dict[str, tuple[int, ...]] = {
+    expected: dict[str, tuple[int, ...]] = {
         "chosen": (points // tokens * tokens,),
         "rest": (points, 3),
         "point": (3, units),
@@ -243,10 +243,10 @@ def encoder_shapes(encoder: NeuralEncoder) -> dict[str, tuple[int, ...]]:
     }
     for number, layer in enumerate(encoder.layers):
         wide = len(layer.widen_bias)
-        own: tuple[tuple[int, ...], ...] = ((width, 3 * width), (3 * width,), (width, width), (width,))
-        own += ((width, wide), (wide,), (wide, width), (width,))
-        found |= {f"{number}.{name}": shape for name, shape in zip(_LAYER_ARRAYS, own, strict=True)}
-    return found
+        sizes: tuple[tuple[int, ...], ...] = ((width, 3 * width), (3 * width,), (width, width), (width,))
+        sizes += ((width, wide), (wide,), (wide, width), (width,))
+        expected |= {f"{number}.{name}": shape for name, shape in zip(_LAYER_ARRAYS, sizes, strict=True)}
+    return expected
 
 
 def _controls_from(content: object, where: str) -> tuple[Control, ...]:
@@ -256,15 +256,14 @@ def _controls_from(content: object, where: str) -> tuple[Control, ...]:
     """
     if not isinstance(content, list):
         raise InputError(where, f"{str(content)[:40]}, expected a list of controls")
-    given = [from_json(Control, one, f"{where} -> {number}") for number, one in enumerate(content)]
-    found = tuple(  # numpy makes objects of whole numbers beyond 64 bits
-        replace(one, minimum=float(one.minimum), maximum=float(one.maximum), default=float(one.default))
-        for one in given
+    read = [from_json(Control, one, f"{where} -> {number}") for number, one in enumerate(content)]
+    controls = tuple(  # numpy makes objects of whole numbers beyond 64 bits
+        replace(one, minimum=float(one.minimum), maximum=float(one.maximum), default=float(one.default)) for one in read
     )
-    for one in found:
+    for one in controls:
         if not one.minimum <= one.default <= one.maximum or one.minimum == one.maximum:
             what = f"from {one.minimum:g} to {one.maximum:g}, expected a range with its default, {one.default:g}, in it"
             raise InputError(f"{where} -> {one.name[:80]}", what)
-    if len({one.name for one in found}) != len(found):
+    if len({one.name for one in controls}) != len(controls):
         raise InputError(where, "a name twice, expected each once")
-    return found
+    return controls

@@ -27,7 +27,7 @@ class OutputBasis:
     metric: FloatArray  # (r + m, r + m) lower triangular; of `output_metric`
 
     @classmethod
-    def of(cls, motion: Motion, tolerance: float, most: int, detail: float) -> OutputBasis:
+    def from_motion(cls, motion: Motion, tolerance: float, most: int, detail: float) -> OutputBasis:
         """The basis of a motion.
 
         :param tolerance: millimetres that the shapes may leave, RMS
@@ -49,19 +49,19 @@ class OutputBasis:
     def outputs(self, motion: Motion) -> FloatArray:
         """(f, r + m) of the frames, times the metric."""
         flat = self.shapes.reshape(len(self.shapes), -1)
-        found = _morphs(motion, self.rest).reshape(len(motion.values), -1) @ flat.T.astype(np.float32)
+        activations = _morphs(motion, self.rest).reshape(len(motion.values), -1) @ flat.T.astype(np.float32)
         if motion.coefficients is None:
-            return np.asarray(found @ self.metric)
+            return np.asarray(activations @ self.metric)
         moved = motion.coefficients - rest_coefficients(motion.coefficients.shape[1])
-        return np.concatenate([found, moved[:, self.channels[:, 0], self.channels[:, 1]]], axis=1) @ self.metric
+        return np.concatenate([activations, moved[:, self.channels[:, 0], self.channels[:, 1]]], axis=1) @ self.metric
 
 
 def _morphs(motion: Motion, rest: FloatArray) -> FloatArray:
     """(f, n, 3) float32: offsets from rest before bones move them."""
-    found = np.empty(motion.points.shape, np.float32)
-    for frame in range(len(found)):
-        found[frame] = motion.morphed(frame) - rest
-    return found
+    morphs = np.empty(motion.points.shape, np.float32)
+    for frame in range(len(morphs)):
+        morphs[frame] = motion.morphed(frame) - rest
+    return morphs
 
 
 def output_metric(moves: FloatArray, rest: FloatArray, triangles: IntArray, detail: float) -> FloatArray:
@@ -101,20 +101,20 @@ def _bone_moves(bones: Rig, channels: IntArray) -> FloatArray:
     by_own = bones.rest[:, None] @ coefficient_derivatives(rest_coefficients(len(bones.joints)))
     parents = np.concatenate([worlds, bones.parent_world[None]])[bones.parents]  # -1: what roots hang under
     below = _below(bones)
-    found = np.empty((len(channels), len(bones.points), 3))
+    moves = np.empty((len(channels), len(bones.points), 3))
     for number, (joint, channel) in enumerate(channels):
-        own = below[joint]
+        moved_joints = below[joint]
         turn = parents[joint] @ by_own[joint, channel] @ np.linalg.inv(worlds[joint])
-        matrices = (turn @ worlds[own] @ bones.inverse_bind[own])[:, :3]
-        blended = (bones.influences[:, own] @ matrices.reshape(len(own), 12)).reshape(-1, 3, 4)
-        found[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
-    return found
+        matrices = (turn @ worlds[moved_joints] @ bones.inverse_bind[moved_joints])[:, :3]
+        blended = (bones.influences[:, moved_joints] @ matrices.reshape(len(moved_joints), 12)).reshape(-1, 3, 4)
+        moves[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
+    return moves
 
 
 def _below(bones: Rig) -> list[IntArray]:
     """Of each joint: itself and all under it."""
-    own = np.eye(len(bones.joints), dtype=bool)
+    is_below = np.eye(len(bones.joints), dtype=bool)
     for joint in range(len(bones.joints) - 1, -1, -1):
         if bones.parents[joint] >= 0:
-            own[bones.parents[joint]] |= own[joint]
-    return [np.flatnonzero(row) for row in own]
+            is_below[bones.parents[joint]] |= is_below[joint]
+    return [np.flatnonzero(row) for row in is_below]

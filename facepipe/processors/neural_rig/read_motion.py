@@ -65,7 +65,7 @@ class ReadMotion:
 
     def _animated(self, path: Path, tracks: Sequence[ControlTrack], sampled: Codes, cache: PointCache) -> Motion:
         """The frames of a face that a SkelAnimation moves, with its bones."""
-        face = AnimatedFace.of(path) if cache.has_face else None
+        face = AnimatedFace.read(path) if cache.has_face else None
         moving = np.zeros(0) if face is None else _snapped(face.codes(cache.codes_per_second), sampled)
         if face is None or not len(moving):
             what = "expected meshes whose points have time samples, or a face that a SkelAnimation moves over time"
@@ -197,9 +197,9 @@ def _known_values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:
     if not set(names) & {control.name for control in rig.controls}:
         some = ", ".join(control.name for control in rig.controls[:6])
         raise InputError(path, f"controls {', '.join(names[:6])} over time, expected some of {some}")
-    found = np.tile(rig.values({}), (len(motion.values), 1))
+    values = np.tile(rig.values({}), (len(motion.values), 1))
     for number, control in enumerate(rig.controls):
         if control.name in names:
             column = motion.values[:, names.index(control.name)]
-            found[:, number] = np.clip(column, control.minimum, control.maximum)
-    return found
+            values[:, number] = np.clip(column, control.minimum, control.maximum)
+    return values

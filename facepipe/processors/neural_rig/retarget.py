@@ -95,11 +95,11 @@ class RetargetNeuralRig:
         """The rig, and the noise that it was learned under; where controls are found, again with those of the last."""
         if values is not None:
             return self._fitted(base, values, points, noise)
-        found, chosen = base, noise
+        learned, chosen = base, noise
         for _ in range(self.options.rounds):
-            found, chosen = self._fitted(base, InvertNeuralRig()(found, points).values, points, noise)
+            learned, chosen = self._fitted(base, InvertNeuralRig()(learned, points).values, points, noise)
             done()
-        return found, chosen
+        return learned, chosen
 
     def _fitted(
         self, base: NeuralRig, values: FloatArray, points: FloatArray, noise: float = -1.0
@@ -115,9 +115,15 @@ class RetargetNeuralRig:
         return with_basis(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
 
     def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:
-        one = self.options
+        options = self.options
         return learned_by_network(
-            base, values, moved, noise=one.noise, steps=one.steps, tolerance=one.tolerance_mm, most=one.shapes
+            base,
+            values,
+            moved,
+            noise=options.noise,
+            steps=options.steps,
+            tolerance=options.tolerance_mm,
+            most=options.shapes,
         )
 
 
@@ -125,14 +131,14 @@ def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: 
     subject.checked(rig)
     if len(points) < 2:
         raise InputError(subject.where, f"{len(points)} frames, expected two or more")
-    for what, found, shape in (
+    for label, array, shape in (
         ("points", points, (len(points), len(rig.rest), 3)),
         ("controls", values, (len(points), len(rig.controls))),
     ):
-        if found is not None and np.shape(found) != shape:
-            raise TopologyError(f"{subject.where} -> {what}", f"shape {np.shape(found)}, expected {shape}")
-        if found is not None:
-            require_finite(found, subject.where, what)
+        if array is not None and np.shape(array) != shape:
+            raise TopologyError(f"{subject.where} -> {label}", f"shape {np.shape(array)}, expected {shape}")
+        if array is not None:
+            require_finite(array, subject.where, label)
 
 
 def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Examples:
@@ -142,12 +148,12 @@ def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) ->
     :param points: (f, n, 3) millimetres
     """
     outputs = rig.outputs(values)
-    own = rig.morphed(outputs) - rig.rest
+    own_motion = rig.morphed(outputs) - rig.rest
     return Examples(
         inputs=from_default(rig.controls, values),
-        vectors=own,
+        vectors=own_motion,
         strengths=_strengths(rig),
-        moved=_before_bones(rig, outputs, points) - rig.rest - own,
+        moved=_before_bones(rig, outputs, points) - rig.rest - own_motion,
     )
 
 
@@ -168,14 +174,14 @@ def _before_bones(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> Fl
 def _strengths(rig: NeuralRig) -> FloatArray:
     """(c, n) millimetres that each control alone moves each point, at the further one of its limits."""
     rest = rig.values({})
-    found = np.zeros((len(rig.controls), len(rig.rest)))
+    strengths = np.zeros((len(rig.controls), len(rig.rest)))
     still = rig.points(rest)
     for number, control in enumerate(rig.controls):
         for limit in (control.minimum, control.maximum):
             moved = rest.copy()
             moved[number] = limit
-            found[number] = np.maximum(found[number], np.linalg.norm(rig.points(moved) - still, axis=1))
-    return found
+            strengths[number] = np.maximum(strengths[number], np.linalg.norm(rig.points(moved) - still, axis=1))
+    return strengths
 
 
 def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> NeuralRig:
@@ -213,7 +219,7 @@ def _slopes(rig: NeuralRig, now: NeuralRig, controls: IntArray, values: FloatArr
     """(f, k, n, 3) how points before bones answer to the gains of k controls."""
     x, outputs, shapes = from_default(rig.controls, values), now.outputs(values), len(rig.shapes)
     still = _before_bones(now, outputs, points)
-    found = np.zeros((len(x), len(controls), *still.shape[1:]))
+    slopes = np.zeros((len(x), len(controls), *still.shape[1:]))
     for frame, row in enumerate(x[:, controls]):
         moved = np.flatnonzero(row)
         if not len(moved):
@@ -221,5 +227,5 @@ def _slopes(rig: NeuralRig, now: NeuralRig, controls: IntArray, values: FloatArr
         changed = np.tile(outputs[frame], (len(moved), 1))
         changed[:, shapes:] += _GAIN_CHANGE * row[moved, None] * rig.linear[controls[moved], shapes:]
         there = _before_bones(now, changed, np.broadcast_to(points[frame], (len(moved), *still.shape[1:])))
-        found[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
-    return found
+        slopes[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
+    return slopes

@@ -40,7 +40,7 @@ def learned_by_network(
     moves = base.shapes if base.bones is None else skinned_moves(base.bones, base.shapes, base.channels)
     metric = output_metric(moves, base.rest, np.zeros((0, 3), np.int64), 0.0)
     middle, axes, deviations = _coordinates(base.outputs(sampled) @ metric)
-    own, amounts = motion_basis(moved, tolerance, most)
+    own_shapes, amounts = motion_basis(moved, tolerance, most)
     network = train_deformation_network(
         (base.outputs(values) @ metric - middle) @ axes,
         amounts,
@@ -51,29 +51,34 @@ def learned_by_network(
         seed=0,
     )
     added = network((base.outputs(sampled) @ metric - middle) @ axes)
-    both = _with_units(base, own, sampled, added)
+    both = _with_units(base, own_shapes, sampled, added)
     return with_basis(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
 
 
-def _with_units(base: NeuralRig, own: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:
+def _with_units(base: NeuralRig, own_shapes: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:
     """The rig with shapes (q, n, 3), and units for their activations (f, q) at values (f, c)."""
     from facepipe.learn.network_fit import Samples, train
 
     x, count = from_default(base.controls, values), len(base.shapes)
     watched = np.arange(len(x)) % 10 == 0
     parts = [Samples(inputs=x[rows], outputs=added[rows]) for rows in (~watched, watched)]
-    found = train(*parts, width=_UNITS, activation="silu", seed=0, steps=_STEPS, patience=_PATIENCE, sparsity=_SPARSITY)
+    trained = train(
+        *parts, width=_UNITS, activation="silu", seed=0, steps=_STEPS, patience=_PATIENCE, sparsity=_SPARSITY
+    )
     parted = (base.last[:count], base.last[count:])
-    before, after = np.zeros((len(own), len(base.hidden))), np.zeros((len(base.last), _UNITS))
-    last = [np.concatenate([parted[0], before, parted[1]]), np.insert(after, [count] * len(own), found.last, axis=0)]
+    before, after = np.zeros((len(own_shapes), len(base.hidden))), np.zeros((len(base.last), _UNITS))
+    last = [
+        np.concatenate([parted[0], before, parted[1]]),
+        np.insert(after, [count] * len(own_shapes), trained.last, axis=0),
+    ]
     return replace(
         base,
-        shapes=np.concatenate([base.shapes, own]),
-        linear=np.concatenate([base.linear[:, :count], found.linear, base.linear[:, count:]], axis=1),
-        hidden=np.concatenate([base.hidden, found.hidden]),
-        hidden_bias=np.concatenate([base.hidden_bias, found.hidden_bias]),
+        shapes=np.concatenate([base.shapes, own_shapes]),
+        linear=np.concatenate([base.linear[:, :count], trained.linear, base.linear[:, count:]], axis=1),
+        hidden=np.concatenate([base.hidden, trained.hidden]),
+        hidden_bias=np.concatenate([base.hidden_bias, trained.hidden_bias]),
         last=np.concatenate(last, axis=1),
-        last_bias=np.concatenate([base.last_bias[:count], found.last_bias, base.last_bias[count:]]),
+        last_bias=np.concatenate([base.last_bias[:count], trained.last_bias, base.last_bias[count:]]),
     )
 
 

@@ -39,11 +39,11 @@ class RetargetReport(Report):
 
 
 def compared(
-    found: NeuralRig, rig: NeuralRig, subject: Subject, points: FloatArray, values: FloatArray | None
+    retargeted: NeuralRig, rig: NeuralRig, subject: Subject, points: FloatArray, values: FloatArray | None
 ) -> RetargetReport:
     """The report on frames (f, n, 3), without those that were learned, which are added later.
 
-    :param found: the subject's rig
+    :param retargeted: the subject's rig
     :param rig: the first subject's
     :param values: (f, c) controls of the frames, or None
     """
@@ -52,13 +52,13 @@ def compared(
     there, back = Transfer(subject.rest, triangles, free), Transfer(still, triangles, free)
 
     def distances(model: NeuralRig, as_its_own: _Way, as_subjects: _Way) -> FloatArray:
-        own = values
-        if own is None:
-            own = InvertNeuralRig()(model, np.stack([as_its_own(one) for one in points])).values
-        made = np.stack([as_subjects(model.points(row)) for row in own])
+        controls = values
+        if controls is None:
+            controls = InvertNeuralRig()(model, np.stack([as_its_own(one) for one in points])).values
+        made = np.stack([as_subjects(model.points(row)) for row in controls])
         return np.asarray(np.linalg.norm(made - points, axis=2))
 
-    off = distances(found, lambda one: one, lambda one: one)
+    off = distances(retargeted, lambda one: one, lambda one: one)
     copied = distances(rig, lambda one: still + one - subject.rest, lambda one: subject.rest + one - still)
     transferred = distances(
         rig,

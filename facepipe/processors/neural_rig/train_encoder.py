@@ -94,7 +94,7 @@ class TrainEncoder:
         chosen, size = _chosen(learned, options)
         several = len(np.unique(learned.blocks)) > 1
         taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
-        kept = Checkpoint.of(checkpoint, "encoder", motion, options) if checkpoint else None
+        kept = Checkpoint.for_training(checkpoint, "encoder", motion, options) if checkpoint else None
         pairs = [_pairs(one, chosen) for one in (taught, watched)]
         fitted = train_encoder(
             pairs[0],
@@ -146,12 +146,12 @@ def _pairs(motion: Motion, chosen: IntArray) -> EncoderSamples:
 
 
 def _encoder(motion: Motion, chosen: IntArray, weights: Mapping[str, FloatArray]) -> NeuralEncoder:
-    arrays = {name: one for name, one in weights.items() if "." not in name and name != "scale"}
+    arrays = {name: array for name, array in weights.items() if "." not in name and name != "scale"}
     layers: dict[str, dict[str, FloatArray]] = {}
-    for name, one in weights.items():
+    for name, array in weights.items():
         if "." in name:
             number, key = name.split(".")
-            layers.setdefault(number, {})[key] = one
+            layers.setdefault(number, {})[key] = array
     return NeuralEncoder(
         controls=motion.controls,
         topology=motion.topology.digest,

@@ -101,9 +101,9 @@ class TrainNeuralRig:
         straight = best_blendshapes(learned)
         if _largest_mm(straight, checked) <= _STRAIGHT_MM:
             return self._straight(motion, learned, checked, straight)
-        kept = Checkpoint.of(checkpoint, "rig", motion, options) if checkpoint else None
+        kept = Checkpoint.for_training(checkpoint, "rig", motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
-        basis = OutputBasis.of(taught, options.tolerance_mm, options.shapes, options.detail)
+        basis = OutputBasis.from_motion(taught, options.tolerance_mm, options.shapes, options.detail)
         trained = train(
             _samples(taught, basis),
             _samples(watched, basis),
@@ -125,7 +125,7 @@ class TrainNeuralRig:
 
     def _straight(self, motion: Motion, learned: Motion, checked: Motion, straight: Straight) -> TrainedNeuralRig:
         """The rig where nothing is to be learned."""
-        basis = OutputBasis.of(learned, self.options.tolerance_mm, self.options.shapes, self.options.detail)
+        basis = OutputBasis.from_motion(learned, self.options.tolerance_mm, self.options.shapes, self.options.detail)
         rig = straight_rig(learned, basis)
         report = _report(rig, learned, checked, straight, self.options)
         warnings = (*motion.warnings, _nothing_to_learn(motion, report))

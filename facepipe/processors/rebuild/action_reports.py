@@ -24,7 +24,7 @@ class Judged(Report):
     picture: FaceOnScan | None = unsaid()
 
     @classmethod
-    def of(cls: type[J], report: Report, warnings: tuple[str, ...], missed: tuple[str, ...], **more: Any) -> J:
+    def from_report(cls: type[J], report: Report, warnings: tuple[str, ...], missed: tuple[str, ...], **more: Any) -> J:
         """`report` with what it lacks.
 
         :param warnings: all but the lines of what was missed

@@ -58,7 +58,7 @@ class AuthorNeutral:
         parts = face.parts()
         self._check(face, parts, points)
         authored = author_changes(face, replace(self._result(parts, points), recipe=recipe), self.primvars)
-        return AuthorNeutralReport(authored=authored, warnings=tuple(self._said(parts)))
+        return AuthorNeutralReport(authored=authored, warnings=tuple(self._warnings(parts)))
 
     def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:
         check_spaces(face.where, parts)
@@ -71,13 +71,13 @@ class AuthorNeutral:
 
     def _result(self, parts: FaceParts, points: FloatArray) -> FaceParts:
         cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]
-        own = np.split(np.asarray(points, np.float64), cuts)
+        points_by_mesh = np.split(np.asarray(points, np.float64), cuts)
         deltas = {name: np.split(np.asarray(delta, np.float64), cuts) for name, delta in self.shapes.items()}
         meshes, skeleton_space, still = [], [], self._still(parts)
         spaces = zip(parts.meshes, to_millimetres(parts), mesh_spaces(parts), strict=True)
         for number, (mesh, to, space) in enumerate(spaces):
             back = np.linalg.inv(to)
-            local = _unless_same(own[number] @ back[:3, :3].T + back[:3, 3], mesh.points)
+            local = _unless_same(points_by_mesh[number] @ back[:3, :3].T + back[:3, 3], mesh.points)
             new = {name: (one[number], mesh.name in still.get(name, ())) for name, one in deltas.items()}
             shapes = _mesh_shapes(mesh, local, new, back[:3, :3])
             meshes.append(replace(mesh, points=local, normals=_normals(mesh, local), blendshapes=shapes))
@@ -93,18 +93,18 @@ class AuthorNeutral:
 
     def _still(self, parts: FaceParts) -> dict[str, tuple[str, ...]]:
         """Shapes that move no point -> meshes that hold them all the same, so that what drives them finds them."""
-        found = {}
+        still = {}
         for name, delta in self.shapes.items():
             if np.linalg.norm(delta, axis=1).max(initial=0.0) < _STILL_MM:
                 holding = [mesh.name for mesh in parts.meshes if any(one.name == name for one in mesh.blendshapes)]
-                found[name] = tuple(holding or [parts.meshes[0].name])
-        return found
+                still[name] = tuple(holding or [parts.meshes[0].name])
+        return still
 
-    def _said(self, parts: FaceParts) -> Iterator[str]:
+    def _warnings(self, parts: FaceParts) -> Iterator[str]:
         own = (shape for mesh in parts.meshes for shape in mesh.blendshapes)
         lost = sorted({shape.name for shape in own if shape.inbetweens and shape.name in self.shapes})
         if lost:
-            yield f"inbetweens are left out, of {', '.join(lost)}"
+            yield f"inbetweens of {', '.join(lost)} are left out"
 
 
 def _unless_same(points: FloatArray, before: FloatArray) -> FloatArray:
@@ -131,20 +131,20 @@ def _mesh_shapes(
     :param deltas: shape -> (n, 3) in millimetres of the world, and whether the mesh must hold it though nothing moves
     :param back: (3, 3) from those to mesh space
     """
-    own = {shape.name: shape for shape in mesh.blendshapes}
+    before = {shape.name: shape for shape in mesh.blendshapes}
     triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
-    found = []
-    for name in dict.fromkeys([*own, *deltas]):
-        old = own.get(name)
+    shapes = []
+    for name in dict.fromkeys([*before, *deltas]):
+        old = before.get(name)
         if name not in deltas and old is not None:
-            found.append(old if points is mesh.points else _kept_shape(old, points, triangles))
+            shapes.append(old if points is mesh.points else _kept_shape(old, points, triangles))
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
         shape = _new_shape(name, delta, back, triangles if with_normals else None, held=held)
         if shape is not None:
-            found.append(_with_normals(shape, points, triangles) if with_normals else shape)
-    return tuple(found)
+            shapes.append(_with_normals(shape, points, triangles) if with_normals else shape)
+    return tuple(shapes)
 
 
 def _kept_shape(shape: Blendshape, points: FloatArray, triangles: IntArray) -> Blendshape:

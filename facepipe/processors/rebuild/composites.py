@@ -52,15 +52,15 @@ def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) 
     if not composite:
         raise InputError(where, "names no shape, expected a weight for each shape that it shows")
     known = set(shapes)
-    found: dict[str, float] = {}
+    weights: dict[str, float] = {}
     for name, weight in composite.items():
         if not 0.0 < weight <= 2.0:
             raise InputError(f"{where} -> {name}", f"weight {weight}, expected one above 0, up to 2")
-        own = next((each for each in _spellings(name) if each in known), None)
-        if own is None:
+        shape = next((each for each in _spellings(name) if each in known), None)
+        if shape is None:
             raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, shapes)}")
-        found[own] = max(weight, found.get(own, 0.0))
-    return {name: found[name] for name in shapes if name in found}
+        weights[shape] = max(weight, weights.get(shape, 0.0))
+    return {name: weights[name] for name in shapes if name in weights}
 
 
 def _spellings(name: str) -> tuple[str, ...]:

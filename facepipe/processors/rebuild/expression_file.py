@@ -71,19 +71,19 @@ def read_expression(path: Path, personal: AnyPath, base: WholeFace) -> Expressio
     :raises SchemaError: a damaged recipe, or no shape of its name
     """
     recipe, _ = recipe_of(path, "register-scan")
-    name, given = _asked(recipe, f"{path} -> recipe")
+    name, asked = _asked(recipe, f"{path} -> recipe")
     face = open_face(path)
-    found = whole_face(face.parts(), str(path))
-    if found.topology.digest != base.topology.digest:
+    whole = whole_face(face.parts(), str(path))
+    if whole.topology.digest != base.topology.digest:
         raise TopologyError(path, f"other meshes or faces than {personal}, expected the same")
-    off = float(np.linalg.norm(found.points - base.points, axis=1).max(initial=0.0))
+    off = float(np.linalg.norm(whole.points - base.points, axis=1).max(initial=0.0))
     if off > _SAME_MM:
         raise InputError(path, f"stands on a neutral that is up to {off:.2f} mm from that of {personal}")
-    if name not in found.deltas:
+    if name not in whole.deltas:
         raise SchemaError(path, f"has no shape '{name}', expected that of its recipe")
-    weights = resolved(given, tuple(base.deltas), f"{path} -> recipe -> weights")
+    weights = resolved(asked, tuple(base.deltas), f"{path} -> recipe -> weights")
     scanned = np.nan_to_num(face.primvar(SCANNED)) > 0.5
-    composite = Composite(points=base.points + found.deltas[name], weights=weights, matched=scanned)
+    composite = Composite(points=base.points + whole.deltas[name], weights=weights, matched=scanned)
     return ExpressionFile(name=name, composite=composite, warnings=_changes(path, recipe, Path(personal)))
 
 

@@ -82,17 +82,17 @@ class FitNeutral:
             raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
         marks = template.rows[template.landmarks]
         start, warnings = self._start(scan, landmarks, database.identity.mean[marks])
-        shapes = ShownShapes.of(template, database, weights or {}, f"{scan.name} -> weights")
+        shapes = ShownShapes.carried_over(template, database, weights or {}, f"{scan.name} -> weights")
         target, mended = scan_target(scan)
         surface = identity_surface(template, database.identity, self.options)
         anchors = landmark_anchors(template, landmarks)
         shown = shapes.prior(template, self.options.weight_sigma)
         try:
-            found = register(surface, target, anchors, start, self.options.registration, progress, shown)
+            registered = register(surface, target, anchors, start, self.options.registration, progress, shown)
         except FitError as error:
             raise error.under(scan.name) from None
-        said = (*scan.warnings, *mended, *warnings)
-        return neutral_fit(template, database.identity, scan.name, found, anchors.names, said, shapes)
+        lines = (*scan.warnings, *mended, *warnings)
+        return neutral_fit(template, database.identity, scan.name, registered, anchors.names, lines, shapes)
 
     def _start(self, scan: Scan, landmarks: ScanLandmarks, reference: FloatArray) -> tuple[Similarity, tuple[str, ...]]:
         """About where the scan lies, by its landmarks."""
@@ -140,7 +140,7 @@ def neutral_fit(
     template: Template,
     identity: IdentityModel,
     scan: str,
-    found: Registered,
+    registered: Registered,
     names: tuple[str, ...],
     warnings: tuple[str, ...],
     shapes: ShownShapes | None = None,
@@ -152,22 +152,22 @@ def neutral_fit(
     :param shapes: those that the scan shows besides
     """
     shapes = shapes or ShownShapes()
-    weights = dict(zip(shapes.weights, map(float, found.weights), strict=True))
-    model = identity.points(found.coefficients)
+    weights = dict(zip(shapes.weights, map(float, registered.weights), strict=True))
+    model = identity.points(registered.coefficients)
     expression = shapes.expression(weights, len(model))
-    points = template.whole(model, found.points - expression[template.rows])
-    fit = scan_fit(scan, found, template.face, names)
-    off = np.linalg.norm(found.residual[template.face], axis=1)
+    points = template.whole(model, registered.points - expression[template.rows])
+    fit = scan_fit(scan, registered, template.face, names)
+    off = np.linalg.norm(registered.residual[template.face], axis=1)
     report = NeutralReport(
         fit=fit,
         quality=_quality(fit, template, model, points),
-        coefficients=tuple(float(one) for one in found.coefficients),
+        coefficients=tuple(float(one) for one in registered.coefficients),
         residual_mean_mm=float(off.mean()) if len(off) else 0.0,
         residual_max_mm=float(off.max(initial=0.0)),
         weights=weights,
-        warnings=(*warnings, *_said(scan, fit)),
+        warnings=(*warnings, *_fit_warnings(scan, fit)),
     )
-    return NeutralFit(points=points, expression=expression, place=found.place, report=report)
+    return NeutralFit(points=points, expression=expression, place=registered.place, report=report)
 
 
 def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
@@ -182,7 +182,7 @@ def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatA
     )
 
 
-def _said(name: str, fit: ScanFit) -> tuple[str, ...]:
+def _fit_warnings(name: str, fit: ScanFit) -> tuple[str, ...]:
     """What a user should know of the fit."""
     lines = []
     if fit.unit != "mm":
@@ -190,7 +190,7 @@ def _said(name: str, fit: ScanFit) -> tuple[str, ...]:
         lines.append(f"{name}: {size}, {_unit_text(fit) if fit.unit else 'like no usual unit'}")
     if fit.outliers:
         some = ", ".join(fit.outliers[:6]) + (" ..." if len(fit.outliers) > 6 else "")
-        lines.append(f"{name}: {len(fit.outliers)} landmarks lie off and don't count: {some}")
+        lines.append(f"{name}: {len(fit.outliers)} landmarks ignored as outliers: {some}")
     return tuple(lines)
 
 

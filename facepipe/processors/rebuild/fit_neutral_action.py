@@ -75,31 +75,31 @@ class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
 
         template = Template.of(face.parts(), str(self.template))
         database, scan = load_database(self.database), read_scan(self.scan)
-        landmarks, found = landmarks_of(self.landmarks, scan)
+        landmarks, notes = landmarks_of(self.landmarks, scan)
         with named(self.scan), job.watch("fit", _STEPS) as bar:
             fit = FitNeutral(options=self)(template, scan, landmarks, database, lambda step: bar.update(), self.weights)
         report = fit.report
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
         authored = AuthorNeutral()(face, fit.points, recipe=recipe)
         neutral = fit.points if report.weights else None
-        shown = FaceOnScan(
+        picture = FaceOnScan(
             template=template, points=fit.points + fit.expression, scan=scan, place=fit.place, neutral=neutral
         )
         missed = misses(report.quality, QualityLimits())
-        warnings = (*found, *report.warnings, *authored.warnings)
-        return FitNeutralReport.of(report, warnings, missed, picture=shown)
+        warnings = (*notes, *report.warnings, *authored.warnings)
+        return FitNeutralReport.from_report(report, warnings, missed, picture=picture)
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
         fit, quality = report.fit, report.quality
         unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
-        off = f", {len(fit.outliers)} of them lie off" if fit.outliers else ""
-        shown = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
+        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
+        besides = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
         distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
         rows = [
             ("distance from the scan", distance),
             ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
             ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
-            *([("shows besides", shown)] if shown else []),
+            *([("shows besides", besides)] if besides else []),
             ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
             ("flipped triangles", f"{quality.flipped_triangles}"),
             ("a unit of the scan", unit),

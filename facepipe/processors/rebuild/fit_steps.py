@@ -74,13 +74,13 @@ class FitSteps:
         """
         return self._neutral(_together_step(self._steps, f"{self._below}neutral", first, shapes, expressions))
 
-    def _neutral(self, found: StepResult) -> FittedNeutral:
-        points = self._steps.after_correction(f"{self._below}neutral", found.arrays["points"])
+    def _neutral(self, result: StepResult) -> FittedNeutral:
+        points = self._steps.after_correction(f"{self._below}neutral", result.arrays["points"])
         landmarks = self._steps.landmarks(self._project.neutral)
-        place = place_of(found.content["place"])
-        expression = found.arrays["expression"] if self._project.neutral.weights else None
+        place = place_of(result.content["place"])
+        expression = result.arrays["expression"] if self._project.neutral.weights else None
         scan = NeutralScan(points=points, place=place, landmarks=landmarks, expression=expression)
-        return FittedNeutral(scan=scan, place=place, report=found.content["report"])
+        return FittedNeutral(scan=scan, place=place, report=result.content["report"])
 
     def refined(self, neutral: FittedNeutral, refinement: Refinement) -> FittedNeutral:
         """The neutral drawn closer to its scan, as corrected.
@@ -96,14 +96,14 @@ class FitSteps:
             scan, marks = steps.read(project.neutral)
             refine = RefineNeutral(options=refinement.options)
             expression = neutral.scan.expression
-            found = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
-            return {"points": found.points}, {"report": plain(found.report)}
+            result = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
+            return {"points": result.points}, {"report": plain(result.report)}
 
         inputs = steps.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
         inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
-        found = steps.step("refined", inputs, compute, REFINED)
-        scan = replace(neutral.scan, points=steps.after_correction("refined", found.arrays["points"]))
-        return FittedNeutral(scan=scan, place=neutral.place, report=found.content["report"])
+        result = steps.step("refined", inputs, compute, REFINED)
+        scan = replace(neutral.scan, points=steps.after_correction("refined", result.arrays["points"]))
+        return FittedNeutral(scan=scan, place=neutral.place, report=result.content["report"])
 
     def personal(self, neutral: FloatArray) -> dict[str, FloatArray]:
         """The starting shapes of `neutral` (n, 3).
@@ -122,8 +122,8 @@ class FitSteps:
             "database": steps.digest(project.database),
             "options": options_json(project.template_options),
         }
-        found = steps.step(f"{self._below}template", inputs, compute, TEMPLATE)
-        return shapes_of(found.arrays, found.content["names"])
+        result = steps.step(f"{self._below}template", inputs, compute, TEMPLATE)
+        return shapes_of(result.arrays, result.content["names"])
 
     def expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes) -> FittedExpression:
         """One expression from the neutral and its shapes.
@@ -134,26 +134,26 @@ class FitSteps:
         weights = expression_weights(self._project, scan, tuple(shapes))
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            one, marks = steps.read(scan)
-            given = ExpressionScan(scan=one, landmarks=marks, weights=weights)
-            found = RegisterScans(options=options)(self._template, neutral, shapes, given)
-            content = {"report": plain(found.report), "place": place_json(found.place)}
-            return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
+            raw, marks = steps.read(scan)
+            given = ExpressionScan(scan=raw, landmarks=marks, weights=weights)
+            result = RegisterScans(options=options)(self._template, neutral, shapes, given)
+            content = {"report": plain(result.report), "place": place_json(result.place)}
+            return {"points": result.points, "matched": result.matched.astype(np.int32)}, content
 
         inputs = steps.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
         inputs |= {"shapes": array_digest(*(shapes[shape] for shape in weights)), "markers": _markers(neutral)}
         inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
         inputs |= {"keeps": ["points", "matched", "report", "place"]}
         name = f"{self._below}expressions/{scan.name}"
-        found = steps.step(name, inputs, compute, EXPRESSION)
-        points = np.asarray(found.arrays["points"], np.float64)
+        result = steps.step(name, inputs, compute, EXPRESSION)
+        points = np.asarray(result.arrays["points"], np.float64)
         composite = Composite(
             points=points if self._below else steps.after_correction(name, points),
             weights=weights,  # as asked for: what this person does more or less belongs into the shapes
-            matched=found.arrays["matched"].astype(bool),
+            matched=result.arrays["matched"].astype(bool),
         )
-        place = place_of(found.content["place"])
-        return FittedExpression(composite=composite, place=place, report=found.content["report"])
+        place = place_of(result.content["place"])
+        return FittedExpression(composite=composite, place=place, report=result.content["report"])
 
     def split(
         self, neutral: FloatArray, shapes: Shapes, composites: Mapping[str, Composite]
@@ -165,8 +165,8 @@ class FitSteps:
         options, steps = self._project.split_options, self._steps
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            found = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
-            return shape_arrays(found.shapes), {"names": list(found.shapes), "report": plain(found.report)}
+            result = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
+            return shape_arrays(result.shapes), {"names": list(result.shapes), "report": plain(result.report)}
 
         inputs = {
             "template": steps.digest(self._project.template),
@@ -177,8 +177,8 @@ class FitSteps:
             "weights": {name: dict(one.weights) for name, one in composites.items()},
             "options": options_json(options),
         }
-        found = steps.step("shapes", inputs, compute, SHAPES)
-        return shapes_of(found.arrays, found.content["names"]), found.content["report"]
+        result = steps.step("shapes", inputs, compute, SHAPES)
+        return shapes_of(result.arrays, result.content["names"]), result.content["report"]
 
     def corrected_shapes(self, neutral: FloatArray, shapes: Shapes) -> dict[str, FloatArray]:
         """A corrected shape is the mesh with the shape on it whole: ``corrections/shapes/jawOpen.usdc``."""
@@ -204,15 +204,15 @@ def _together_step(
     """
 
     def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-        found = _fit(steps, first, shapes, expressions)
+        fit = _fit(steps, first, shapes, expressions)
         together = {
-            "moved_mean_mm": found.moved_mean_mm,
-            "weights": dict(zip(expressions, found.weights, strict=True)),
+            "moved_mean_mm": fit.moved_mean_mm,
+            "weights": dict(zip(expressions, fit.weights, strict=True)),
         }
-        report = plain(found.neutral.report)
+        report = plain(fit.neutral.report)
         report |= {"weights": _shown_weights(report["weights"], first.report["weights"]), "together": together}
-        arrays = {"points": found.neutral.points, "expression": found.neutral.expression}
-        return arrays, {"report": report, "place": place_json(found.neutral.place)}
+        arrays = {"points": fit.neutral.points, "expression": fit.neutral.expression}
+        return arrays, {"report": report, "place": place_json(fit.neutral.place)}
 
     return steps.step(name, _inputs(steps, first, shapes, expressions), compute, NEUTRAL)
 
@@ -230,10 +230,10 @@ def _fit(steps: Steps, first: FittedNeutral, shapes: Mapping[str, FloatArray], e
     return fit(steps.template, scan, neutral, coefficients, steps.database(), shapes, placed)
 
 
-def _shown_weights(found: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
+def _shown_weights(together: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
     """Weights of the shapes that the neutral's scan shows besides: together they are fitted as one shape, of which
-    `found` has how much, by what was found alone."""
-    share = next(iter(found.values()), 1.0)
+    `together` has how much, by what was found alone."""
+    share = next(iter(together.values()), 1.0)
     return {shape: share * weight for shape, weight in alone.items()}
 
 

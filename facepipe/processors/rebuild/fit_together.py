@@ -84,26 +84,26 @@ class FitTogether:
         residual = first.points[template.rows] - surface.points(coefficients)
         target, mended = scan_target(scan)
         anchors, besides = landmark_anchors(template, first.landmarks), _besides(first)
-        own = View(
+        neutral_view = View(
             scan=target,
             anchors=anchors,
             start=first.place,
             shown=besides.prior(template, _SHOWN_SIGMA),
             name=f"{scan.name} -> scan",
         )
-        views = [own, *(self._view(template, first, shapes, one) for one in placed)]
+        views = [neutral_view, *(self._view(template, first, shapes, one) for one in placed)]
         views = self._balanced(views, self._shows(template, target, first, first.place))
         options = self.neutral.registration
-        found = register_together(surface, views, coefficients, residual, options, progress)
-        said = (*scan.warnings, *mended)
-        neutral = neutral_fit(template, database.identity, scan.name, found[0], anchors.names, said, besides)
+        registered = register_together(surface, views, coefficients, residual, options, progress)
+        lines = (*scan.warnings, *mended)
+        neutral = neutral_fit(template, database.identity, scan.name, registered[0], anchors.names, lines, besides)
         return TogetherFit(
             neutral=neutral,
             weights=tuple(
                 dict(zip(one.expression.weights, map(float, each.weights), strict=True))
-                for one, each in zip(placed, found[1:], strict=True)
+                for one, each in zip(placed, registered[1:], strict=True)
             ),
-            places=tuple(each.place for each in found[1:]),
+            places=tuple(each.place for each in registered[1:]),
             moved_mean_mm=_moved(template, first.points, neutral.points),
         )
 
@@ -149,12 +149,12 @@ class FitTogether:
         for view in views:
             for name, variance in zip(view.anchors.names, view.anchors.variances(landmarks), strict=True):
                 counts[name] = counts.get(name, 0.0) + landmarks**2 / variance
-        found = []
+        balanced = []
         for view, sigma in zip(views, sigmas, strict=True):
             often = np.array([max(1.0, counts[name]) for name in view.anchors.names])
             held = np.sqrt(view.anchors.variances(landmarks)) * often**0.25
-            found.append(replace(view, sigmas=sigma * share, anchors=replace(view.anchors, sigmas=held)))
-        return found
+            balanced.append(replace(view, sigmas=sigma * share, anchors=replace(view.anchors, sigmas=held)))
+        return balanced
 
 
 def _besides(first: NeutralScan) -> ShownShapes:

@@ -54,10 +54,10 @@ class PersonalTemplate:
         """
         if self._from(template, database) and database is not None:
             return database.shapes
-        found = tuple(dict.fromkeys(shape.name for mesh in template.parts.meshes for shape in mesh.blendshapes))
-        if not found:
+        names = tuple(dict.fromkeys(shape.name for mesh in template.parts.meshes for shape in mesh.blendshapes))
+        if not names:
             raise InputError(template.where, "has no blendshapes, expected some to start from")
-        return found
+        return names
 
     def _from(self, template: Template, database: FaceDatabase | None) -> bool:
         """Whether shapes come from the database."""
@@ -77,11 +77,11 @@ def _transferred(template: Template, neutral: FloatArray, done: Callable[[], obj
     if not deltas:
         raise InputError(template.where, "has no blendshapes, expected some to start from")
     transfer = Transfer(neutral, template.topology.triangles, np.zeros(len(neutral), bool))
-    found: dict[str, FloatArray] = {}
+    shapes: dict[str, FloatArray] = {}
     for name, delta in deltas.items():
-        found[name] = transfer.solve(template.points[None], (template.points + delta)[None]) - neutral
+        shapes[name] = transfer.solve(template.points[None], (template.points + delta)[None]) - neutral
         done()
-    return found
+    return shapes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,17 +118,17 @@ class AuthorPersonal:
         :raises TopologyError: a face or database of another topology than the template
         :raises InputError: nothing to make shapes of
         """
-        own = whole_face(face.parts(), face.where)
-        if own.topology.digest != self.template.topology.digest:
+        whole = whole_face(face.parts(), face.where)
+        if whole.topology.digest != self.template.topology.digest:
             raise TopologyError(face.where, f"other meshes or faces than {self.template.where}, expected the same")
-        shapes = self.make(self.template, own.points, self.database, done)
-        report = AuthorNeutral(shapes=shapes)(face, own.points, recipe=recipe)
+        shapes = self.make(self.template, whole.points, self.database, done)
+        report = AuthorNeutral(shapes=shapes)(face, whole.points, recipe=recipe)
         return PersonalReport(
             source="from the database" if self._from_database else "from the template",
             motion_mm={name: float(_lengths(delta).max(initial=0.0)) for name, delta in shapes.items()},
             change_mean_mm=_change(shapes, _shapes_of(self.template)),
             authored=report.authored,
-            warnings=(*report.warnings, *_kept(own, shapes)),
+            warnings=(*report.warnings, *_kept(whole, shapes)),
         )
 
     @property

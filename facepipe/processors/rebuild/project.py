@@ -149,25 +149,25 @@ def _scan(where: str, name: str, content: object, folder: Path) -> ProjectScan:
     _check_keys(where, content, ("scan", "landmarks", "weights"))
     scan = _file(where, content, "scan", folder)
     beside = scan.with_name(f"{scan.stem}.landmarks.json")
-    given = _file(where, content, "landmarks", folder) if "landmarks" in content else None
+    landmarks = _file(where, content, "landmarks", folder) if "landmarks" in content else None
     return ProjectScan(
         name=name,
         scan=scan,
-        landmarks=given or (beside if beside.is_file() else None),
+        landmarks=landmarks or (beside if beside.is_file() else None),
         weights=_weights(where, content["weights"]) if "weights" in content else {},
     )
 
 
 def _expression(where: str, name: str, content: object, folder: Path) -> ProjectScan:
-    found = _scan(where, name, content, folder)
-    if found.weights:
-        return found
+    scan = _scan(where, name, content, folder)
+    if scan.weights:
+        return scan
     if name not in DEFAULT_COMPOSITES:
         known = ", ".join(DEFAULT_COMPOSITES)
         raise InputError(
             f"{where} -> {name[:60]}", f"no weights, expected some, or one of the names that have them: {known}"
         )
-    return replace(found, weights=dict(DEFAULT_COMPOSITES[name]))
+    return replace(scan, weights=dict(DEFAULT_COMPOSITES[name]))
 
 
 def _weights(where: str, weights: object) -> dict[str, float]:
@@ -186,19 +186,19 @@ def _check_keys(where: str, content: Mapping[str, Any], known: tuple[str, ...]) 
 
 
 def _table(where: str, content: Mapping[str, Any], key: str) -> dict[str, Any]:
-    found = content.get(key, {})
-    if not isinstance(found, dict):
-        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected a table")
-    return found
+    table = content.get(key, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{where} -> {key}", f"{str(table)[:40]}, expected a table")
+    return table
 
 
 def _text(where: str, content: Mapping[str, Any], key: str, default: str | None = None) -> str:
-    found = content.get(key, default)
-    if found is None:
+    text = content.get(key, default)
+    if text is None:
         raise InputError(where, f"has no {key}, expected a file's name")
-    if not isinstance(found, str) or not found:
-        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected a file's name")
-    return found
+    if not isinstance(text, str) or not text:
+        raise InputError(f"{where} -> {key}", f"{str(text)[:40]}, expected a file's name")
+    return text
 
 
 def _work(where: str, content: Mapping[str, Any], path: Path) -> Path:
@@ -208,10 +208,10 @@ def _work(where: str, content: Mapping[str, Any], path: Path) -> Path:
 
 
 def _flag(where: str, content: Mapping[str, Any], key: str) -> bool:
-    found = content.get(key, False)
-    if not isinstance(found, bool):
-        raise InputError(f"{where} -> {key}", f"{str(found)[:40]}, expected true or false")
-    return found
+    flag = content.get(key, False)
+    if not isinstance(flag, bool):
+        raise InputError(f"{where} -> {key}", f"{str(flag)[:40]}, expected true or false")
+    return flag
 
 
 def _file(where: str, content: Mapping[str, Any], key: str, folder: Path) -> Path:

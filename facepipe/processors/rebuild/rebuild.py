@@ -54,15 +54,15 @@ def step_count(project: Project) -> int:
 class Rebuild:
     """One run of a project over its work folder.
 
-    :param said: called with the name of each step as it begins
+    :param began: called with the name of each step as it begins
     :raises InputError: a work folder that can't be made
     """
 
     def __init__(
-        self, project: Project, template: Template, readers: Readers, said: Callable[[str], object] = lambda name: None
+        self, project: Project, template: Template, readers: Readers, began: Callable[[str], object] = lambda name: None
     ) -> None:
         self._project, self._template = project, template
-        self._steps = Steps(project, template, readers, said)
+        self._steps = Steps(project, template, readers, began)
 
     def __call__(self) -> Rebuilt:
         """All steps.
@@ -77,11 +77,13 @@ class Rebuild:
             neutral = steps["refined"] = fits.refined(neutral, self._project.refinement)
         points = neutral.scan.points
         start = shapes = fits.personal(points)
-        found = {scan.name: fits.expression(scan, neutral.scan, shapes) for scan in self._project.expressions}
-        steps |= {f"expressions/{name}": one for name, one in found.items()}
+        expressions = {scan.name: fits.expression(scan, neutral.scan, shapes) for scan in self._project.expressions}
+        steps |= {f"expressions/{name}": one for name, one in expressions.items()}
         reports = {name: one.report for name, one in steps.items()}
-        if found:
-            shapes, reports["shapes"] = fits.split(points, shapes, {name: one.composite for name, one in found.items()})
+        if expressions:
+            shapes, reports["shapes"] = fits.split(
+                points, shapes, {name: one.composite for name, one in expressions.items()}
+            )
         shapes = fits.corrected_shapes(points, shapes)
         lines = [line for report in reports.values() for line in report.get("warnings", ())]
         return Rebuilt(
@@ -90,7 +92,7 @@ class Rebuild:
             reports=reports,
             personal=start,
             shown=neutral.scan.shown,
-            composites={name: one.composite.points for name, one in found.items()},
+            composites={name: one.composite.points for name, one in expressions.items()},
             places={name: one.place for name, one in steps.items()},
             quality=self._quality(neutral, start, shapes),
             reused=tuple(self._steps.reused),
@@ -112,12 +114,12 @@ class Rebuild:
         self, neutral: FittedNeutral, start: Mapping[str, FloatArray], shapes: Mapping[str, FloatArray]
     ) -> Quality:
         """The neutral's, and triangles that some shape turns where the personal template does not."""
-        found, triangles = quality_from(neutral.report["quality"], "neutral"), self._template.topology.triangles
+        quality, triangles = quality_from(neutral.report["quality"], "neutral"), self._template.topology.triangles
         turned, points = np.zeros(len(triangles), bool), neutral.scan.points
         for name, delta in shapes.items():
             if delta is not start[name]:
                 turned |= flipped_triangles(points + start[name], points + delta, triangles)
-        return replace(found, flipped_triangles=found.flipped_triangles + int(turned.sum()))
+        return replace(quality, flipped_triangles=quality.flipped_triangles + int(turned.sum()))
 
     def _left_shapes(self, shapes: Mapping[str, FloatArray]) -> tuple[str, ...]:
         own = {shape.name for mesh in self._template.parts.meshes for shape in mesh.blendshapes}

@@ -116,17 +116,17 @@ class RebuildPictures:
         from facepipe.processors.rebuild.scan_fit import in_place, scan_distances
 
         distances, places = {}, self.rebuilt.places
-        for step, (one, points) in self._scans().items():
-            distances[step] = scan_distances(self.template, points, _read(one), places[step])
+        for step, (scan, points) in self._scans().items():
+            distances[step] = scan_distances(self.template, points, _read(scan), places[step])
             drawn()
         together = np.concatenate(list(distances.values()))
         largest, framing = round_above(together[np.isfinite(together)]), self._framing()
-        for step, (one, points) in self._scans().items():
+        for step, (scan, points) in self._scans().items():
             yield (
                 step,
                 Turntable(
                     parts=whole_parts(self.template.parts, points),
-                    scan=in_place(_read(one), places[step]),
+                    scan=in_place(_read(scan), places[step]),
                     distances=distances[step],
                     largest_mm=largest,
                     framing=framing,
@@ -152,7 +152,7 @@ class RebuildPictures:
             f"{100 * fit['coverage']:.0f} % of the face seen; landmarks {fit['landmark_mean_mm']:.2f} mm off"
         ]
         if fit["outliers"]:
-            lines.append(f"lie off, and don't count: {', '.join(fit['outliers'])}")
+            lines.append(f"ignored as outliers: {', '.join(fit['outliers'])}")
         if step == "neutral" and "refined" in self.rebuilt.reports:
             lines.append(refined_line(self.rebuilt.reports["refined"]))
         if report["weights"]:
@@ -197,10 +197,10 @@ class RebuildPictures:
         drawn()
 
 
-def _read(one: ProjectScan) -> Scan:
+def _read(scan: ProjectScan) -> Scan:
     from facepipe.importers.scan_file import read_scan
 
-    return replace(read_scan(one.scan), name=str(one.scan))
+    return replace(read_scan(scan.scan), name=str(scan.scan))
 
 
 def rebuild_text(report: RebuildReport) -> str:
@@ -227,12 +227,12 @@ def _scan_rows(steps: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
 
 
 def _shape_lines(shapes: Mapping[str, Any], unseen: list[str]) -> Iterator[str]:
-    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes seen by the scans, the others are the template's"
-    seen = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
+    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes shown by the scans, the others are the template's"
+    shown = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
     rows: list[tuple[str, ...]] = [("changed most", "observed", "gain", "change mm", "scans")]
-    for name in seen:
-        one = shapes[name]
-        numbers = (f"{one['observed']:.2f}", f"{one['gain']:.2f}", f"{one['change_mm']:.2f}")
-        rows.append((name, *numbers, " ".join(one["scans"])))
-    if seen:
+    for name in shown:
+        shape = shapes[name]
+        numbers = (f"{shape['observed']:.2f}", f"{shape['gain']:.2f}", f"{shape['change_mm']:.2f}")
+        rows.append((name, *numbers, " ".join(shape["scans"])))
+    if shown:
         yield table(rows)

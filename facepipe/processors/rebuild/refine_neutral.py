@@ -86,18 +86,18 @@ class RefineNeutral:
         anchors = _anchors(template, landmarks, rows)
         view = View(scan=target, anchors=anchors, start=lies, name=f"{scan.name} -> scan")
         surface = neutral_surface(template, shown)
-        found = refine_locally(surface, view, rows, _refinement(self.options), progress)
+        solution = refine_locally(surface, view, rows, _refinement(self.options), progress)
         result = BeforeAndAfter(
             template=template,
             before=shown,
-            after=_whole(template, shown, found.points, follow),
+            after=_whole(template, shown, solution.points, follow),
             rows=rows,
             matched=tuple(
                 row_distances(template, one, target, lies, self.options.reach_mm)
-                for one in (surface.base, found.points)
+                for one in (surface.base, solution.points)
             ),
         )
-        report = result.report(scan.name, found, anchors.names, flipped, (*scan.warnings, *mended))
+        report = result.report(scan.name, solution, anchors.names, flipped, (*scan.warnings, *mended))
         moved = result.after - shown
         refined = np.where((moved == 0.0).all(axis=1, keepdims=True), points, points + moved)
         return RefinedNeutral(points=refined, place=lies, report=report)
@@ -150,7 +150,7 @@ class RefineReport(Report):
     surface_p95_mm: float
     coverage: float  # share 0..1 of the outside of what may follow that the scan shows
     landmark_mean_mm: float | None  # of landmarks in what may follow; None: there are none
-    outliers: tuple[str, ...]  # landmarks that lie off, and don't count
+    outliers: tuple[str, ...]  # landmarks that are ignored
     moved_mean_mm: float  # skin that may follow
     moved_max_mm: float
     flipped_triangles: int  # that the refinement turned over
@@ -169,7 +169,7 @@ class BeforeAndAfter:
     matched: tuple[FloatArray, ...]  # two of (m,): distances before and after, NaN where the scan doesn't show it
 
     def report(
-        self, scan: str, found: Registered, names: tuple[str, ...], flipped: int, warnings: tuple[str, ...]
+        self, scan: str, solution: Registered, names: tuple[str, ...], flipped: int, warnings: tuple[str, ...]
     ) -> RefineReport:
         """What changed.
 
@@ -180,8 +180,8 @@ class BeforeAndAfter:
         before, after = (np.where(free, one, np.nan) for one in self.matched)
         moved = np.linalg.norm(self.after - self.before, axis=1)[self.template.rows[free]]
         turned = int(flipped_triangles(self.before, self.after, self.template.topology.triangles).sum())
-        outliers = tuple(names[number] for number in found.outliers)
-        off = found.anchor_distances
+        outliers = tuple(names[number] for number in solution.outliers)
+        off = solution.anchor_distances
         seen = self.template.seen[free[self.template.seen]]
         return RefineReport(
             scan=scan,
@@ -196,9 +196,9 @@ class BeforeAndAfter:
             moved_mean_mm=float(moved.mean()),
             moved_max_mm=float(moved.max()),
             flipped_triangles=turned,
-            steps=found.steps,
+            steps=solution.steps,
             quality=self._quality(flipped + turned),
-            warnings=(*warnings, *_said(scan, outliers, turned)),
+            warnings=(*warnings, *_warnings(scan, outliers, turned)),
         )
 
     def _quality(self, flipped: int) -> Quality:
@@ -228,9 +228,9 @@ def _p95(distances: FloatArray) -> float:
     return float(np.percentile(known, 95)) if len(known) else 0.0
 
 
-def _said(scan: str, outliers: tuple[str, ...], turned: int) -> Iterator[str]:
+def _warnings(scan: str, outliers: tuple[str, ...], turned: int) -> Iterator[str]:
     if outliers:
         some = ", ".join(outliers[:6]) + (" ..." if len(outliers) > 6 else "")
-        yield f"{scan}: {len(outliers)} landmarks lie off and don't count: {some}"
+        yield f"{scan}: {len(outliers)} landmarks ignored as outliers: {some}"
     if turned:
         yield f"{turned} triangles are turned over, expected none: a larger --detail-mm folds less"

@@ -81,7 +81,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         shown = self._shown(parts)
         expression = shown.expression(shown.weights, len(template.points))
         with named(self.scan), job.watch("refine", _STEPS) as bar:
-            found = RefineNeutral(options=self)(
+            refined = RefineNeutral(options=self)(
                 template,
                 template.points,
                 scan,
@@ -91,15 +91,15 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
                 flipped=flipped_before(parts.recipe),
                 progress=lambda step: bar.update(),
             )
-        report = found.report
+        report = refined.report
         recipe = job.recipe(quality=to_json(report.quality), weights=shown.weights)
-        authored = AuthorNeutral()(face, found.points, recipe=recipe)
-        neutral = found.points if expression.any() else None
+        authored = AuthorNeutral()(face, refined.points, recipe=recipe)
+        neutral = refined.points if expression.any() else None
         picture = FaceOnScan(
-            template=template, points=found.points + expression, scan=scan, place=found.place, neutral=neutral
+            template=template, points=refined.points + expression, scan=scan, place=refined.place, neutral=neutral
         )
         missed, warnings = misses(report.quality, QualityLimits()), (*notes, *report.warnings, *authored.warnings)
-        return RefineNeutralReport.of(report, warnings, missed, regions=self.regions, picture=picture)
+        return RefineNeutralReport.from_report(report, warnings, missed, regions=self.regions, picture=picture)
 
     def _shown(self, parts: FaceParts) -> ShownShapes:
         """What the scan shows besides, by the names of the face's shapes."""
@@ -113,7 +113,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         return ShownShapes(deltas=own.deltas, weights=weights)
 
     def text(self, report: RefineNeutralReport, out: Path) -> str:
-        off = f", {len(report.outliers)} of them lie off" if report.outliers else ""
+        off = f", {len(report.outliers)} of them outliers" if report.outliers else ""
         rows = [
             ("refined", f"{', '.join(report.regions) or 'all'}: {report.points} points"),
             ("distance before", f"mean {report.before_mean_mm:.3f} mm, 95 % below {report.before_p95_mm:.3f} mm"),

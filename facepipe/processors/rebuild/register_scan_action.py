@@ -70,15 +70,15 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         from facepipe.core.names import identifier
 
         stem = Path(self.scan).stem
-        found: dict[str, Any] = {"landmarks": landmark_file(self.scan, self.landmarks)}
-        found["name"] = self.name or identifier(stem)
+        values: dict[str, Any] = {"landmarks": landmark_file(self.scan, self.landmarks)}
+        values["name"] = self.name or identifier(stem)
         if self.weights and self.composite and self.weights != self._composite(self.composite):
             raise InputError(f"--composite {self.composite}", "given with --weights, expected one of them")
         if not self.weights:
-            found |= {"composite": self.composite or stem, "weights": self._composite(self.composite or stem)}
+            values |= {"composite": self.composite or stem, "weights": self._composite(self.composite or stem)}
         if self.neutral_scan is not None:
-            found["neutral_landmarks"] = landmark_file(self.neutral_scan, self.neutral_landmarks)
-        for name, value in found.items():
+            values["neutral_landmarks"] = landmark_file(self.neutral_scan, self.neutral_landmarks)
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
     def _composite(self, name: str) -> dict[str, float]:
@@ -117,23 +117,23 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         from facepipe.processors.rebuild.template import Template
 
         parts = face.parts()
-        own, template = whole_face(parts, str(self.personal)), Template.of(parts, str(self.personal))
-        given = self._shown(tuple(own.deltas))
+        whole, template = whole_face(parts, str(self.personal)), Template.of(parts, str(self.personal))
+        weights = self._shown(tuple(whole.deltas))
         scan = read_scan(self.scan)
-        landmarks, found = landmarks_of(self.landmarks, scan)
-        neutral, notes = self._neutral(template, own)
-        expression = ExpressionScan(scan=scan, landmarks=landmarks, weights=given)
+        landmarks, landmark_notes = landmarks_of(self.landmarks, scan)
+        neutral, notes = self._neutral(template, whole)
+        expression = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
         with named(self.scan), job.watch("register", _STEPS) as bar:
             composite = RegisterScans(options=self)(
-                template, neutral, own.deltas, expression, lambda step: bar.update()
+                template, neutral, whole.deltas, expression, lambda step: bar.update()
             )
         report = composite.report
         recipe = job.recipe(weights=composite.weights, fit=asdict(report.fit))
-        authored = author_expression(face, self.name, own.points, composite, recipe)
-        unused = ("markers don't count without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
-        warnings = (*found, *notes, *unused, *report.warnings, *authored.warnings)
+        authored = author_expression(face, self.name, whole.points, composite, recipe)
+        unused = ("markers are ignored without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
+        warnings = (*landmark_notes, *notes, *unused, *report.warnings, *authored.warnings)
         shown = FaceOnScan(template=template, points=composite.points, scan=scan, place=composite.place)
-        return RegisterScanReport.of(report, warnings, fit_misses(report.fit), name=self.name, picture=shown)
+        return RegisterScanReport.from_report(report, warnings, fit_misses(report.fit), name=self.name, picture=shown)
 
     def _shown(self, shapes: Sequence[str]) -> dict[str, float]:
         """What the scan shows, by the names of the face's shapes."""
@@ -143,7 +143,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
             raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
         return resolved(self.weights, shapes, f"composite {self.composite}" if self.composite else "--weights")
 
-    def _neutral(self, template: Template, own: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
+    def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
         """The neutral, with the place of its scan where one is given, and what there is to say of that."""
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.rebuild.composites import resolved
@@ -152,19 +152,19 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         from facepipe.processors.rebuild.shown_shapes import ShownShapes
 
         if self.neutral_scan is None:
-            return NeutralScan(points=own.points), ()
+            return NeutralScan(points=whole.points), ()
         expression = None
         if self.neutral_weights:
-            shown = resolved(self.neutral_weights, tuple(own.deltas), "--neutral-weights")
-            expression = ShownShapes(deltas=own.deltas, weights=shown).expression(shown, len(own.points))
+            shown = resolved(self.neutral_weights, tuple(whole.deltas), "--neutral-weights")
+            expression = ShownShapes(deltas=whole.deltas, weights=shown).expression(shown, len(whole.points))
         scan = read_scan(self.neutral_scan)
-        landmarks, found = landmarks_of(self.neutral_landmarks, scan)
+        landmarks, notes = landmarks_of(self.neutral_landmarks, scan)
         with named(self.neutral_scan):
-            return placed_neutral(template, own.points, scan, landmarks, expression), found
+            return placed_neutral(template, whole.points, scan, landmarks, expression), notes
 
     def text(self, report: RegisterScanReport, out: Path) -> str:
         fit = report.fit
-        off = f", {len(fit.outliers)} of them lie off" if fit.outliers else ""
+        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
         beyond = f"mean {report.beyond_template_mean_mm:.2f} mm, at most {report.beyond_template_max_mm:.2f} mm"
         rows = [
             ("shape", report.name),

@@ -71,7 +71,7 @@ class NeutralScan:
     """The neutral that expressions are registered from."""
 
     points: FloatArray  # (n, 3) whole points
-    # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers don't count.
+    # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers are ignored.
     place: Similarity | None = None
     landmarks: ScanLandmarks = field(default_factory=ScanLandmarks)  # markers on it are followed
     expression: FloatArray | None = None  # (n, 3) whole delta that its scan shows besides; None: none
@@ -129,16 +129,16 @@ class RegisterScans:
             scale=not hold,
         )
         try:
-            found = register(surface, target, anchors, start, options, progress)
+            registered = register(surface, target, anchors, start, options, progress)
         except FitError as error:
             raise error.under(name) from None
-        weights = dict(zip(expression.weights, map(float, found.coefficients), strict=True))
-        deltas = np.tensordot(found.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
-        points = template.whole(neutral.points + deltas, found.points)
+        weights = dict(zip(expression.weights, map(float, registered.coefficients), strict=True))
+        deltas = np.tensordot(registered.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
+        points = template.whole(neutral.points + deltas, registered.points)
         given = surface.points(surface.expected)
-        off = np.linalg.norm(found.points - given, axis=1)[template.face]
+        off = np.linalg.norm(registered.points - given, axis=1)[template.face]
         report = CompositeReport(
-            fit=scan_fit(name, found, template.face, anchors.names),
+            fit=scan_fit(name, registered, template.face, anchors.names),
             weights=weights,
             beyond_template_mean_mm=float(off.mean()) if len(off) else 0.0,
             beyond_template_max_mm=float(off.max(initial=0.0)),
@@ -146,8 +146,10 @@ class RegisterScans:
         )
         matched = np.zeros(len(points), bool)
         skin = template.row_of >= 0
-        matched[skin] = found.matched[template.row_of[skin]]
-        return RegisteredComposite(points=points, weights=weights, matched=matched, place=found.place, report=report)
+        matched[skin] = registered.matched[template.row_of[skin]]
+        return RegisteredComposite(
+            points=points, weights=weights, matched=matched, place=registered.place, report=report
+        )
 
     def _surface(
         self,
@@ -180,17 +182,17 @@ def expected_spread(modes: FloatArray, weights: FloatArray, options: RegisterSca
 def expression_anchors(template: Template, neutral: NeutralScan, expression: ExpressionScan) -> Anchors:
     """Landmarks, and the painted markers that the neutral's scan has too."""
     anchors = landmark_anchors(template, expression.landmarks)
-    own = expression.landmarks.markers
-    common = [marker for marker in own if marker in neutral.landmarks.markers]
+    painted = expression.landmarks.markers
+    common = [marker for marker in painted if marker in neutral.landmarks.markers]
     if neutral.place is None or not common:
         return anchors
     places = neutral.place.apply(np.array([neutral.landmarks.markers[marker] for marker in common]))
     skin = neutral.shown[template.rows]
-    found = closest_places(places, skin, template.triangles)
+    nearest = closest_places(places, skin, template.triangles)
     markers = Anchors(
-        corners=template.triangles[found.triangles],
-        shares=place_shares(found, skin, template.triangles),
-        targets=np.array([own[marker] for marker in common], np.float64),
+        corners=template.triangles[nearest.triangles],
+        shares=place_shares(nearest, skin, template.triangles),
+        targets=np.array([painted[marker] for marker in common], np.float64),
         names=tuple(f"marker {marker}" for marker in common),
     )
     return anchors.with_more(markers)

@@ -31,7 +31,7 @@ class ScanFit:
     surface_p95_mm: float
     coverage: float  # share 0..1 of the face area that has a match
     landmark_mean_mm: float
-    outliers: tuple[str, ...]  # landmarks and markers that lie off
+    outliers: tuple[str, ...]  # landmarks and markers that are ignored
     steps: int
 
 
@@ -40,9 +40,9 @@ def scan_target(scan: Scan) -> tuple[ScanTarget, tuple[str, ...]]:
 
     :raises InputError: nothing to fit to
     """
-    found = CleanScan()(scan)
-    mended = found.scan
-    repairs = tuple(f"{scan.name}: {line}" for line in found.report.warnings)
+    cleaned = CleanScan()(scan)
+    mended = cleaned.scan
+    repairs = tuple(f"{scan.name}: {line}" for line in cleaned.report.warnings)
     if mended.is_cloud:
         return ScanTarget.of_cloud(mended.points, np.asarray(mended.normals)), repairs
     return ScanTarget.of_surface(mended.points, mended.triangles), repairs
@@ -56,23 +56,25 @@ def unit_of(mm_per_unit: float) -> str | None:
     return None
 
 
-def scan_fit(scan: str, found: Registered, face: npt.NDArray[np.bool_], names: tuple[str, ...]) -> ScanFit:
+def scan_fit(scan: str, registered: Registered, face: npt.NDArray[np.bool_], names: tuple[str, ...]) -> ScanFit:
     """What to report of a registration.
 
     :param face: (m,) points of the face area
     :param names: of the anchors
     """
-    distances = found.distances[np.isfinite(found.distances)]
+    distances = registered.distances[np.isfinite(registered.distances)]
     return ScanFit(
         scan=scan,
-        mm_per_unit=found.place.scale,
-        unit=unit_of(found.place.scale),
+        mm_per_unit=registered.place.scale,
+        unit=unit_of(registered.place.scale),
         surface_mean_mm=float(distances.mean()) if len(distances) else float("nan"),
         surface_p95_mm=float(np.percentile(distances, 95)) if len(distances) else float("nan"),
-        coverage=float(found.matched[face].mean()) if face.any() else 0.0,
-        landmark_mean_mm=float(found.anchor_distances.mean()) if len(found.anchor_distances) else float("nan"),
-        outliers=tuple(names[number] for number in found.outliers),
-        steps=found.steps,
+        coverage=float(registered.matched[face].mean()) if face.any() else 0.0,
+        landmark_mean_mm=float(registered.anchor_distances.mean())
+        if len(registered.anchor_distances)
+        else float("nan"),
+        outliers=tuple(names[number] for number in registered.outliers),
+        steps=registered.steps,
     )
 
 
@@ -81,8 +83,8 @@ def in_place(scan: Scan, place: Similarity) -> Scan:
 
     :raises InputError: a scan that can't be used
     """
-    found = scan_target(scan)[0].moved(place)
-    return replace(scan, points=found.points, triangles=found.triangles, normals=found.normals, colors=None)
+    moved = scan_target(scan)[0].moved(place)
+    return replace(scan, points=moved.points, triangles=moved.triangles, normals=moved.normals, colors=None)
 
 
 def scan_distances(
@@ -109,9 +111,9 @@ def row_distances(
     seen = template.seen
     normals = point_normals(rows, template.triangles)[seen]
     matches = target.matches(rows[seen], normals, reach_mm, RegistrationOptions().angle, place)
-    found = np.full(len(rows), np.nan)
-    found[seen[matches.kept]] = matches.distances[matches.kept]
-    return found
+    distances = np.full(len(rows), np.nan)
+    distances[seen[matches.kept]] = matches.distances[matches.kept]
+    return distances
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,11 +133,11 @@ class FaceOnScan:
         from facepipe.processors.database.whole_faces import whole_parts
 
         template = self.template
-        shown = FitPicture(
+        sheet = FitPicture(
             parts=whole_parts(template.parts, self.points),
             landmarks=self.points[template.rows[template.landmarks]],
             scan=in_place(self.scan, self.place),
             distances=scan_distances(template, self.points, self.scan, self.place),
             neutral=None if self.neutral is None else whole_parts(template.parts, self.neutral),
         )
-        save_png(fit_sheet(shown), path)
+        save_png(fit_sheet(sheet), path)

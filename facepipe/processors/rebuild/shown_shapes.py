@@ -26,7 +26,9 @@ class ShownShapes:
     weights: Mapping[str, float] = field(default_factory=dict)  # of the same names
 
     @classmethod
-    def of(cls, template: Template, database: FaceDatabase, weights: Mapping[str, float], where: str) -> ShownShapes:
+    def carried_over(
+        cls, template: Template, database: FaceDatabase, weights: Mapping[str, float], where: str
+    ) -> ShownShapes:
         """The template's own shapes, carried over to the database's mean person: of a scan's own person, nothing is
         known yet, and the residual takes up how that person differs.
 
@@ -35,14 +37,14 @@ class ShownShapes:
         """
         if not weights:
             return cls()
-        own = whole_face(template.parts, template.where).deltas
-        if not own:
+        template_deltas = whole_face(template.parts, template.where).deltas
+        if not template_deltas:
             raise InputError(where, f"{template.where} has no blendshapes, expected those that the scan shows")
-        found, mean = resolved(weights, tuple(own), where), database.identity.mean
+        named, mean = resolved(weights, tuple(template_deltas), where), database.identity.mean
         transfer = Transfer(mean, template.topology.triangles, np.zeros(len(mean), bool))
         rest = template.points
-        deltas = {name: transfer.solve(rest[None], (rest + own[name])[None]) - mean for name in found}
-        return cls(deltas=deltas, weights=found)
+        deltas = {name: transfer.solve(rest[None], (rest + template_deltas[name])[None]) - mean for name in named}
+        return cls(deltas=deltas, weights=named)
 
     def expression(self, weights: Mapping[str, float], count: int) -> FloatArray:
         """(n, 3) whole delta of `count` points by weights of its shapes."""
@@ -65,7 +67,7 @@ class ShownShapes:
 
 def shown_before(recipe: Recipe | None) -> dict[str, float]:
     """Weights of the shapes that the scan of a neutral shows besides, as its recipe says that they were found."""
-    found = found_of(recipe).get("weights")
-    if not isinstance(found, Mapping) or not all(isinstance(one, int | float) for one in found.values()):
+    weights = found_of(recipe).get("weights")
+    if not isinstance(weights, Mapping) or not all(isinstance(one, int | float) for one in weights.values()):
         return {}
-    return {str(name): float(weight) for name, weight in found.items() if 0.0 < weight <= 2.0}
+    return {str(name): float(weight) for name, weight in weights.items() if 0.0 < weight <= 2.0}

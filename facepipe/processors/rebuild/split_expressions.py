@@ -84,7 +84,7 @@ class SplitExpressions:
                 weights[row, names.index(shape)] = max(weight, 0.0)
             if not weights[row].any():
                 raise InputError(scan, "shows none of its shapes, expected a weight above 0")
-        found = split_shapes(
+        split = split_shapes(
             neutral,
             np.stack(list(shapes.values())),
             np.stack([composite.points for composite in composites.values()]),
@@ -95,21 +95,21 @@ class SplitExpressions:
             stiff=template.stiff,
             names=names,
         )
-        report = _report(found, names, tuple(composites))
-        return SplitFit(shapes=dict(zip(names, found.deltas, strict=True)), report=report)
+        report = _report(split, names, tuple(composites))
+        return SplitFit(shapes=dict(zip(names, split.deltas, strict=True)), report=report)
 
 
-def _report(found: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
+def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
     alike: dict[int, list[str]] = {}
-    for one, other in found.rank.together:
+    for one, other in split.rank.together:
         alike.setdefault(one, []).append(names[other])
         alike.setdefault(other, []).append(names[one])
     shapes = {
         name: ShapeReport(
-            observed=float(found.observed[number]),
-            gain=float(found.gains[number]),
-            change_mm=float(found.changes[number]),
-            scans=tuple(scan for scan, row in zip(scans, found.weights, strict=True) if row[number] > 0),
+            observed=float(split.observed[number]),
+            gain=float(split.gains[number]),
+            change_mm=float(split.changes[number]),
+            scans=tuple(scan for scan, row in zip(scans, split.weights, strict=True) if row[number] > 0),
             alike=tuple(alike.get(number, ())),
         )
         for number, name in enumerate(names)
@@ -118,11 +118,11 @@ def _report(found: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         shapes=shapes,
         weights={
             scan: {name: float(weight) for name, weight in zip(names, row, strict=True) if weight > 0}
-            for scan, row in zip(scans, found.weights, strict=True)
+            for scan, row in zip(scans, split.weights, strict=True)
         },
-        residual_mean_mm=dict(zip(scans, map(float, found.residual_means), strict=True)),
-        residual_p95_mm=dict(zip(scans, map(float, found.residual_p95), strict=True)),
-        rank=found.rank.rank,
+        residual_mean_mm=dict(zip(scans, map(float, split.residual_means), strict=True)),
+        residual_p95_mm=dict(zip(scans, map(float, split.residual_p95), strict=True)),
+        rank=split.rank.rank,
         unseen=tuple(name for name, one in shapes.items() if one.observed < _OBSERVED),
-        warnings=found.warnings,
+        warnings=split.warnings,
     )

@@ -56,11 +56,13 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
         parts = face.parts()
         template, base = Template.of(parts, str(self.personal)), whole_face(parts, str(self.personal))
         read = [read_expression(Path(path), self.personal, base) for path in self.expressions]
-        found = split_files(SplitExpressions(options=self), template, base, read)
-        report, quality = found.fit.report, quality_with(parts.recipe, str(self.personal), found.flipped_triangles)
-        authored = author_shapes(face, base, found.fit, job.recipe(weights=report.weights, **quality))
-        warnings = (*found.warnings, *authored.warnings)
-        return SplitShapesReport.of(report, warnings, _misses(report), flipped_triangles=found.flipped_triangles)
+        actor = split_files(SplitExpressions(options=self), template, base, read)
+        report, quality = actor.fit.report, quality_with(parts.recipe, str(self.personal), actor.flipped_triangles)
+        authored = author_shapes(face, base, actor.fit, job.recipe(weights=report.weights, **quality))
+        warnings = (*actor.warnings, *authored.warnings)
+        return SplitShapesReport.from_report(
+            report, warnings, _misses(report), flipped_triangles=actor.flipped_triangles
+        )
 
     def missed(self, report: SplitShapesReport) -> bool:
         return bool(report.missed)

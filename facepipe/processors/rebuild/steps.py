@@ -105,12 +105,12 @@ class WorkFolder:
 
         :raises InputError: more than one
         """
-        found = [self.path / CORRECTIONS / f"{name}{suffix}" for suffix in _SUFFIXES]
-        found = [path for path in found if path.is_file()]
-        if len(found) > 1:
-            names = ", ".join(path.name for path in found)
+        files = [self.path / CORRECTIONS / f"{name}{suffix}" for suffix in _SUFFIXES]
+        files = [path for path in files if path.is_file()]
+        if len(files) > 1:
+            names = ", ".join(path.name for path in files)
             raise InputError(self.path / CORRECTIONS, f"{names}, expected one correction of {name}")
-        return found[0] if found else None
+        return files[0] if files else None
 
     def corrections(self) -> tuple[str, ...]:
         """Names of all corrected meshes, as paths below ``corrections`` without suffixes."""
@@ -124,14 +124,14 @@ class WorkFolder:
         if not path.is_file():
             return None
         try:
-            found = read_arrays(path, KIND)
-            content = found.content.get("content")
-            if found.content.get("key") != key or not isinstance(content, dict):
+            file = read_arrays(path, KIND)
+            content = file.content.get("content")
+            if file.content.get("key") != key or not isinstance(content, dict):
                 return None
-            check(found.arrays, content)
+            check(file.arrays, content)
         except InputError:
             return None
-        return StepResult(arrays=found.arrays, content=content, reused=True)
+        return StepResult(arrays=file.arrays, content=content, reused=True)
 
 
 def _step_key(inputs: Mapping[str, Any]) -> str:
@@ -142,11 +142,11 @@ def _step_key(inputs: Mapping[str, Any]) -> str:
 
 def array_digest(*arrays: Array) -> str:
     """``sha256:...`` of arrays of numbers."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for array in arrays:
-        found.update(f"{array.dtype.str}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
-    return f"sha256:{found.hexdigest()}"
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return f"sha256:{digest.hexdigest()}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,15 +162,15 @@ class Readers:
 class Steps:
     """The work folder of one run, and what happened in it.
 
-    :param said: called with the name of each step as it begins
+    :param began: called with the name of each step as it begins
     :raises InputError: a work folder that can't be made
     """
 
     def __init__(
-        self, project: Project, template: Template, readers: Readers, said: Callable[[str], object] = lambda name: None
+        self, project: Project, template: Template, readers: Readers, began: Callable[[str], object] = lambda name: None
     ) -> None:
         self.project, self.template = project, template
-        self._readers, self._said = readers, said
+        self._readers, self._began = readers, began
         self._folder = WorkFolder(project.work)
         self._database: FaceDatabase | None = None
         self._digests: dict[Path, str] = {}
@@ -189,14 +189,14 @@ class Steps:
 
         :raises FacepipeError: of `compute`
         """
-        self._said(name)
+        self._began(name)
         count = self.template.topology.point_count
-        found = self._folder.step(name, inputs, compute, partial(kept.check, count=count))
-        if found.reused:
+        result = self._folder.step(name, inputs, compute, partial(kept.check, count=count))
+        if result.reused:
             self.reused.append(name)
-        if "points" in found.arrays:
-            self._show(name, found)
-        return found
+        if "points" in result.arrays:
+            self._show(name, result)
+        return result
 
     def after_correction(self, name: str, points: FloatArray) -> FloatArray:
         """The points (n, 3) of a step, or of the mesh that an artist put in their place.
@@ -220,12 +220,12 @@ class Steps:
 
         :raises FacepipeError: of the readers
         """
-        one = replace(self._readers.scan(scan.scan), name=str(scan.scan))
+        named = replace(self._readers.scan(scan.scan), name=str(scan.scan))
         if scan.landmarks:
-            return one, self.landmarks(scan)
+            return named, self.landmarks(scan)
         if scan.scan not in self._found:
-            self._found[scan.scan] = self._readers.find_landmarks(one)
-        return one, self._found[scan.scan]
+            self._found[scan.scan] = self._readers.find_landmarks(named)
+        return named, self._found[scan.scan]
 
     def landmarks(self, scan: ProjectScan) -> ScanLandmarks:
         """Those that are given for a scan."""
@@ -258,10 +258,10 @@ class Steps:
             **more,
         }
 
-    def _show(self, name: str, found: StepResult) -> None:
+    def _show(self, name: str, result: StepResult) -> None:
         path = self._folder.place(f"{name}.usdc")
-        if not (found.reused and path.is_file()):
-            save_parts(self.template.topology.parts(found.arrays["points"]), path)
+        if not (result.reused and path.is_file()):
+            save_parts(self.template.topology.parts(result.arrays["points"]), path)
 
 
 def readers() -> Readers:

@@ -68,10 +68,10 @@ class Template:
 
         Depth maps are coarse: the third corner of a triangle with two seen ones is taken as seen too.
         """
-        found = seen_from_outside(self.points, self.topology.triangles)[self.rows]
-        beside = self.triangles[found[self.triangles].sum(axis=1) >= 2]
-        found[beside.ravel()] = True
-        return np.flatnonzero(found)
+        seen = seen_from_outside(self.points, self.topology.triangles)[self.rows]
+        beside = self.triangles[seen[self.triangles].sum(axis=1) >= 2]
+        seen[beside.ravel()] = True
+        return np.flatnonzero(seen)
 
     @cached_property
     def face(self) -> BoolArray:
@@ -84,9 +84,9 @@ class Template:
         within = np.abs(places[:, 0] - middle[0]) <= 0.55 * width
         within &= (places[:, 1] <= marks[17:27, 1].max() + 0.3 * height) & (places[:, 1] >= marks[:17, 1].min())
         within &= places[:, 2] >= marks[[0, 16], 2].mean()
-        found = np.zeros(len(self.rows), bool)
-        found[self.seen] = within[self.seen]
-        return found
+        face = np.zeros(len(self.rows), bool)
+        face[self.seen] = within[self.seen]
+        return face
 
     @cached_property
     def loose(self) -> IntArray:
@@ -96,9 +96,9 @@ class Template:
     @property
     def stiff(self) -> IntArray:
         """(n,) number of the loose part that each whole point belongs to, -1 on the skin."""
-        found = np.full(len(self.points), -1)
-        found[self.loose] = self._pieces
-        return found
+        pieces = np.full(len(self.points), -1)
+        pieces[self.loose] = self._pieces
+        return pieces
 
     def whole(self, base: FloatArray, points: FloatArray) -> FloatArray:
         """(n, 3) whole points where the skin has moved to `points` (m, 3) from what it is on `base` (n, 3).

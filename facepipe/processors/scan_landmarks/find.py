@@ -181,10 +181,11 @@ def _result(
 ) -> FoundScanLandmarks:
     from facepipe.geometry.closest_points import closest_places
 
-    found = closest_places(seen.landmarks, near.points, near.triangles)
+    nearest = closest_places(seen.landmarks, near.points, near.triangles)
     left_out = {
         "views disagree": seen.spread >= _UNSURE,
-        "the scan ends before them": (found.distances >= _OFF * frame.side) | _at_end(found.places, ends, frame.side),
+        "the scan ends before them": (nearest.distances >= _OFF * frame.side)
+        | _at_end(nearest.places, ends, frame.side),
     }
     kept = ~np.any(list(left_out.values()), axis=0)
     eyes = seen.landmarks[36:42].mean(axis=0) - seen.landmarks[42:48].mean(axis=0)
@@ -195,7 +196,7 @@ def _result(
         searched=searched,
         warnings=tuple(f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()),
     )
-    landmarks = ScanLandmarks(points=np.where(kept[:, None], found.places, np.nan), sigma_mm=found_sigmas())
+    landmarks = ScanLandmarks(points=np.where(kept[:, None], nearest.places, np.nan), sigma_mm=found_sigmas())
     return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
 
 

@@ -43,10 +43,10 @@ class ScanLandmarks(FileAction["ScanLandmarksReport"]):
         with job.watch("scan-landmarks", 2) as bar:
             scan = read_scan(self.scan)
             bar.update()
-            found = FindScanLandmarks(draw=draw_surface)(scan)
+            result = FindScanLandmarks(draw=draw_surface)(scan)
             bar.update()
-        write_scan_landmarks(found.landmarks, job.out)
-        return replace(found.report, landmarks=found, warnings=(*scan.warnings, *found.report.warnings))
+        write_scan_landmarks(result.landmarks, job.out)
+        return replace(result.report, landmarks=result, warnings=(*scan.warnings, *result.report.warnings))
 
     def draw(self, report: ScanLandmarksReport, path: Path) -> None:
         """The picture of the landmarks."""

@@ -74,7 +74,7 @@ def candidates(
     :param turns: of crops in the picture's plane, evenly over the circle
     :param size: pixels a side of the network's crops
     """
-    found: list[Candidate] = []
+    faces: list[Candidate] = []
     for view in views:
         picture, depth = draw(look, view)
         matrices = _grid(np.isfinite(depth), turns, size)
@@ -87,8 +87,8 @@ def candidates(
         for where, present in zip(places, presence[sure], strict=True):
             frame = face_frame(lifted(where, depth, view))
             if frame is not None:
-                found.append(Candidate(presence=float(present), frame=frame))
-    return _apart(found, most)
+                faces.append(Candidate(presence=float(present), frame=frame))
+    return _apart(faces, most)
 
 
 def lifted(landmarks: FloatArray, depth: FloatArray, view: Pinhole) -> FloatArray:
@@ -128,11 +128,11 @@ def _grid(covered: FloatArray, turns: int, size: int) -> FloatArray:
 
 def _apart(found: list[Candidate], most: int) -> list[Candidate]:
     kept: list[Candidate] = []
-    for one in sorted(found, key=lambda each: -each.presence):
+    for candidate in sorted(found, key=lambda each: -each.presence):
         if len(kept) == most:
             break
-        if all(_differ(one.frame, other.frame) for other in kept):
-            kept.append(one)
+        if all(_differ(candidate.frame, other.frame) for other in kept):
+            kept.append(candidate)
     return kept
 
 

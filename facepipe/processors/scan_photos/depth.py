@@ -45,7 +45,7 @@ def depth_maps(
     :param step: called before every pair
     """
     cameras = list(structure.cameras.values())
-    found: list[list[FloatArray]] = [[] for _ in cameras]
+    depths: list[list[FloatArray]] = [[] for _ in cameras]
     maps = [np.full((camera.height, camera.width), np.nan, np.float32) for camera in cameras]
     last = {camera: number for number, pair in enumerate(pairs) for camera in pair}
     for number, (a, b) in enumerate(pairs):
@@ -55,12 +55,12 @@ def depth_maps(
         both = disparities(pair, photos[left].pixels, photos[right].pixels)
         for camera, view, disparity in zip((left, right), (pair.left, pair.right), both, strict=True):
             depth = depth_map(pair, view, disparity, pixel_rays(cameras[camera]))
-            found[camera].append(depth.astype(np.float32))
+            depths[camera].append(depth.astype(np.float32))
             if last[camera] == number:  # merged as soon as all are there: together they are large
-                merged = _merged(found[camera], agreement / cameras[camera].focal[0])
+                merged = _merged(depths[camera], agreement / cameras[camera].focal[0])
                 known = merged.reshape(maps[camera].shape)
                 maps[camera] = np.where(_usable(photos[camera], texture), known, np.float32(np.nan))
-                found[camera] = []
+                depths[camera] = []
     return maps
 
 
@@ -85,12 +85,12 @@ def _usable(photo: Photo, texture: float) -> npt.NDArray[np.bool_]:
     return np.asarray(rich if photo.mask is None else rich & photo.mask)
 
 
-def _merged(found: Sequence[FloatArray], share: float) -> FloatArray:
+def _merged(depths: Sequence[FloatArray], share: float) -> FloatArray:
     """(n,) the mean of the depths (n,) that most others agree with, to a share of the depth; NaN where none do.
 
     A single depth stands where no other is known.
     """
-    stack = np.stack(found)
+    stack = np.stack(depths)
     best, votes = np.full(stack.shape[1], np.nan, np.float32), np.zeros(stack.shape[1], np.int64)
     known = np.isfinite(stack).sum(axis=0)
     for one in stack:

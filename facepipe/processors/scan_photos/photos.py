@@ -123,13 +123,15 @@ def _film_focal(image: Image) -> float | None:
 
 def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.bool_]:
     names = (file.name, f"{file.stem}.png", f"{file.name}.png")
-    found = next((masks / name for name in names if (masks / name).is_file()), None)
-    if found is None:
+    mask_file = next((masks / name for name in names if (masks / name).is_file()), None)
+    if mask_file is None:
         raise InputError(masks / f"{file.stem}.png", f"is missing, expected a mask for {file.name}")
-    image, _ = _image(found)
+    image, _ = _image(mask_file)
     if image.size != full:
-        raise InputError(found, f"{image.size[0]} x {image.size[1]} pixels, expected the photo's {full[0]} x {full[1]}")
+        raise InputError(
+            mask_file, f"{image.size[0]} x {image.size[1]} pixels, expected the photo's {full[0]} x {full[1]}"
+        )
     mask = np.asarray(image.convert("L").resize(size, resample=0)) > 127
     if not mask.any():
-        raise InputError(found, "is black all over, expected white where the person is")
+        raise InputError(mask_file, "is black all over, expected white where the person is")
     return np.asarray(mask)

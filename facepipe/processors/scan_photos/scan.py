@@ -105,7 +105,7 @@ class ScanPhotos:
         start = time.perf_counter()
         files, others = photo_files(folder)
         photos = read_photos(files, self.options.pixels, self.masks)
-        warnings = [f"{name} is no photo and was left out" for name in others if not name.endswith(".json")]
+        warnings = [f"{name} is not a photo and was left out" for name in others if not name.endswith(".json")]
         step("cameras", 1)
         known = None if self.cameras is None else _known(self.cameras, photos, folder)
         structure = find_structure(photos, self.options, known)
@@ -205,7 +205,7 @@ def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, Pho
 
     :raises InputError: fewer than 5 photos have one, or one is of another size than its photo
     """
-    found = {}
+    used = {}
     for photo in photos:
         camera = cameras.cameras.get(photo.name)
         if camera is None:
@@ -215,7 +215,7 @@ def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, Pho
             raise InputError(
                 folder / photo.name, f"{size} pixels, expected {camera.width} x {camera.height} of its camera"
             )
-        found[photo.name] = camera.scaled(photo.width, photo.height)
-    if len(found) < FEWEST_PHOTOS:
-        raise InputError(folder, f"{len(found)} photos have a known camera, expected {FEWEST_PHOTOS} or more")
-    return found
+        used[photo.name] = camera.scaled(photo.width, photo.height)
+    if len(used) < FEWEST_PHOTOS:
+        raise InputError(folder, f"{len(used)} photos have a known camera, expected {FEWEST_PHOTOS} or more")
+    return used

@@ -97,7 +97,7 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
     def text(self, report: ScanPhotosReport, out: Path) -> str:
         unit = report.unit or "(unknown unit)"
         rows = [
-            ("photos", f"{len(report.photos_used)} used, {len(report.photos_unused)} not"),
+            ("photos", f"{len(report.photos_used)} of {len(report.photos_used) + len(report.photos_unused)} used"),
             ("cameras", f"{report.cameras}; matched points are {report.reprojection_px:.2f} pixels off"),
             ("dense points", f"{report.dense_points}, {report.spacing:.3g} {unit} apart"),
             ("agreement of photos", f"{report.consistency:.3g} {unit}, {report.consistency_px:.2f} pixels (median)"),

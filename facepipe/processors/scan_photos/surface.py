@@ -68,15 +68,15 @@ def make_cloud(
     :raises FitError: too few points that photos agree on
     """
     spacing = options.spacing * _width_of_pixels(cameras, subject)
-    found = []
+    rows = []
     for number, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         step()
         seen = confirmed(number, maps, cameras, subject, options.agreement, options.support)
         color = from_srgb(photo.pixels[seen.pixels[:, 1], seen.pixels[:, 0]] / 255.0)
         towards = camera.eye - seen.points
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        found.append(np.c_[seen.points, towards, color, seen.apart])
-    values = np.concatenate(found)
+        rows.append(np.c_[seen.points, towards, color, seen.apart])
+    values = np.concatenate(rows)
     if len(values) < _FEWEST:
         raise FitError(
             "photos", f"they agree on {len(values)} points, expected {_FEWEST} or more: sharp photos, more overlap"

@@ -38,12 +38,14 @@ def read_markers(path: Path) -> dict[str, dict[str, FloatArray]]:
     photos = read_json_object(path, _LARGEST_FILE).get("photos")
     if not isinstance(photos, dict):
         raise InputError(f"{path} -> photos", "expected an object of markers by the names of photos")
-    found: dict[str, dict[str, FloatArray]] = {}
+    sightings: dict[str, dict[str, FloatArray]] = {}
     for photo, markers in photos.items():
         if not isinstance(markers, dict):
             raise InputError(f"{path} -> {photo[:80]}", "expected an object of places by the names of markers")
-        found[photo] = {name: _pixel(one, f"{path} -> {photo[:80]} -> {name[:80]}") for name, one in markers.items()}
-    return found
+        sightings[photo] = {
+            name: _pixel(one, f"{path} -> {photo[:80]} -> {name[:80]}") for name, one in markers.items()
+        }
+    return sightings
 
 
 def _pixel(value: object, where: str) -> FloatArray:
@@ -63,14 +65,14 @@ def triangulate_all(
     :param tolerance: pixels
     """
     names = sorted({name for one in sightings.values() for name in one})
-    found = {}
+    places = {}
     for name in names:
         photos = [one for one in sorted(cameras) if name in sightings.get(one, {})]
         pixels = np.array([sightings[one][name] for one in photos])
         place = triangulate([cameras[one] for one in photos], pixels, tolerance, least)
         if place is not None:
-            found[name] = place
-    return found
+            places[name] = place
+    return places
 
 
 def triangulate(
@@ -127,14 +129,14 @@ def landmark_sightings(photos: Sequence[Photo], step: Callable[[], None]) -> dic
         from facepipe.learn.networks import find_landmarks
     except ImportError:
         return {}
-    found = {}
+    sightings = {}
     for photo in photos:
         step()
         faces = find_landmarks(photo.pixels.astype(np.float32) / 255.0)
         if faces:
             places = faces[0].landmarks
-            found[photo.name] = {f"{number:02d}": places[number] for number in range(_OUTLINE, LANDMARK_COUNT)}
-    return found
+            sightings[photo.name] = {f"{number:02d}": places[number] for number in range(_OUTLINE, LANDMARK_COUNT)}
+    return sightings
 
 
 def place_landmarks(

@@ -140,7 +140,7 @@ def test_removing_who_has_shapes_or_lacks_them() -> None:
     some = create_database([source(0), source(1, shapes=("jawOpen",)), source(2)], EXACT).database
     left = remove_faces(some, ["p1"])
     assert left.database.shapes == ("jawOpen",)
-    assert "nobody lacks browInnerUp, mouthSmileLeft any more" in left.warnings[0]
+    assert "no face lacks browInnerUp, mouthSmileLeft any more" in left.warnings[0]
 
 
 def test_units_and_axes_are_honoured() -> None:

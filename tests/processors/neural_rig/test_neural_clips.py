@@ -111,11 +111,11 @@ def test_the_command_learns_from_clips_too(tmp_path: Path, capsys: pytest.Captur
     few = ("--spread", 0, "--sweep", 0, "--together", 0, "--block", 10)
     code, out, err = run(capsys, *words, *few, "--clip", head, "--clip", take, "--json")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["source"] == "rig and clips"
-    assert told["frames"] + told["held_out"] == 2 * (40 - 3 * 2) + 1
-    assert told["between"] == 2 * 3 * 2
-    assert err.count("warning") == len(told["warnings"]) == 2
+    printed = json.loads(out)
+    assert printed["source"] == "rig and clips"
+    assert printed["frames"] + printed["held_out"] == 2 * (40 - 3 * 2) + 1
+    assert printed["between"] == 2 * 3 * 2
+    assert err.count("warning") == len(printed["warnings"]) == 2
     for more, message in (
         (("--clip", head, "--source", "samples"), "--clip: given with --source samples"),
         (("--clip", head, "--controls", "/A"), "--clip: given with --controls"),

@@ -290,9 +290,9 @@ def test_the_command_trains_one_unless_told_not_to(tmp_path: Path, capsys: pytes
     few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 100, "--json")
     few += ("--points", 16, "--encoder-steps", 20)
     out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few)
-    told = json.loads(out)["encoder"]
-    assert told["points"] == 16
-    assert told["error_mean"] < told["constant_mean"]
+    printed = json.loads(out)["encoder"]
+    assert printed["points"] == 16
+    assert printed["error_mean"] < printed["constant_mean"]
     assert len(load_encoder(tmp_path / "head.fpnr").chosen) == 16
     out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "plain.fpnr", "--no-encoder", *few)
     assert json.loads(out)["encoder"] is None
@@ -318,5 +318,5 @@ def test_export_writes_its_graph_for_the_face(
     save_neural_rig(*other)
     assert "expected sha256:1... that the encoder was learned on" in failed(capsys, *words, "--force", folder=tmp_path)
     save_neural_rig(forward, file, {})
-    for wrong, told in ((words, "has no encoder"), (("export", face, "--encoder", "-o", graph), "option encoder")):
-        assert told in failed(capsys, *wrong, "--force", folder=tmp_path)
+    for wrong, message in ((words, "has no encoder"), (("export", face, "--encoder", "-o", graph), "option encoder")):
+        assert message in failed(capsys, *wrong, "--force", folder=tmp_path)

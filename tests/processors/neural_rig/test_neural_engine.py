@@ -164,11 +164,11 @@ def test_flags_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFix
     head, file = tmp_path / "head.usda", tmp_path / "head.fpnr"
     save_parts(face(), head)
     save_neural_rig(neural_rig(face(), bones=True), file, {})
-    for words, told in (
+    for words, message in (
         (("--neural", file, "--sliders", "--distil"), "--neural: given with --distil, expected one of them"),
         (("--offset-tolerance-mm", 0.1), "--offset-tolerance-mm: given without --neural, expected both"),
     ):
-        assert told in failed(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx", folder=tmp_path)
+        assert message in failed(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx", folder=tmp_path)
 
 
 def test_what_shapes_leave_out_makes_a_smaller_file_and_is_told(

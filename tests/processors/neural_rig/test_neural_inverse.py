@@ -61,7 +61,7 @@ def test_derivatives_are_finite_differences(rig: NeuralRig) -> None:
 
 def test_slopes_are_those_of_the_cost(rig: NeuralRig) -> None:
     targets = rig.points(frames(rig)[:4])
-    data = SkinnedData(rig, targets, 40) if rig.bones else ShapeData.of(rig, targets)
+    data = SkinnedData(rig, targets, 40) if rig.bones else ShapeData.from_targets(rig, targets)
     x, numbers = from_default(rig.controls, frames(rig, 5)[:4]), np.arange(4)
     slope, curved = data.normal(x, numbers)
     assert np.allclose(data.cost(from_default(rig.controls, frames(rig)[:4]), numbers), 0.0, atol=1e-12)

@@ -63,8 +63,8 @@ def test_a_clip_becomes_controls_that_train_and_others_read(
     clip = baked(tmp_path / "clip.usdc", rig.points(values), codes)
     assert read_targets(clip, rig).blocks.tolist() == [0] * 8 + [1] * 4
     out = tmp_path / "controls.usda"
-    told = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", clip, "-o", out, "--json")
-    report = json.loads(told)
+    printed = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", clip, "-o", out, "--json")
+    report = json.loads(printed)
     assert report["frames"] == 12
     assert report["error_mean_mm"] < 0.01
     assert set(report["controls"]) == {control.name for control in rig.controls}
@@ -83,8 +83,8 @@ def test_a_pose_becomes_values_without_time(rig: NeuralRig, tmp_path: Path, caps
     save_neural_rig(rig, tmp_path / "one.fpnr", {})
     pose = baked(tmp_path / "pose.usda", rig.points(values), [])
     out = tmp_path / "controls.usda"
-    told = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", pose, "-o", out)
-    assert "controls of 1 frame," in told
+    printed = done(capsys, "neural-rig", "invert", tmp_path / "one.fpnr", pose, "-o", out)
+    assert "controls of 1 frame," in printed
     tracks = {track.name: track for track in read_controls(out)}
     found = [tracks[control.name].values for control in rig.controls]
     assert np.allclose(np.array(found)[:, 0], values[0], atol=2e-3)
@@ -120,8 +120,8 @@ def test_the_encoder_of_the_rig_starts_near_the_end(tmp_path: Path, capsys: pyte
     words = ("neural-rig", "invert", tmp_path / "one.fpnr", clip, "--starts", 1, "--smoothness", 0, "--json")
     reports = []
     for number, more in enumerate(((), ("--no-encoder",))):
-        told = done(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
-        reports.append(json.loads(told))
+        message = done(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
+        reports.append(json.loads(message))
     guessed, still = reports
     print([(one["steps"], one["worst_frame_mm"]) for one in reports])
     assert guessed["steps"] < 0.5 * still["steps"]
@@ -202,7 +202,7 @@ def test_a_missed_threshold_and_bad_input_are_told(
     assert (code, err.count("\n")) == (1, 1)
     assert "mm off, more than 0.5 mm" in err
     assert out.exists()
-    for more, told in (
+    for more, message in (
         ((clip, "-o", out), "exists, expected a new file"),
         ((clip, "-o", tmp_path / "controls.json"), "suffix '.json'"),
         (
@@ -211,7 +211,7 @@ def test_a_missed_threshold_and_bad_input_are_told(
         ),
         ((clip, "-o", out, "--force", "--starts", "0"), "option starts: is 0"),
     ):
-        assert told in failed(capsys, *words, *more, folder=tmp_path)
+        assert message in failed(capsys, *words, *more, folder=tmp_path)
 
 
 def test_other_meshes_are_refused(rig: NeuralRig, tmp_path: Path) -> None:

@@ -58,8 +58,8 @@ def test_a_changed_rig_is_cooked_to_the_bytes_that_apply_writes(
     first = out.read_bytes()
     done(capsys, "cook", out, "--dry-run")
     save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
-    told = done(capsys, "cook", out, "--json")
-    assert json.loads(told)["nodes"][0]["why"] == ["head.fpnr changed"]
+    printed = done(capsys, "cook", out, "--json")
+    assert json.loads(printed)["nodes"][0]["why"] == ["head.fpnr changed"]
     cooked = out.read_bytes()
     applied(tmp_path, capsys, *words, "--force")
     assert out.read_bytes() == cooked != first

@@ -160,15 +160,15 @@ def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: py
     out = done(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", "--json", *drawn, *few)
     assert (tmp_path / "curve.svg").exists()
     assert not (tmp_path / "head.training").exists()
-    told = json.loads(out)
-    assert told["frames"] + told["held_out"] == 60 + 5 * 4 + 20
-    assert told["error_mean_mm"] < told["linear_mean_mm"]
+    printed = json.loads(out)
+    assert printed["frames"] + printed["held_out"] == 60 + 5 * 4 + 20
+    assert printed["error_mean_mm"] < printed["linear_mean_mm"]
     rig = load_neural_rig(tmp_path / "head.fpnr")
     assert {one.name for one in rig.controls} == {"open", "look", "jawOpen", "smile"}
     values = {"spread": 60, "sweep": 5, "together": 20, "width": 8, "steps": 200, "encoder_steps": 50}
     report = facepipe.neural_rig_train(face, out=tmp_path / "python.fpnr", **values)
     assert (tmp_path / "python.fpnr").read_bytes() == (tmp_path / "head.fpnr").read_bytes()
-    assert report.encoder.error_mean == told["encoder"]["error_mean"]
+    assert report.encoder.error_mean == printed["encoder"]["error_mean"]
     err = failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.onnx", *few, folder=tmp_path)
     assert "suffix '.onnx', expected .fpnr" in err
     failed(capsys, "neural-rig", "train", face, "-o", tmp_path / "head.fpnr", *few, folder=tmp_path)
@@ -221,8 +221,8 @@ def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
     for sparsity in (0.0, 0.2):
         found = train(*parts, width=32, activation="silu", seed=0, steps=2000, patience=2000, sparsity=sparsity)
         units = inputs[600:] @ found.hidden.T + found.hidden_bias
-        told = inputs[600:] @ found.linear + units / (1.0 + np.exp(-units)) @ found.last.T + found.last_bias
-        errors.append(np.sqrt(np.mean((told - outputs[600:]) ** 2)))
+        message = inputs[600:] @ found.linear + units / (1.0 + np.exp(-units)) @ found.last.T + found.last_bias
+        errors.append(np.sqrt(np.mean((message - outputs[600:]) ** 2)))
     assert errors[1] < 0.5 * errors[0]
 
 

@@ -200,7 +200,7 @@ def test_shapes_can_be_given_anew(tmp_path: Path) -> None:
     assert own["wide"].normal_offsets is None
     assert len(own["smile"].point_indices) == 1
     assert own["jawOpen"].inbetweens == ()
-    assert report.warnings == ("inbetweens are left out, of jawOpen",)
+    assert report.warnings == ("inbetweens of jawOpen are left out",)
     assert validate(tmp_path / "out.usda") == ()
 
 
@@ -217,7 +217,7 @@ def test_points_that_do_not_fit_author_nothing(
     parts = scan_domes.face()
     points = whole_points(parts)
     for own, shapes in ((change(points), {}), (points, {"jawOpen": change(points)})):  # type: ignore[operator]
-        with pytest.raises(error, match=text) as told:
+        with pytest.raises(error, match=text) as message:
             authored(parts, own, tmp_path, shapes=shapes)
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(message.value)
         assert not (tmp_path / "out.usda").exists()

@@ -56,10 +56,10 @@ def fitted(files: Files) -> np.ndarray:
 def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     out = done(capsys, *files.words("--unit", "cm", "--json"), quiet=False)
     assert np.abs(fitted(files) - truth()).max() < 0.05
-    told = json.loads(out)
-    assert told["path"] == str(files["out.usda"])
-    assert told["fit"]["unit"] == "cm"
-    assert told["missed"] == []
+    printed = json.loads(out)
+    assert printed["path"] == str(files["out.usda"])
+    assert printed["fit"]["unit"] == "cm"
+    assert printed["missed"] == []
     assert validate(files["out.usda"]) == ()
     face, template = facepipe.open(files["out.usda"]), facepipe.open(files["head.usda"])
     assert face.shapes == template.shapes
@@ -143,9 +143,9 @@ def test_a_scan_of_half_the_face_is_told(files: Files, capsys: pytest.CaptureFix
     code, out, err = run(capsys, *files.words("--unit", "cm", "--json"))
     assert code == 1
     assert "coverage 0." in err
-    told = json.loads(out)
-    assert 0.3 < told["quality"]["coverage"] < 0.6
-    assert len(told["missed"]) == 1
+    printed = json.loads(out)
+    assert 0.3 < printed["quality"]["coverage"] < 0.6
+    assert len(printed["missed"]) == 1
     assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.5  # the model knows the other half
 
 
@@ -155,7 +155,7 @@ def test_a_landmark_on_the_wrong_place_is_told(files: Files, capsys: pytest.Capt
     points[33] += 2.5
     files.put(scan, ScanLandmarks(points=points))
     _, _, err = run(capsys, *files.words("--unit", "cm"))
-    assert "1 landmarks lie off and don't count: landmark 33" in err
+    assert "1 landmarks ignored as outliers: landmark 33" in err
     assert np.abs(fitted(files) - truth()).max() < 0.3
 
 
@@ -167,7 +167,7 @@ def test_landmarks_on_other_parts_of_the_face_are_told(files: Files, capsys: pyt
     files.put(scan, ScanLandmarks(points=points))
     code, _, err = run(capsys, *files.words())
     assert code == 0
-    assert "3 landmarks lie off and don't count: landmark 30, landmark 36, landmark 48" in err
+    assert "3 landmarks ignored as outliers: landmark 30, landmark 36, landmark 48" in err
     assert "taken as cm" in err
     assert np.abs(fitted(files) - truth()).max() < 0.3
 

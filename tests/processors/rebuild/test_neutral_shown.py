@@ -76,17 +76,17 @@ def fitted(drawer: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: o
 
 
 def test_what_is_named_is_not_in_the_neutral(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    without, told = fitted(drawer, tmp_path / "without.usda", capsys)
-    assert told["weights"] == {}
-    named, told = fitted(drawer, tmp_path / "named.usda", capsys, "--weights", f"browUp={GIVEN}")
+    without, printed = fitted(drawer, tmp_path / "without.usda", capsys)
+    assert printed["weights"] == {}
+    named, printed = fitted(drawer, tmp_path / "named.usda", capsys, "--weights", f"browUp={GIVEN}")
     brows = np.linalg.norm(lifted(), axis=1) > 1.0
     errors = [np.linalg.norm(one - truth(), axis=1)[brows].mean() for one in (named, without)]
     assert errors[0] < 0.25 * errors[1]
-    assert told["weights"]["browUp"] == pytest.approx(GIVEN, abs=0.1)
+    assert printed["weights"]["browUp"] == pytest.approx(GIVEN, abs=0.1)
     recipe = facepipe.open(tmp_path / "named.usda").parts().recipe
     assert recipe is not None
     assert recipe.options["weights"] == {"browUp": GIVEN}
-    assert found_of(recipe)["weights"] == told["weights"]
+    assert found_of(recipe)["weights"] == printed["weights"]
 
 
 def test_the_picture_shows_what_the_scan_does(

@@ -26,7 +26,7 @@ from facepipe.stage.recipes import file_recipe
 
 
 def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = rebuilt(capsys, project)
+    printed = rebuilt(capsys, project)
     out = project.parent / "anna.usda"
     face = whole_face(facepipe.open(out).parts(), "anna")
     places, _ = scan_domes.grid(31)
@@ -37,13 +37,13 @@ def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixtur
     before = np.linalg.norm(template - motion(places), axis=1).mean()
     after = np.linalg.norm(face.deltas["jawOpen"][:skin] - motion(places), axis=1).mean()
     assert after < 0.5 * before
-    assert set(told["stages"]) == {"neutral", "expressions/open", "shapes"}  # type: ignore[call-overload]
-    assert told["stages"]["shapes"]["unseen"] == ["smile"]  # type: ignore[index]
+    assert set(printed["stages"]) == {"neutral", "expressions/open", "shapes"}  # type: ignore[call-overload]
+    assert printed["stages"]["shapes"]["unseen"] == ["smile"]  # type: ignore[index]
     assert validate(out) == ()
     recipe = file_recipe(out).recipe
     assert recipe is not None
     assert (recipe.verb, recipe.sources[0], len(recipe.sources)) == ("rebuild", "./anna.toml", 7)
-    assert found_of(recipe)["quality"] == told["quality"]
+    assert found_of(recipe)["quality"] == printed["quality"]
 
 
 def test_edit_changes_what_is_given(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,11 +107,11 @@ def test_a_neutral_is_refined_where_the_project_says_so(project: Path, capsys: p
     rebuilt(capsys, project)
     first = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
     project.write_text(f"{PROJECT}[options.refinement]\nregions = ['all']\ndetail_mm = 6\n")
-    told = rebuilt(capsys, project)
-    assert told["reused"] == ["neutral"]
-    refined = told["stages"]["refined"]  # type: ignore[index]
+    printed = rebuilt(capsys, project)
+    assert printed["reused"] == ["neutral"]
+    refined = printed["stages"]["refined"]  # type: ignore[index]
     assert refined["surface_mean_mm"] <= refined["before_mean_mm"]
-    assert told["quality"]["surface_mean_mm"] == refined["quality"]["surface_mean_mm"]  # type: ignore[index]
+    assert printed["quality"]["surface_mean_mm"] == refined["quality"]["surface_mean_mm"]  # type: ignore[index]
     second = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
     assert np.abs(second - first).max() == pytest.approx(refined["moved_max_mm"], abs=0.01)
     assert 0.0 < np.abs(second - first).max() < 0.5
@@ -128,8 +128,8 @@ def test_a_corrected_refined_neutral_is_taken_as_it_is(project: Path, capsys: py
     rebuilt(capsys, project)
     work = project.parent / "anna"
     shutil.copyfile(work / "neutral.usdc", work / "corrections/refined.usdc")
-    told = rebuilt(capsys, project)
-    assert told["corrected"] == ["refined"]
+    printed = rebuilt(capsys, project)
+    assert printed["corrected"] == ["refined"]
     shown = whole_face(facepipe.open(work / "neutral.usdc").parts(), "neutral").points
     found = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
     assert np.allclose(found, shown, atol=1e-4)
@@ -145,9 +145,9 @@ def test_corrected_meshes_take_the_place_of_results(project: Path, capsys: pytes
     save_parts(
         replace(shown, meshes=(replace(head, points=sculpted), *shown.meshes[1:])), work / "corrections/neutral.usdc"
     )
-    told = rebuilt(capsys, project)
-    assert told["corrected"] == ["neutral"]
-    assert told["reused"] == ["neutral"]
+    printed = rebuilt(capsys, project)
+    assert printed["corrected"] == ["neutral"]
+    assert printed["reused"] == ["neutral"]
     found = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").points
     assert np.allclose(found[400], sculpted[400], atol=1e-4)
 
@@ -155,9 +155,9 @@ def test_corrected_meshes_take_the_place_of_results(project: Path, capsys: pytes
     shape = replace(shown, meshes=(replace(head, points=sculpted - (0.0, 1.0, 0.0)), *shown.meshes[1:]))
     save_parts(shape, work / "corrections/shapes/smile.usdc")
     save_parts(shape, work / "corrections/shapes/frown.usdc")
-    told = rebuilt(capsys, project)
-    assert told["corrected"] == ["neutral", "shapes/smile"]
-    assert f"{work}/corrections/shapes/frown: corrects no result" in told["warnings"]  # type: ignore[operator]
+    printed = rebuilt(capsys, project)
+    assert printed["corrected"] == ["neutral", "shapes/smile"]
+    assert f"{work}/corrections/shapes/frown: corrects no result" in printed["warnings"]  # type: ignore[operator]
     delta = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna").deltas["smile"]
     assert np.allclose(delta[: len(sculpted)], [0.0, -1.0, 0.0], atol=1e-4)
 
@@ -196,8 +196,8 @@ def test_a_scan_of_something_else_is_named(project: Path, capsys: pytest.Capture
 
 def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project.write_text(PROJECT.split("[expressions.open]")[0])
-    told = rebuilt(capsys, project)
-    assert set(told["stages"]) == {"neutral"}  # type: ignore[call-overload]
+    printed = rebuilt(capsys, project)
+    assert set(printed["stages"]) == {"neutral"}  # type: ignore[call-overload]
     face = whole_face(facepipe.open(project.parent / "anna.usda").parts(), "anna")
     assert set(face.deltas) == {"jawOpen", "smile"}
 

@@ -132,9 +132,9 @@ def rebuilt(capsys: pytest.CaptureFixture[str], project: Path, *more: object) ->
 def test_a_joint_rebuild_keeps_and_reuses_its_stages(drawer: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project = drawer / "anna.toml"
     project.write_text(PROJECT)
-    told = rebuilt(capsys, project)
-    assert told["reused"] == []
-    together = told["stages"]["neutral"]["together"]  # type: ignore[index]
+    printed = rebuilt(capsys, project)
+    assert printed["reused"] == []
+    together = printed["stages"]["neutral"]["together"]  # type: ignore[index]
     assert together["moved_mean_mm"] > 0.0
     assert set(together["weights"]["open"]) == {"jawOpen"}
     first = project.with_suffix(".usda").read_bytes()
@@ -151,8 +151,8 @@ def test_a_joint_rebuild_keeps_and_reuses_its_stages(drawer: Path, capsys: pytes
     sculpted[400] += (0.0, 0.0, 3.0)
     own = with_head(shown, points=sculpted)
     save_parts(own, project.with_suffix("") / "corrections/neutral.usdc")
-    told = rebuilt(capsys, project, "--joint")
-    assert (told["corrected"], told["reused"]) == (["neutral"], STAGES[:4])
+    printed = rebuilt(capsys, project, "--joint")
+    assert (printed["corrected"], printed["reused"]) == (["neutral"], STAGES[:4])
     found = whole_face(facepipe.open(project.with_suffix(".usda")).parts(), "anna").points
     assert np.allclose(found[400], sculpted[400], atol=1e-4)
 
@@ -195,9 +195,9 @@ def test_of_the_fits_alone_only_the_neutral_can_be_corrected(
     for name in ("alone/neutral", "alone/expressions/open"):
         (work / "corrections" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(work / f"{name}.usdc", work / f"corrections/{name}.usdc")
-    told = rebuilt(capsys, project)
-    assert told["corrected"] == ["alone/neutral"]
-    assert f"{work}/corrections/alone/expressions/open: corrects no result" in told["warnings"]  # type: ignore[operator]
+    printed = rebuilt(capsys, project)
+    assert printed["corrected"] == ["alone/neutral"]
+    assert f"{work}/corrections/alone/expressions/open: corrects no result" in printed["warnings"]  # type: ignore[operator]
 
 
 def test_without_expressions_there_is_nothing_to_fit_together(

@@ -80,7 +80,7 @@ def _words(folder: Path, *more: object) -> tuple[object, ...]:
 
 def test_a_region_goes_to_its_scan_and_all_else_stays(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = done(capsys, *_words(folder, "--region", "bump", "--json"))
-    told = json.loads(out)
+    printed = json.loads(out)
     before, after = (facepipe.open(folder / name).parts() for name in ("anna.usda", "out.usda"))
     inside = before.meshes[0].regions["bump"] > 0
     old, new = before.meshes[0].points, after.meshes[0].points
@@ -89,10 +89,10 @@ def test_a_region_goes_to_its_scan_and_all_else_stays(folder: Path, capsys: pyte
     truth = 0.1 * _bumped(31)
     off = [10.0 * np.linalg.norm(one - truth, axis=1)[inside] for one in (old, new)]
     assert off[1].mean() < 0.4 * off[0].mean()
-    assert told["surface_mean_mm"] < 0.15 * told["before_mean_mm"]
-    assert told["points"] == inside.sum()
-    assert told["moved_max_mm"] > 1.0
-    assert (told["regions"], told["flipped_triangles"], told["missed"]) == (["bump"], 0, [])
+    assert printed["surface_mean_mm"] < 0.15 * printed["before_mean_mm"]
+    assert printed["points"] == inside.sum()
+    assert printed["moved_max_mm"] > 1.0
+    assert (printed["regions"], printed["flipped_triangles"], printed["missed"]) == (["bump"], 0, [])
     assert validate(folder / "out.usda") == ()
 
 

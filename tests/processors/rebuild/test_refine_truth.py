@@ -58,24 +58,24 @@ def _nose() -> np.ndarray:
 @pytest.mark.slow
 def test_a_region_that_was_fitted_too_stiffly_comes_to_its_scan_and_nearer_to_the_truth() -> None:
     weights = _nose()
-    told = _refined(_STIFF, weights)
-    report, inside = told.found.report, weights > 0.9
+    case = _refined(_STIFF, weights)
+    report, inside = case.found.report, weights > 0.9
     print(f"surface {report.before_mean_mm:.3f} -> {report.surface_mean_mm:.3f}, moved {report.moved_mean_mm:.2f}")
-    print(f"true {told.before[inside].mean():.3f} -> {told.after[inside].mean():.3f}")
+    print(f"true {case.before[inside].mean():.3f} -> {case.after[inside].mean():.3f}")
     assert report.surface_mean_mm < 0.35 * report.before_mean_mm
-    assert told.after[inside].mean() < 0.7 * told.before[inside].mean()
-    assert np.array_equal(told.found.points[weights == 0.0], told.fit.points[weights == 0.0])
+    assert case.after[inside].mean() < 0.7 * case.before[inside].mean()
+    assert np.array_equal(case.found.points[weights == 0.0], case.fit.points[weights == 0.0])
     assert report.flipped_triangles <= 5
 
 
 @pytest.mark.slow
 def test_a_face_that_was_fitted_well_stays_as_true() -> None:
-    told = _refined(FitNeutralOptions())
+    case = _refined(FitNeutralOptions())
     face = slice(0, ict().full_face)
-    report = told.found.report
+    report = case.found.report
     print(f"surface {report.before_mean_mm:.4f} -> {report.surface_mean_mm:.4f}, moved {report.moved_mean_mm:.3f}")
     for name, of in (("mean", np.mean), ("p95", lambda off: np.percentile(off, 95))):
-        print(f"true {name} {of(told.before[face]):.3f} -> {of(told.after[face]):.3f}")
-        assert of(told.after[face]) < 1.01 * of(told.before[face])
+        print(f"true {name} {of(case.before[face]):.3f} -> {of(case.after[face]):.3f}")
+        assert of(case.after[face]) < 1.01 * of(case.before[face])
     assert report.surface_mean_mm < report.before_mean_mm
     assert report.flipped_triangles <= 5

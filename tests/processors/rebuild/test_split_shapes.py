@@ -45,9 +45,9 @@ def test_the_table_tells_of_each_shape(files: Files, capsys: pytest.CaptureFixtu
     assert jaw[4] == "open"
     assert "1 shapes of scans, 1 separated; 1 as the personal template has them" in out
     assert np.array_equal(files.delta("actor.usda", "browUp"), files.delta("personal.usda", "browUp"))
-    told = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
-    assert told["shapes"]["jawOpen"]["gain"] == pytest.approx(float(jaw[2]), abs=0.006)
-    assert told["unseen"] == ["browUp"]
+    printed = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
+    assert printed["shapes"]["jawOpen"]["gain"] == pytest.approx(float(jaw[2]), abs=0.006)
+    assert printed["unseen"] == ["browUp"]
 
 
 def test_a_correction_by_hand_is_split(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
