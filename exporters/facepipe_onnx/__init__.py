@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe_onnx.encoder_writer import export_encoder
+    from facepipe_onnx.encoder import export_encoder
     from facepipe_onnx.model_file import outputs
     from facepipe_onnx.options import Options
     from facepipe_onnx.runtime import Deformer

@@ -21,7 +21,7 @@ from facepipe.rig import build as build_rig
 from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe
-from facepipe_onnx.encoder_writer import export_encoder
+from facepipe_onnx.encoder import export_encoder
 from facepipe_onnx.graph import build, select_shapes
 from facepipe_onnx.metadata_checks import operators
 from facepipe_onnx.model_file import outputs, write_model

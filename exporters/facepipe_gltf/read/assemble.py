@@ -6,17 +6,69 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
-from facepipe.parts import Mesh, Skin
+from facepipe.geometry.vectors import unit_vectors
+from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, identity
 from facepipe_gltf.read import materials, meshes, morphs, primitives
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.morphs import Role
 from facepipe_gltf.read.names import Names, given_name
 from facepipe_gltf.read.nodes import Nodes
-from facepipe_gltf.read.placement import placed
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.skins import Joints
 from facepipe_gltf.read.values import Value
+
+
+def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
+    """A skinned `mesh` with its points moved by `matrix` (mesh space -> skeleton space at bind), so in metres.
+
+    A matrix that mirrors or flattens would turn faces inside out: it becomes the geomBind instead.
+    """
+    if mesh.skin is None or np.array_equal(matrix, identity()):
+        return mesh
+    determinant = float(np.linalg.det(matrix[:3, :3]))
+    if not 1e-30 < determinant < 1e30:
+        return replace(mesh, skin=replace(mesh.skin, geom_bind_transform=matrix))
+    move = _Move(matrix[:3, :3], np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant))
+    return replace(
+        mesh,
+        points=(np.asarray(mesh.points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32),
+        normals=None if mesh.normals is None else unit_vectors(move.normal(mesh.normals)),
+        blendshapes=tuple(_shape(shape, move) for shape in mesh.blendshapes),
+    )
+
+
+@dataclass(frozen=True)
+class _Move:
+    """How offsets and normals (n, 3) follow: (3, 3) matrices."""
+
+    linear: FloatArray
+    turn: FloatArray
+
+    def offset(self, values: FloatArray) -> FloatArray:
+        return (np.asarray(values, np.float64) @ self.linear.T).astype(np.float32)
+
+    def normal(self, values: FloatArray) -> FloatArray:
+        return (np.asarray(values, np.float64) @ self.turn.T).astype(np.float32)
+
+    def optional(self, values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else self.normal(values)
+
+
+def _shape(shape: Blendshape, move: _Move) -> Blendshape:
+    return replace(
+        shape,
+        offsets=move.offset(shape.offsets),
+        normal_offsets=move.optional(shape.normal_offsets),
+        inbetweens=tuple(_inbetween(inbetween, move) for inbetween in shape.inbetweens),
+    )
+
+
+def _inbetween(inbetween: Inbetween, move: _Move) -> Inbetween:
+    return replace(
+        inbetween, offsets=move.offset(inbetween.offsets), normal_offsets=move.optional(inbetween.normal_offsets)
+    )
 
 
 @dataclass
@@ -61,7 +113,7 @@ class Assembly:
         if self.own:
             return named
         if skin >= 0:
-            return placed(named, self.joints.skins[skin].geom_bind)
+            return _placed(named, self.joints.skins[skin].geom_bind)
         return self._unskinned(node, named)
 
     def _build(self, mesh_index: int, skin: int) -> tuple[Mesh, Geometry] | None:
@@ -87,7 +139,7 @@ class Assembly:
         self.document.budget.spend(64 * count, self.nodes.values[node])
         skin = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
         bind = self.joints.skeleton.bind_transforms[joint]
-        return placed(replace(mesh, skin=skin), bind @ to_joint)
+        return _placed(replace(mesh, skin=skin), bind @ to_joint)
 
     def _note_weights(self, value: Value) -> None:
         weights = value.get("weights")

@@ -7,14 +7,68 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.parts import MaterialFaces, Mesh, Skin, UvSet
-from facepipe_gltf.read import landmarks, morphs
+from facepipe.core.errors import InputError
+from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe_gltf.read import morphs
 from facepipe_gltf.read import weld as welds
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names
 from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.values import Value
 from facepipe_gltf.read.vertices import Vertices
 from facepipe_gltf.read.weld import Weld
+
+
+def _landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, Landmarks]:
+    """Landmarks by scheme."""
+    ours, place = _ours(document, geometry, weld)
+    listed = None if ours is None else ours.get("landmarks")
+    if listed is None:
+        return {}
+    found = {}
+    for scheme in listed.member_names():
+        try:
+            entry = listed.require(scheme)
+            points = [place[one.integer()] for one in entry.require("points").items()]
+            names = tuple(one.text() for one in entry.require("names").items())
+            if names and len(names) != len(points):
+                raise entry.error(f"{len(names)} names, expected {len(points)}")
+            found[scheme] = Landmarks(indices=np.array(points, np.int32), names=names)
+        except (InputError, KeyError) as error:
+            _warn(document, listed, error)
+    return found
+
+
+def _anchor(document: Document, geometry: Geometry, weld: Weld) -> int | None:
+    """The anchor; None where there is none."""
+    ours, place = _ours(document, geometry, weld)
+    value = None if ours is None else ours.get("anchor")
+    if value is None:
+        return None
+    try:
+        return place[value.integer()]
+    except (InputError, KeyError) as error:
+        _warn(document, value, error)
+        return None
+
+
+def _warn(document: Document, value: Value, error: InputError | KeyError) -> None:
+    if isinstance(error, InputError):
+        document.warn(error.where, f"{error.what}: left out")
+    else:
+        document.warn(value, f"point {error.args[0]} is in no triangle: left out")
+
+
+def _ours(document: Document, geometry: Geometry, weld: Weld) -> tuple[Value | None, dict[int, int]]:
+    """What our exporter says of the mesh, and the point of each of its point numbers."""
+    extras, numbers = geometry.value.get("extras"), geometry.vertices.point_numbers
+    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    if ours is None or not isinstance(ours.data, dict):
+        return None, {}
+    if numbers is None:
+        document.warn(ours, "no _FACEPIPE_POINT in the file any more: landmarks and anchor are left out")
+        return None, {}
+    return ours, dict(zip(numbers[weld.vertices].tolist(), range(len(weld.vertices)), strict=True))
 
 
 def build_mesh(
@@ -51,8 +105,8 @@ def build_mesh(
         colors=_colors(document, geometry, welded),
         skin=None if slots is None else _skin(document, geometry, welded, slots),
         blendshapes=morphs.blendshapes(document, geometry, welded, names),
-        landmarks={} if own else landmarks.landmarks(document, geometry, welded),
-        anchor=None if own else landmarks.anchor(document, geometry, welded),
+        landmarks={} if own else _landmarks(document, geometry, welded),
+        anchor=None if own else _anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
         material_faces=_material_faces(geometry.materials[kept], shown) if len(bound) > 1 else (),
     )

@@ -1,16 +1,26 @@
-"""The encoder of a neural rig as a graph: points to the controls that bring them there."""
+"""The graph of an encoder, points to controls, with its metadata also in a sidecar."""
 
 from __future__ import annotations
 
+import os
+import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from facepipe.core import __version__
+from facepipe.core.errors import TopologyError
+from facepipe.core.reports import ExportReport
 from facepipe.onnx_graph import Nodes
 from facepipe.rig.neural_encoder import EPSILON, EncoderLayer, NeuralEncoder
+from facepipe_onnx.kinds import ENCODER
+from facepipe_onnx.metadata_checks import operators
+from facepipe_onnx.model_file import outputs, write_model
+from facepipe_onnx.operators import FURTHER
 
 
-def build(encoder: NeuralEncoder, name: str = "face") -> Any:
+def _build(encoder: NeuralEncoder, name: str = "face") -> Any:
     """The `onnx.ModelProto`, without metadata: ``points`` [1, n, 3] to ``controls`` [1, c], clamped to their limits.
 
     :param name: of the face, for messages
@@ -65,8 +75,8 @@ def _attention(nodes: Nodes, tokens: str, layer: EncoderLayer, heads: int) -> st
     matrix, bias = np.array(layer.attend, np.float64), np.array(layer.attend_bias, np.float64)
     matrix[:, :width] /= np.sqrt(own)  # what scores are divided by
     bias[:width] /= np.sqrt(own)
-    found = _affine(nodes, tokens, "attend", matrix, bias)
-    pieces = [nodes.reshape(nodes.slice(found, 1, i * width, (i + 1) * width), -1, heads, own) for i in range(3)]
+    attended = _affine(nodes, tokens, "attend", matrix, bias)
+    pieces = [nodes.reshape(nodes.slice(attended, 1, i * width, (i + 1) * width), -1, heads, own) for i in range(3)]
     queries, values = (nodes.add("Transpose", pieces[i], perm=[1, 0, 2]) for i in (0, 2))
     keys = nodes.add("Transpose", pieces[1], perm=[1, 2, 0])
     shares = nodes.add("Softmax", nodes.add("MatMul", queries, keys), axis=-1)
@@ -81,3 +91,88 @@ def _in_own_units(nodes: Nodes, encoder: NeuralEncoder, value: str) -> None:
     clamped = nodes.add("Clip", value, *ends)
     scaled = nodes.add("Mul", clamped, nodes.constant("half_range", (high - low) / 2.0))
     nodes.add("Add", scaled, nodes.constant("middle", (high + low) / 2.0), name="controls")
+
+
+_CONVENTIONS = {
+    "points": "points of all meshes one after another, in their order on the face; only those that `chosen` numbers "
+    "count, the others may be anything",
+    "lengths": "millimetres",
+    "space": "world space at bind time, right-handed, up axis face.up_axis; the head as it is at rest, not turned",
+    "controls": "clamped to their ranges",
+}
+
+
+def _describe(
+    encoder: NeuralEncoder, operators: list[str], meshes: Mapping[str, int], name: str = "face"
+) -> dict[str, Any]:
+    """The metadata of the graph of `_build`.
+
+    :param operators: the operators of the graph, sorted
+    :param meshes: name -> points, in the order of the face
+    """
+    controls, first, found = encoder.controls, 0, []
+    for mesh, count in meshes.items():
+        found.append({"name": mesh, "first": first, "count": count})
+        first += count
+    return {
+        "conventions": _CONVENTIONS,
+        "face": {"meters_per_unit": 0.001, "name": name, "topology": encoder.topology, "up_axis": "Y"},
+        "format": ENCODER.format,
+        "further_operators": [one for one in operators if one in FURTHER],
+        "generator": f"facepipe {__version__}",
+        "inputs": [
+            {
+                "chosen": encoder.chosen.tolist(),
+                "name": "points",
+                "required": True,
+                "shape": [1, encoder.point_count, 3],
+                "type": "float32",
+            }
+        ],
+        "meshes": found,
+        "operators": operators,
+        "outputs": [
+            {
+                "default": [one.default for one in controls],
+                "name": "controls",
+                "names": [one.name for one in controls],
+                "range": [[one.minimum, one.maximum] for one in controls],
+                "shape": [1, len(controls)],
+                "type": "float32",
+            }
+        ],
+    }
+
+
+def export_encoder(
+    encoder: NeuralEncoder, path: str | os.PathLike[str], meshes: Mapping[str, int] | None = None, name: str = "face"
+) -> ExportReport:
+    """Write an encoder as an ONNX graph, points to controls, with its metadata also beside it as ``<path>.json``.
+
+    :param meshes: name -> points of the face's meshes, in their order, for the metadata
+    :param name: of the face
+    :raises InputError: another suffix than .onnx, or a folder that does not exist
+    :raises TopologyError: meshes of another number of points
+    :raises ExportError: numbers beyond float32
+    """
+    start = time.perf_counter()
+    target, beside = outputs(path)
+    meshes = {name: encoder.point_count} if meshes is None else meshes
+    if sum(meshes.values()) != encoder.point_count:
+        what = f"{sum(meshes.values())} points, expected {encoder.point_count} that the encoder was learned on"
+        raise TopologyError(f"{name} -> meshes", what)
+    model = _build(encoder, name)
+    metadata = _describe(encoder, operators(model), meshes, name)
+    size = write_model(model, metadata, name, target)
+    return ExportReport(
+        path=target,
+        files=(target, beside),
+        counts={
+            "points": encoder.point_count,
+            "chosen": len(encoder.chosen),
+            "controls": len(encoder.controls),
+            "nodes": len(model.graph.node),
+        },
+        bytes=size,
+        seconds=time.perf_counter() - start,
+    )
