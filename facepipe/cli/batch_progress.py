@@ -19,7 +19,7 @@ _EVERY = 10.0  # seconds between two lines of a log
 
 @contextlib.contextmanager
 def shown() -> Iterator[Callable[[Run], Callable[..., object]]]:
-    """What is to be told of a run: for each task that ends, its record."""
+    """Watches a run: called with it, and then with each task that ends and its record."""
     with contextlib.ExitStack() as ends:
         yield lambda run: _bars(run, ends) if sys.stderr.isatty() and not is_quiet() else _lines(run)
 

@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _ended(done: list[NodeReport], error: FacepipeError) -> dict[str, Any]:
-    """What is told of a cook that `error` has ended: the files before it are done."""
+    """The report of a cook that `error` has ended: the files before it are done."""
     from facepipe.cooking import CookReport
 
     report = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
@@ -96,8 +96,8 @@ def _findings(report: CookReport) -> list[str]:
 
 def _summary(report: CookReport) -> str:
     counts = {action: sum(node.action == action for node in report.nodes) for action in _ACTIONS}
-    told = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
-    return f"{len(report.nodes)} file(s) with recipes{f': {told}' if told else ''}"
+    listed = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
+    return f"{len(report.nodes)} file(s) with recipes{f': {listed}' if listed else ''}"
 
 
 _ACTIONS = {

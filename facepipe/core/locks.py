@@ -64,7 +64,7 @@ def try_lock(file: Path, *, create: bool = True) -> int:
 
 def _acquired(target: Path, file: Path, until: float, waiting: Callable[[], object]) -> int:
     """A descriptor of `file`, locked."""
-    told = False
+    announced = False
     while True:
         try:
             return try_lock(file)
@@ -74,9 +74,9 @@ def _acquired(target: Path, file: Path, until: float, waiting: Callable[[], obje
             raise InputError(target, f"can't be locked: {error.strerror or error}") from error
         if time.monotonic() > until:
             raise InputError(target, "is being changed by another process, expected one at a time")
-        if not told:
+        if not announced:
             waiting()
-            told = True
+            announced = True
         time.sleep(_PAUSE)
 
 

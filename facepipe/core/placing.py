@@ -68,7 +68,7 @@ class Move:
 
 
 def identity(path: Path) -> Identity | None:
-    """What tells a file or folder from any other and from its later self; None where there is none."""
+    """What sets a file or folder apart from any other and from its later self; None where there is none."""
     try:
         found = path.lstat()
     except OSError:
