@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
+from hypothesis import HealthCheck, settings
 from small_sources import made
 from threadpoolctl import threadpool_limits
 
@@ -17,6 +18,9 @@ from facepipe.stage import save_parts
 
 threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+
+settings.register_profile("busy machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy machine")
 
 
 @pytest.fixture(scope="session")

@@ -88,7 +88,7 @@ def _read(face: Face, parts: FaceParts, word: str, load: Loader | None) -> list[
     if file is not None:
         read = _read_file(parts, file, name, load)
         called = identifier(name or Path(file).stem, "target")
-        person = name is None and read.times is None
+        person = not name and read.times is None and Path(file).suffix.lower() != ".obj"  # that is a sculpt
         return [Target(name=called, person=person, **read._asdict())]
     if word == ALL_SHAPES:
         if not face.shapes:

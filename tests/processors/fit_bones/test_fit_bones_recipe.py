@@ -448,3 +448,10 @@ def test_a_fit_that_is_stopped_leaves_what_was_there(folder: Path, capsys: Capsy
     with pytest.raises(KeyboardInterrupt), face.deriving("a.usda") as result:
         FitBones()(result, targets, done=stop)
     assert content(folder) == before
+
+
+def test_a_fit_to_another_face_makes_that_face_the_person(folder: Path, capsys: Capsys) -> None:
+    done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "person.usda")
+    done(capsys, "fit-bones", "rig.usda", "--target", "jawOpen", "--threshold-mm", "50", "-o", "shape.usda")
+    assert facepipe.open("person.usda").parts().person == "goal"
+    assert facepipe.open("shape.usda").parts().person is None
