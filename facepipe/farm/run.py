@@ -79,6 +79,7 @@ class Run:
             waited += time.perf_counter() - before
             self._out -= 1
             self._answered(record)
+        self._tidy_made()
         self.scheduling = time.perf_counter() - start - waited
 
     def _open(self) -> None:
@@ -182,6 +183,13 @@ class Run:
         """Remove what a process that was lost left beside its result."""
         with contextlib.suppress(FacepipeError, OSError):
             collect((self.plan.folder / result_of(self.plan, task)).parent)
+
+    def _tidy_made(self) -> None:
+        """Remove what processes of workers left that a cluster lost and replaced by itself."""
+        made = (name for record in self.records.values() if record["status"] == MADE for name in record["writes"])
+        for folder in {(self.plan.folder / name).parent for name in made if not is_url(name)}:
+            with contextlib.suppress(FacepipeError, OSError):
+                collect(folder)
 
     def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
         self.records[task.name] = record

@@ -13,7 +13,8 @@ from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
 from facepipe.farm.batch import batch
-from facepipe.farm.plan import each
+from facepipe.farm.options import RunOptions
+from facepipe.farm.plan import each, read_plan
 from facepipe.farm.table import read_table
 
 
@@ -305,3 +306,16 @@ def test_faces_of_one_name_are_called_after_their_folders_too(show: Path) -> Non
     (show / "heads/old/ada.bin").write_text("old")
     rows = read_table("faces", show, {"glob": "heads/**/*.bin"})
     assert sorted(row.name for row in rows) == ["bea", "cyd", "heads_ada", "heads_old_ada"]
+
+
+def test_what_a_worker_that_was_lost_left_beside_results_is_gone_in_the_end(show: Path) -> None:
+    (show / "plan.toml").write_text(PLAN)
+    left = show / "built/game/.facepipe-0123456789abcdef"
+
+    def leave(*_: object) -> None:
+        left.mkdir(parents=True, exist_ok=True)
+        (left / ".facepipe-lock").touch()
+        (left / "ada.bin").touch()
+
+    batch(read_plan(show / "plan.toml"), show / "state", processes=1, options=RunOptions(), told=lambda _: leave)
+    assert sorted(path.name for path in left.parent.iterdir()) == ["ada.bin", "bea.bin", "cyd.bin"]
